@@ -1,0 +1,1 @@
+//! Fault-tolerant middleware for robots: typed actors that grow back.

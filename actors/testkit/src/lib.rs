@@ -1,0 +1,1 @@
+//! For tests of Blastema components: a test node, probes, a paused clock.

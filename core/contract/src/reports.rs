@@ -1,0 +1,151 @@
+//! What guards, components and the watch thread tell the monitor.
+//!
+//! ```text
+//! guard ──Exited, StateReported──►┐
+//! component ──Heartbeat, FaultDeclared──► Monitor ──► Detector ──► Notifier ──► Recoverer
+//! watch thread ──Sighted──────────┘
+//! ```
+
+use actix::Message;
+use blastema_core::{FaultKind, Incarnation, Lifecycle, ObjectName};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// A sign of life that nobody asked for.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Heartbeat {
+    /// Who lives.
+    pub source: ObjectName,
+    /// Which of its lives.
+    pub incarnation: Incarnation,
+}
+
+/// Asked on the control lane, so that a flooded object still answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "Alive")]
+pub struct AreYouAlive;
+
+/// The answer to [`AreYouAlive`]: alive, and how far its work has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, actix::MessageResponse)]
+pub struct Alive {
+    /// Which life answers.
+    pub incarnation: Incarnation,
+    /// Where it stands.
+    pub state: Lifecycle,
+    /// How many messages wait in its queue.
+    pub queued: usize,
+    /// How long the oldest of them has waited, to the precision of the arbiter's beat.
+    pub oldest: Duration,
+    /// It has declared that its present handler takes long.
+    pub long_operation: bool,
+}
+
+/// How a life ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// It ended itself.
+    Returned,
+    /// It panicked.
+    Panicked {
+        /// The panic's text.
+        text: String,
+        /// File and line, as `src/laser.rs:42`.
+        at: String,
+        /// What it was serving: the contract's name, or the hook's.
+        during: &'static str,
+    },
+    /// Its future was dropped before it ended: its arbiter went away.
+    Aborted,
+    /// It was told to.
+    Stopped,
+}
+
+/// The end of a life, told by its guard at once.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Exited {
+    /// Who.
+    pub object: ObjectName,
+    /// Which of its lives.
+    pub incarnation: Incarnation,
+    /// How.
+    pub exit: Exit,
+    /// The guard has carried out its standing order: this life has begun in the old one's place.
+    pub restarted_as: Option<Incarnation>,
+}
+
+/// A change of an object's state, told by its guard.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct StateReported {
+    /// Who.
+    pub object: ObjectName,
+    /// Which of its lives.
+    pub incarnation: Incarnation,
+    /// Where it now stands.
+    pub state: Lifecycle,
+    /// For `Error` and `Fatal`: why, as the component said it.
+    pub reason: Option<String>,
+}
+
+/// A fault that an object found in itself or in its data.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct FaultDeclared {
+    /// Who declares it.
+    pub object: ObjectName,
+    /// Which of its lives.
+    pub incarnation: Incarnation,
+    /// What it is.
+    pub kind: FaultKind,
+    /// The particulars.
+    pub detail: String,
+}
+
+/// What the watch thread saw when it looked at arbiters and components.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub enum Sighted {
+    /// This object's handler keeps its arbiter from turning.
+    Hangs {
+        /// The culprit.
+        object: ObjectName,
+        /// Which of its lives.
+        incarnation: Incarnation,
+        /// The contract or hook in service.
+        during: &'static str,
+        /// Since when, at least.
+        age: Duration,
+        /// Who stands still behind it.
+        victims: Arc<[ObjectName]>,
+    },
+    /// This object's handler awaits something for longer than it may; its arbiter turns.
+    Waits {
+        /// Who.
+        object: ObjectName,
+        /// Which of its lives.
+        incarnation: Incarnation,
+        /// The contract or hook in service.
+        during: &'static str,
+        /// Since when, at least.
+        age: Duration,
+    },
+    /// An arbiter that stood still turns again before anyone was re-created elsewhere.
+    Resumed {
+        /// Who stood still on it.
+        objects: Arc<[ObjectName]>,
+    },
+    /// The grace time is over and the arbiter still stands: these must be re-created elsewhere.
+    Lost {
+        /// Whose handler keeps it.
+        culprit: ObjectName,
+        /// Who stood still behind it.
+        victims: Arc<[ObjectName]>,
+    },
+    /// The watch itself was not scheduled for so long: every silence up to now is void.
+    Stalled {
+        /// For how long.
+        gap: Duration,
+    },
+}

@@ -1,0 +1,73 @@
+//! What can become of a message.
+
+use crate::Incarnation;
+use serde::{Deserialize, Serialize};
+
+/// Why a message was not delivered, or a request not answered.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[non_exhaustive]
+pub enum Why {
+    /// The receiver's queue is full. Slow down, raise its capacity, or choose another policy.
+    #[error("the receiver's queue is full")]
+    Full,
+    /// The receiver is between two lives. Try again shortly.
+    #[error("the receiver is restarting")]
+    Restarting,
+    /// The receiver was stopped, and nobody will start it again.
+    #[error("the receiver is stopped")]
+    Stopped,
+    /// The answer did not come in time. Whether the request took effect is not known.
+    #[error("the deadline passed")]
+    DeadlinePassed,
+    /// The receiver died while it served this message.
+    #[error("the receiver died in its life {incarnation} while it served this message")]
+    PeerDied {
+        /// The life that ended.
+        incarnation: Incarnation,
+    },
+    /// The two parties hold different contracts; the text shows what differs, field by field.
+    #[error("the contract differs: {difference}")]
+    ContractDiffers {
+        /// One line for each difference.
+        difference: String,
+    },
+    /// This message killed several lives of the receiver and is not let in again.
+    #[error("this message is quarantined: it killed {kills} lives of the receiver")]
+    Quarantined {
+        /// How many lives it ended.
+        kills: u32,
+    },
+    /// The sender itself was given up and replaced; nothing it says gets out any more.
+    #[error("the sender has been fenced off")]
+    Fenced,
+    /// The receiver's sending and receiving is forbidden.
+    #[error("the receiver is isolated")]
+    Isolated,
+    /// The message was older than its contract allows.
+    #[error("the message is older than its contract allows")]
+    Expired,
+    /// No object of this name is known, or it takes no such contract.
+    #[error("no object {name} takes this contract")]
+    Unknown {
+        /// The name that was looked for.
+        name: String,
+    },
+    /// No path leads to the receiver's node.
+    #[error("node {node} cannot be reached")]
+    Unreachable {
+        /// The node that was to be reached.
+        node: String,
+    },
+    /// The message is larger than its contract allows.
+    #[error("the message is larger than the {limit} bytes that its contract allows")]
+    TooLarge {
+        /// The contract's limit in bytes.
+        limit: usize,
+    },
+    /// The bytes are not a message of this contract.
+    #[error("the message could not be decoded: {reason}")]
+    Undecodable {
+        /// What the codec said.
+        reason: String,
+    },
+}

@@ -1,0 +1,191 @@
+//! The list of faults that is fixed when the robot is designed.
+
+use crate::{Incarnation, Instant, NodeName, ObjectAddress};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::sync::Arc;
+
+/// What kind of fault it is. It decides the recovery.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[non_exhaustive]
+pub enum FaultKind {
+    /// A component panicked in a handler, hook, timer or task of its own.
+    Panic,
+    /// A component ended although nobody had told it to.
+    UnexpectedExit,
+    /// A handler keeps its arbiter, or waits, longer than it may.
+    Hang,
+    /// An object that should give a sign of life gave none.
+    Silence,
+    /// A component reported that it is in error.
+    ErrorState,
+    /// `on_initialize` failed.
+    InitializationFailed,
+    /// A component, or its supervisor, declared that this life cannot go on.
+    Fatal,
+    /// Data that is checked at a fixed point was wrong.
+    CheckFailed,
+    /// A queue stayed full.
+    Overload,
+    /// Two parties hold different versions of one contract.
+    ContractMismatch,
+    /// A link to a neighbour is gone.
+    LinkDown,
+    /// A link delivers late or loses too much.
+    LinkDegraded,
+    /// A node cannot be reached over any path, or has died.
+    NodeLost,
+    /// The same fault came back more often than its supervisor allows.
+    RestartStorm,
+    /// A fault of the application's own list.
+    Custom(Arc<str>),
+}
+
+/// How bad a fault is for the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum Severity {
+    /// Service goes on; somebody should look.
+    Warning,
+    /// A service is interrupted until recovery has done its work.
+    Error,
+    /// Several services are gone, or recovery itself failed.
+    Critical,
+}
+
+impl FaultKind {
+    /// Every built-in kind, in the order of its code.
+    pub const BUILT_IN: [FaultKind; 14] = [
+        FaultKind::Panic,
+        FaultKind::UnexpectedExit,
+        FaultKind::Hang,
+        FaultKind::Silence,
+        FaultKind::ErrorState,
+        FaultKind::InitializationFailed,
+        FaultKind::Fatal,
+        FaultKind::CheckFailed,
+        FaultKind::Overload,
+        FaultKind::ContractMismatch,
+        FaultKind::LinkDown,
+        FaultKind::LinkDegraded,
+        FaultKind::NodeLost,
+        FaultKind::RestartStorm,
+    ];
+
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B14`, or the
+    /// application's own.
+    pub fn code(&self) -> &str {
+        match self {
+            FaultKind::Panic => "B01",
+            FaultKind::UnexpectedExit => "B02",
+            FaultKind::Hang => "B03",
+            FaultKind::Silence => "B04",
+            FaultKind::ErrorState => "B05",
+            FaultKind::InitializationFailed => "B06",
+            FaultKind::Fatal => "B07",
+            FaultKind::CheckFailed => "B08",
+            FaultKind::Overload => "B09",
+            FaultKind::ContractMismatch => "B10",
+            FaultKind::LinkDown => "B11",
+            FaultKind::LinkDegraded => "B12",
+            FaultKind::NodeLost => "B13",
+            FaultKind::RestartStorm => "B14",
+            FaultKind::Custom(code) => code,
+        }
+    }
+
+    /// A text that a person understands.
+    pub fn text(&self) -> &str {
+        match self {
+            FaultKind::Panic => "panic",
+            FaultKind::UnexpectedExit => "unexpected exit",
+            FaultKind::Hang => "hang",
+            FaultKind::Silence => "silence",
+            FaultKind::ErrorState => "error state",
+            FaultKind::InitializationFailed => "initialisation failed",
+            FaultKind::Fatal => "fatal error",
+            FaultKind::CheckFailed => "check failed",
+            FaultKind::Overload => "overload",
+            FaultKind::ContractMismatch => "contract mismatch",
+            FaultKind::LinkDown => "link down",
+            FaultKind::LinkDegraded => "link degraded",
+            FaultKind::NodeLost => "node lost",
+            FaultKind::RestartStorm => "restart storm",
+            FaultKind::Custom(code) => code,
+        }
+    }
+
+    /// How bad it is unless the plan says otherwise.
+    pub fn severity(&self) -> Severity {
+        match self {
+            FaultKind::Overload | FaultKind::LinkDegraded | FaultKind::CheckFailed => {
+                Severity::Warning
+            }
+            FaultKind::Fatal | FaultKind::NodeLost | FaultKind::RestartStorm => Severity::Critical,
+            _ => Severity::Error,
+        }
+    }
+}
+
+impl fmt::Display for FaultKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.text())
+    }
+}
+
+/// Where a fault is.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum Place {
+    /// In an object.
+    Object(ObjectAddress),
+    /// In a link from one node to a neighbour, by the link's name.
+    Link {
+        /// Who sees the link.
+        node: NodeName,
+        /// The link's name in that node's configuration.
+        link: Arc<str>,
+        /// Who is at its other end, once known.
+        neighbour: Option<NodeName>,
+    },
+    /// A whole node.
+    Node(NodeName),
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Place::Object(address) => write!(f, "{address}"),
+            Place::Link { node, link, neighbour: Some(neighbour) } => {
+                write!(f, "{node} -{link}- {neighbour}")
+            }
+            Place::Link { node, link, neighbour: None } => write!(f, "{node} -{link}-"),
+            Place::Node(node) => write!(f, "{node}"),
+        }
+    }
+}
+
+/// One fault's number, given by the detector of the node that found it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct FaultId(pub u64);
+
+/// A fault that was found: what, where, since when, and how often since.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fault {
+    /// Its number in the finder's record.
+    pub id: FaultId,
+    /// What it is.
+    pub kind: FaultKind,
+    /// How bad it is.
+    pub severity: Severity,
+    /// Where it is.
+    pub place: Place,
+    /// Which life of the place it struck.
+    pub incarnation: Incarnation,
+    /// The particulars: a panic's text and source line, a check's value and limit.
+    pub detail: String,
+    /// When it was found, on the finder's clock.
+    pub found_at: Instant,
+    /// The fault further up that this one is a consequence of.
+    pub symptom_of: Option<FaultId>,
+    /// How often it was seen while latched; 1 for once.
+    pub count: u32,
+}

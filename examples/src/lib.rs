@@ -1,0 +1,1 @@
+//! Robot modules, one lesson a file.

@@ -1,0 +1,1 @@
+//! Media of the Blastema middleware, one file each.
