@@ -58,7 +58,9 @@ impl TypeAttributes {
             refuse_repetition(&mut seen, &meta, key)?;
             match key {
                 "name" => parsed.name = Some(parse_name(&meta)?),
-                "version" => parsed.version = Some(meta.value()?.parse::<LitInt>()?.base10_parse()?),
+                "version" => {
+                    parsed.version = Some(meta.value()?.parse::<LitInt>()?.base10_parse()?)
+                }
                 "max_size" => parsed.max_size = Some(meta.value()?.parse()?),
                 "max_age" => parsed.max_age_nanos = Some(parse_nanos(&meta.value()?.parse()?)?),
                 "reply" => parsed.reply = Some(meta.value()?.parse()?),
@@ -96,7 +98,8 @@ impl FieldAttributes {
 pub(crate) fn refuse_on_variant(attributes: &[Attribute]) -> Result<()> {
     refuse_serde(attributes)?;
     for_each_key(attributes, |meta, key| {
-        Err(meta.error(format!("`{key}` cannot stand on a variant: put it on a field or on the type")))
+        Err(meta
+            .error(format!("`{key}` cannot stand on a variant: put it on a field or on the type")))
     })
 }
 
@@ -211,7 +214,8 @@ fn parse_nanos(literal: &LitStr) -> Result<u64> {
         .and_then(|(each, number)| number.checked_mul(each))
         .filter(|&nanos| nanos > 0)
         .ok_or_else(|| {
-            let hint = "a span of time above zero is a whole number and one of ns, us, ms, s, min, h";
+            let hint =
+                "a span of time above zero is a whole number and one of ns, us, ms, s, min, h";
             Error::new(literal.span(), format!("{hint}, such as `100ms`"))
         })
 }
@@ -227,7 +231,8 @@ fn refuse_serde(attributes: &[Attribute]) -> Result<()> {
         let key = meta.path.get_ident().map(ToString::to_string).unwrap_or_default();
         if let Some(better) = advice_instead_of(&key) {
             advice = better;
-            span = meta.path.get_ident().map_or(span, |ident| Span::located_at(&ident.span(), span));
+            span =
+                meta.path.get_ident().map_or(span, |ident| Span::located_at(&ident.span(), span));
         }
         let _ = meta.value().and_then(|value| value.parse::<Expr>());
         Ok(())

@@ -33,12 +33,8 @@ pub(crate) fn derive_request(input: &DeriveInput) -> Result<TokenStream> {
     let structure = expand(input, &attributes)?;
     let contract = contract(input, &attributes, &quote!(#reply))?;
     let facade = &attributes.facade;
-    let kind = marker(
-        input,
-        &attributes,
-        &quote!(#facade::core::Request),
-        &quote!(::std::marker::Send),
-    );
+    let kind =
+        marker(input, &attributes, &quote!(#facade::core::Request), &quote!(::std::marker::Send));
     Ok(quote!(#structure #contract #kind))
 }
 

@@ -56,10 +56,9 @@ impl Visit<'_> for Refusal {
 
     fn visit_type(&mut self, of: &Type) {
         match of {
-            Type::BareFn(_) | Type::TraitObject(_) | Type::ImplTrait(_) => self.add(
-                of,
-                "code does not travel: write an enum of what may be asked for instead",
-            ),
+            Type::BareFn(_) | Type::TraitObject(_) | Type::ImplTrait(_) => {
+                self.add(of, "code does not travel: write an enum of what may be asked for instead")
+            }
             _ => visit::visit_type(self, of),
         }
     }

@@ -8,7 +8,7 @@ use syn::ext::IdentExt;
 use syn::spanned::Spanned;
 use syn::{
     Attribute, Data, DeriveInput, Error, Field, Fields, GenericArgument, GenericParam, Generics,
-    LitStr, PathArguments, Result, Type, TypeArray, Visibility, parse_quote, parse_quote_spanned,
+    LitStr, PathArguments, Result, Type, Visibility, parse_quote, parse_quote_spanned,
 };
 
 pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
@@ -55,8 +55,8 @@ fn layout(input: &DeriveInput, attributes: &TypeAttributes) -> Result<TokenStrea
             let shape = quote! {
                 #facade::core::layout::Shape::Struct(::std::borrow::Cow::Borrowed(#name), #fields)
             };
-            let empties = data.fields.iter().map(|field| is_empty(&field.ty, facade));
-            (shape, quote!(true #(&& #empties)*))
+            let fields = data.fields.iter().map(|field| described(&field.ty, facade));
+            (shape, quote!(true #(&& #fields::EMPTY)*))
         }
         Data::Enum(data) => {
             let variants = data.variants.iter().map(|variant| {
@@ -109,18 +109,13 @@ fn fields(fields: &Fields, facade: &syn::Path) -> Result<TokenStream> {
         let (unit, frame) = (option(unit), option(frame));
         let name =
             field.ident.as_ref().map_or_else(|| index.to_string(), |i| i.unraw().to_string());
-        let layout_of = match &field.ty {
-            Type::Array(TypeArray { elem, len, .. }) => {
-                quote_spanned!(field.ty.span()=> #facade::core::layout::array::<#elem, { #len }>)
-            }
-            of => quote_spanned!(of.span()=> <#of as #facade::core::Described>::layout),
-        };
+        let described = described(&field.ty, facade);
         Ok(quote! {
             #facade::core::layout::Field {
                 name: ::std::borrow::Cow::Borrowed(#name),
                 unit: #unit,
                 frame: #frame,
-                of: #layout_of,
+                of: #described::layout,
             }
         })
     }))?;
@@ -136,13 +131,11 @@ fn option(text: Option<LitStr>) -> TokenStream {
     }
 }
 
-fn is_empty(of: &Type, facade: &syn::Path) -> TokenStream {
+/// The trait through which a field's type is described; arrays have one that knows any length.
+fn described(of: &Type, facade: &syn::Path) -> TokenStream {
     match of {
-        Type::Array(TypeArray { elem, len, .. }) => {
-            let element = is_empty(elem, facade);
-            quote_spanned!(of.span()=> ({ #len } == 0 || #element))
-        }
-        _ => quote_spanned!(of.span()=> <#of as #facade::core::Described>::EMPTY),
+        Type::Array(_) => quote_spanned!(of.span()=> <#of as #facade::core::layout::ArrayField>),
+        _ => quote_spanned!(of.span()=> <#of as #facade::core::Described>),
     }
 }
 
@@ -196,8 +189,7 @@ fn mirror(input: &DeriveInput, attributes: &TypeAttributes) -> TokenStream {
     let facade = &attributes.facade;
     let facade_text = facade.to_token_stream().to_string();
     let serde_text = format!("{facade_text} :: serde");
-    let (_, type_generics, _) = input.generics.split_for_impl();
-    let remote_text = format!("{}{}", input.ident, type_generics.to_token_stream());
+    let remote_text = input.ident.to_string();
 
     let mut mirror = input.clone();
     mirror.ident = parse_quote!(__BlastemaMirror);
@@ -245,9 +237,7 @@ fn is_bytes(of: &Type) -> bool {
     let Type::Path(path) = of else { return false };
     let Some(last) = path.path.segments.last() else { return false };
     let PathArguments::AngleBracketed(arguments) = &last.arguments else { return false };
-    let is_u8 = |argument: &GenericArgument| {
-        matches!(argument, GenericArgument::Type(Type::Path(path)) if path.path.is_ident("u8"))
-    };
+    let is_u8 = |argument: &GenericArgument| matches!(argument, GenericArgument::Type(Type::Path(path)) if path.path.is_ident("u8"));
     last.ident == "Vec" && arguments.args.len() == 1 && arguments.args.iter().all(is_u8)
 }
 

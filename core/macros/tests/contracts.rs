@@ -8,8 +8,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 mod facade {
-    pub use blastema_core as core;
-    pub use serde;
+    pub(crate) use blastema_core as core;
+    pub(crate) use serde;
 }
 
 /// One sweep of the laser.
@@ -92,7 +92,11 @@ fn everything() -> Everything {
         stamped: Stamped {
             at: Duration::new(1, 2),
             values: [1.0, 2.0, 3.0],
-            earlier: Some(Box::new(Stamped { at: Duration::ZERO, values: [0.0; 3], earlier: None })),
+            earlier: Some(Box::new(Stamped {
+                at: Duration::ZERO,
+                values: [0.0; 3],
+                earlier: None,
+            })),
         },
         long: [[9; 4]; 40],
         bytes: Some(vec![1, 2, 3]),

@@ -94,24 +94,36 @@ impl<K: Described + Ord, V: Described> Described for BTreeMap<K, V> {
     }
 }
 
-// The bounds on the array itself are there because serde knows arrays up to 32 elements only. As a
-// field of a structure an array of any length can stand; the derive encodes it through `crate::field`.
+// The bounds on the array itself are there because serde knows arrays up to 32 elements only.
 impl<T: Described, const N: usize> Described for [T; N]
 where
     [T; N]: Serialize + DeserializeOwned,
 {
-    const EMPTY: bool = N == 0 || T::EMPTY;
+    const EMPTY: bool = <Self as ArrayField>::EMPTY;
 
     fn layout() -> &'static Layout {
-        array::<T, N>()
+        <Self as ArrayField>::layout()
     }
 }
 
-/// The structure of `[T; N]` for any `N`; serde, and so [`Described`], ends at 32.
-pub fn array<T: Described, const N: usize>() -> &'static Layout {
-    const {
-        assert!(N <= u32::MAX as usize, "an array of more elements than a message may have bytes");
-        &Layout { id: TypeId::of::<[T; N]>, shape: Shape::Array(T::layout, N as u32) }
+/// An array of any length as a field of its own, where [`Described`], as serde, ends at 32 elements.
+/// The derives encode it through [`crate::field::array`].
+pub trait ArrayField {
+    /// Whether it takes no bytes at all.
+    const EMPTY: bool;
+
+    /// The array's structure.
+    fn layout() -> &'static Layout;
+}
+
+impl<T: Described, const N: usize> ArrayField for [T; N] {
+    const EMPTY: bool = N == 0 || T::EMPTY;
+
+    fn layout() -> &'static Layout {
+        const {
+            assert!(N <= u32::MAX as usize, "an array of more elements than a message has bytes");
+            &Layout { id: TypeId::of::<[T; N]>, shape: Shape::Array(T::layout, N as u32) }
+        }
     }
 }
 

@@ -11,7 +11,7 @@
 
 mod described;
 
-pub use described::array;
+pub use described::ArrayField;
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
