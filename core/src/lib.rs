@@ -28,4 +28,7 @@ pub use layout::{Described, Layout};
 pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
+/// The codec's interface, for the code that the derives write.
+#[doc(hidden)]
+pub use serde;
 pub use time::Instant;

@@ -19,14 +19,18 @@ use syn::{DeriveInput, ItemFn, Path, Result, parse_macro_input, parse_quote};
 /// Fields take `#[contract(unit = "m", frame = "laser")]`, which parties compare when they bind.
 /// Structures nest at most 32 deep in one message.
 ///
-/// ```ignore
+/// ```
+/// # mod facade { pub use blastema_core::{self as core, serde}; }
+/// # use blastema_macros::{Event, Request, Structure};
 /// #[derive(Clone, Debug, Structure)]
+/// # #[contract(crate = "crate::facade")]
 /// struct Pose {
 ///     #[contract(unit = "m", frame = "map")]
 ///     x: f64,
 ///     #[contract(unit = "m", frame = "map")]
 ///     y: f64,
 /// }
+/// # fn main() {}
 /// ```
 #[proc_macro_derive(Structure, attributes(contract, serde))]
 pub fn structure(input: TokenStream) -> TokenStream {
@@ -43,14 +47,18 @@ pub fn structure(input: TokenStream) -> TokenStream {
 /// | `max_size = 4096` | most bytes of an encoded message | 64 KiB |
 /// | `max_age = "100ms"` | older ones are not delivered but counted | no limit |
 ///
-/// ```ignore
+/// ```
+/// # mod facade { pub use blastema_core::{self as core, serde}; }
+/// # use blastema_macros::{Event, Request, Structure};
 /// /// One sweep of the laser.
 /// #[derive(Clone, Debug, Event)]
 /// #[contract(name = "laser/scan", version = 1, max_age = "100ms")]
+/// # #[contract(crate = "crate::facade")]
 /// struct Scan {
 ///     #[contract(unit = "m", frame = "laser")]
 ///     ranges: Vec<f32>,
 /// }
+/// # fn main() {}
 /// ```
 #[proc_macro_derive(Event, attributes(contract, serde))]
 pub fn event(input: TokenStream) -> TokenStream {
@@ -63,13 +71,17 @@ pub fn event(input: TokenStream) -> TokenStream {
 /// `reply = Type` is required; `name`, `version` and `max_size` are those of [`Event`]. The limit in
 /// size holds for the reply too.
 ///
-/// ```ignore
+/// ```
+/// # mod facade { pub use blastema_core::{self as core, serde}; }
+/// # use blastema_macros::{Event, Request, Structure};
 /// #[derive(Debug, Request)]
+/// # #[contract(crate = "crate::facade")]
 /// #[contract(reply = f32)]
 /// struct Nearest {
 ///     #[contract(unit = "rad")]
 ///     within: f32,
 /// }
+/// # fn main() {}
 /// ```
 #[proc_macro_derive(Request, attributes(contract, serde))]
 pub fn request(input: TokenStream) -> TokenStream {
@@ -77,13 +89,16 @@ pub fn request(input: TokenStream) -> TokenStream {
     tokens(contract::derive_request(&input))
 }
 
-/// Runs an async `main` in the middleware's runtime.
+/// Runs an async `main` in the middleware's runtime, by `::blastema::run`.
 ///
-/// ```ignore
-/// #[blastema::main]
-/// async fn main() -> Result<(), StartError> {
-///     Node::builder("module1").start().await?.stopped().await;
-///     Ok(())
+/// ```
+/// # mod blastema {
+/// #     pub use blastema_macros::main;
+/// #     pub fn run<F: Future<Output = ()>>(_: F) {}
+/// # }
+/// #[blastema::main(crate = "crate::blastema")] // `#[blastema::main]` where the facade is used
+/// async fn main() {
+///     // ..
 /// }
 /// ```
 #[proc_macro_attribute]
@@ -94,13 +109,19 @@ pub fn main(arguments: TokenStream, item: TokenStream) -> TokenStream {
     tokens(program::main(parse_macro_input!(item as ItemFn), &facade))
 }
 
-/// Runs an async test in the test kit's runtime, where time stands still until it is advanced.
+/// Runs an async test in the test kit's runtime, by `::blastema_testkit::run`; time stands still in it
+/// until it is advanced.
 ///
-/// ```ignore
-/// #[blastema_testkit::test]
+/// ```
+/// # mod blastema_testkit {
+/// #     pub use blastema_macros::test;
+/// #     pub fn run<F: Future<Output = ()>>(_: F) {}
+/// # }
+/// #[blastema_testkit::test(crate = "crate::blastema_testkit")] // in short: `#[blastema_testkit::test]`
 /// async fn a_laser_answers() {
 ///     // ..
 /// }
+/// # fn main() {}
 /// ```
 #[proc_macro_attribute]
 pub fn test(arguments: TokenStream, item: TokenStream) -> TokenStream {
