@@ -291,6 +291,8 @@ fn check_any_bytes<T: facade::serde::de::DeserializeOwned + facade::serde::Seria
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig::with_cases(96))]
+
     #[test]
     fn whatever_is_encoded_is_decoded_to_the_same(message in any_everything()) {
         let mut bytes = Vec::new();
