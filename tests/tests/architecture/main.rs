@@ -181,11 +181,11 @@ mod a_rule_can_fail {
 
     #[test]
     fn when_an_arrow_points_sideways() {
-        let aside = "[package]\nname = \"blastema-transports\"\n[dev-dependencies]\nblastema-doubles = { workspace = true }\n";
+        let aside = "[package]\nname = \"blastema-doubles\"\n[dev-dependencies]\nblastema-transports = { workspace = true }\n";
         check(
             packages::arrows,
-            &[("transports/Cargo.toml", aside)],
-            &[("transports/Cargo.toml", 4)],
+            &[("core/doubles/Cargo.toml", aside)],
+            &[("core/doubles/Cargo.toml", 4)],
         );
     }
 

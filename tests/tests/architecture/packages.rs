@@ -15,10 +15,11 @@ const PLACES: [Place; 11] = [
     // The derives are written for the core's traits, so the core's tests try them.
     Place { package: "blastema-core", below: &[], below_in_tests: &["blastema-macros"] },
     Place { package: "blastema-contract", below: &["blastema-core"], below_in_tests: &[] },
+    // Its actors are tried with probes in their neighbours' places.
     Place {
         package: "blastema-transports",
         below: &["blastema-core", "blastema-contract"],
-        below_in_tests: &[],
+        below_in_tests: &["blastema-doubles"],
     },
     Place {
         package: "blastema-doubles",
