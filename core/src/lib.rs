@@ -7,10 +7,12 @@ pub mod contract;
 pub mod delivery;
 pub mod fault;
 pub mod identity;
+pub mod impairment;
 pub mod layout;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
+pub mod random;
 pub mod time;
 
 pub use contract::{Contract, ContractIdentity, Event, Request};
