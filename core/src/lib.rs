@@ -11,10 +11,12 @@ pub mod difference;
 pub mod fault;
 pub mod field;
 pub mod identity;
+pub mod impairment;
 pub mod layout;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
+pub mod random;
 pub mod time;
 
 pub use codec::{DecodeError, EncodeError};
