@@ -17,6 +17,7 @@ pub mod lifecycle;
 pub mod machine;
 pub mod name;
 pub mod random;
+pub mod recovery;
 pub mod time;
 
 pub use codec::{DecodeError, EncodeError};
