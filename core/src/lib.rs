@@ -4,6 +4,7 @@
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
 pub mod contract;
+pub mod dead_letters;
 pub mod delivery;
 pub mod fault;
 pub mod identity;
@@ -11,6 +12,7 @@ pub mod layout;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
+pub mod quarantine;
 pub mod time;
 
 pub use contract::{Contract, ContractIdentity, Event, Request};
@@ -20,4 +22,5 @@ pub use identity::Incarnation;
 pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
+pub use quarantine::MessageId;
 pub use time::Instant;
