@@ -5,6 +5,7 @@
 
 pub mod codec;
 pub mod contract;
+pub mod dead_letters;
 pub mod delivery;
 pub mod description;
 pub mod difference;
@@ -18,6 +19,7 @@ pub mod machine;
 pub mod name;
 pub mod random;
 pub mod recovery;
+pub mod quarantine;
 pub mod time;
 
 pub use codec::{DecodeError, EncodeError};
@@ -31,4 +33,5 @@ pub use layout::{Described, Layout};
 pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
+pub use quarantine::MessageId;
 pub use time::Instant;
