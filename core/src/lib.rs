@@ -5,16 +5,21 @@
 
 pub mod codec;
 pub mod contract;
+pub mod dead_letters;
 pub mod delivery;
 pub mod description;
 pub mod difference;
 pub mod fault;
 pub mod field;
 pub mod identity;
+pub mod impairment;
 pub mod layout;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
+pub mod random;
+pub mod recovery;
+pub mod quarantine;
 pub mod time;
 
 pub use codec::{DecodeError, EncodeError};
@@ -28,7 +33,11 @@ pub use layout::{Described, Layout};
 pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
+<<<<<<< HEAD
 /// The codec's interface, for the code that the derives write.
 #[doc(hidden)]
 pub use serde;
+=======
+pub use quarantine::MessageId;
+>>>>>>> main
 pub use time::Instant;
