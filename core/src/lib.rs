@@ -33,11 +33,8 @@ pub use layout::{Described, Layout};
 pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
-<<<<<<< HEAD
 /// The codec's interface, for the code that the derives write.
 #[doc(hidden)]
 pub use serde;
-=======
 pub use quarantine::MessageId;
->>>>>>> main
 pub use time::Instant;
