@@ -17,9 +17,9 @@ pub mod layout;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
+pub mod quarantine;
 pub mod random;
 pub mod recovery;
-pub mod quarantine;
 pub mod time;
 
 pub use codec::{DecodeError, EncodeError};
@@ -33,8 +33,8 @@ pub use layout::{Described, Layout};
 pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
+pub use quarantine::MessageId;
 /// The codec's interface, for the code that the derives write.
 #[doc(hidden)]
 pub use serde;
-pub use quarantine::MessageId;
 pub use time::Instant;

@@ -19,18 +19,14 @@ use syn::{DeriveInput, ItemFn, Path, Result, parse_macro_input, parse_quote};
 /// Fields take `#[contract(unit = "m", frame = "laser")]`, which parties compare when they bind.
 /// Structures nest at most 32 deep in one message.
 ///
-/// ```
-/// # mod facade { pub use blastema_core::{self as core, serde}; }
-/// # use blastema_macros::{Event, Request, Structure};
+/// ```text
 /// #[derive(Clone, Debug, Structure)]
-/// # #[contract(crate = "crate::facade")]
 /// struct Pose {
 ///     #[contract(unit = "m", frame = "map")]
 ///     x: f64,
 ///     #[contract(unit = "m", frame = "map")]
 ///     y: f64,
 /// }
-/// # fn main() {}
 /// ```
 #[proc_macro_derive(Structure, attributes(contract, serde))]
 pub fn structure(input: TokenStream) -> TokenStream {
@@ -47,18 +43,14 @@ pub fn structure(input: TokenStream) -> TokenStream {
 /// | `max_size = 4096` | most bytes of an encoded message | 64 KiB |
 /// | `max_age = "100ms"` | older ones are not delivered but counted | no limit |
 ///
-/// ```
-/// # mod facade { pub use blastema_core::{self as core, serde}; }
-/// # use blastema_macros::{Event, Request, Structure};
+/// ```text
 /// /// One sweep of the laser.
 /// #[derive(Clone, Debug, Event)]
 /// #[contract(name = "laser/scan", version = 1, max_age = "100ms")]
-/// # #[contract(crate = "crate::facade")]
 /// struct Scan {
 ///     #[contract(unit = "m", frame = "laser")]
 ///     ranges: Vec<f32>,
 /// }
-/// # fn main() {}
 /// ```
 #[proc_macro_derive(Event, attributes(contract, serde))]
 pub fn event(input: TokenStream) -> TokenStream {
@@ -71,17 +63,13 @@ pub fn event(input: TokenStream) -> TokenStream {
 /// `reply = Type` is required; `name`, `version` and `max_size` are those of [`Event`]. The limit in
 /// size holds for the reply too.
 ///
-/// ```
-/// # mod facade { pub use blastema_core::{self as core, serde}; }
-/// # use blastema_macros::{Event, Request, Structure};
+/// ```text
 /// #[derive(Debug, Request)]
-/// # #[contract(crate = "crate::facade")]
 /// #[contract(reply = f32)]
 /// struct Nearest {
 ///     #[contract(unit = "rad")]
 ///     within: f32,
 /// }
-/// # fn main() {}
 /// ```
 #[proc_macro_derive(Request, attributes(contract, serde))]
 pub fn request(input: TokenStream) -> TokenStream {
