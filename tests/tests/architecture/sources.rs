@@ -85,6 +85,10 @@ pub(crate) fn unfinished(tree: &Tree) -> Vec<Breach> {
     ];
     let mut breaches = found(tree, &marks, |_, _| true);
     for source in &tree.sources {
+        // The derives' examples need the facade, which stands above them; it shows them again.
+        if source.path.starts_with("core/macros/") {
+            continue;
+        }
         let skipped = ["```ignore", "```text,ignore", "```rust,ignore"];
         for (at, line) in source.text.lines().enumerate() {
             let doc = line.trim_start();
