@@ -328,10 +328,7 @@ fn a_start_that_fails_answers_its_own_request_and_may_be_tried_again() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     rig.restart("b", Cause::Died, 1);
 
-    assert_eq!(
-        rig.start_failed("b", 2),
-        ["1 gave b up: its next life did not start: no device"]
-    );
+    assert_eq!(rig.start_failed("b", 2), ["1 gave b up: its next life did not start: no device"]);
     assert_eq!(rig.restart("b", Cause::Died, 2), ["start b #3"]);
     assert_eq!(rig.started("b", 3), ["2 recovered b #3"]);
 }
@@ -417,10 +414,7 @@ fn one_restart_too_many_ends_everything_and_escalates() {
     assert_eq!(rig.restart("b", Cause::Died, 4), ["stop c"]);
     assert_eq!(rig.restart("a", Cause::Died, 1), [""; 0]);
     assert_eq!(rig.stopped("c", 1), ["stop a"]);
-    assert_eq!(
-        rig.stopped("a", 1),
-        ["escalate: b needed more than 3 restarts in 60s"]
-    );
+    assert_eq!(rig.stopped("a", 1), ["escalate: b needed more than 3 restarts in 60s"]);
 
     // What was asked of the old life is answered by the new one.
     assert_eq!(rig.begin(), ["start a #2"]);
@@ -649,17 +643,11 @@ fn children_come_and_go_while_it_is_at_work() {
 fn nothing_is_restarted_while_it_is_not_at_work() {
     let mut rig = Rig::with(Strategy::OneForOne, 3, &[("a", permanent())]);
 
-    assert_eq!(
-        rig.restart("a", Cause::Died, 0),
-        ["1 gave a up: its supervisor is not at work"]
-    );
+    assert_eq!(rig.restart("a", Cause::Died, 0), ["1 gave a up: its supervisor is not at work"]);
     rig.begin();
     rig.started("a", 1);
     assert_eq!(rig.end(), ["stop a"]);
-    assert_eq!(
-        rig.restart("a", Cause::Died, 1),
-        ["2 gave a up: its supervisor is not at work"]
-    );
+    assert_eq!(rig.restart("a", Cause::Died, 1), ["2 gave a up: its supervisor is not at work"]);
     assert_eq!(rig.stopped("a", 1), ["all stopped"]);
     assert_eq!(rig.remove("a"), ["left a", "3 let a go"]);
 }
@@ -801,10 +789,8 @@ fn finish(rig: &mut Rig, case: &str) {
     }
     let table: Vec<ChildStatus> = rig.machine.children().collect();
     let settled = |child: &ChildStatus| {
-        let well = matches!(
-            child.state,
-            ChildState::Running | ChildState::Resting | ChildState::Finished
-        );
+        let well =
+            matches!(child.state, ChildState::Running | ChildState::Resting | ChildState::Finished);
         well == rig.machine.at_work() || matches!(child.state, ChildState::Resting)
     };
     assert!(table.iter().all(settled), "{case}: {table:?}");
