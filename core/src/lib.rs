@@ -17,9 +17,9 @@ pub mod layout;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
+pub mod quarantine;
 pub mod random;
 pub mod recovery;
-pub mod quarantine;
 pub mod time;
 
 pub use codec::{DecodeError, EncodeError};
