@@ -5,6 +5,7 @@
 
 pub mod contract;
 pub mod delivery;
+pub mod detection;
 pub mod fault;
 pub mod identity;
 pub mod layout;
