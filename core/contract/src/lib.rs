@@ -11,6 +11,8 @@ pub mod monitor;
 pub mod notifier;
 pub mod recoverer;
 pub mod reports;
+pub mod strategy;
+pub mod supervisor;
 pub mod transport;
 
 /// The answer to a hand-over of fault information: it has arrived and is in the receiver's record.

@@ -103,11 +103,13 @@ impl Rate {
         let seconds = (now - then).as_secs_f64();
         if change > self.per_second * seconds {
             return failed(match change / seconds {
-                rate if rate.is_finite() => format!("changing by {rate:.6}")
-                    .trim_end_matches('0')
-                    .trim_end_matches('.')
-                    .to_owned()
-                    + " per second",
+                rate if rate.is_finite() => {
+                    format!("changing by {rate:.6}")
+                        .trim_end_matches('0')
+                        .trim_end_matches('.')
+                        .to_owned()
+                        + " per second"
+                }
                 _ => format!("changing by {change} at once"),
             });
         }
@@ -203,7 +205,10 @@ mod tests {
     fn limits_themselves_are_within_the_range() {
         let level = Range::new("level", 1..=3);
 
-        assert_eq!([0, 1, 3, 4].map(|value| level.check(value).is_ok()), [false, true, true, false]);
+        assert_eq!(
+            [0, 1, 3, 4].map(|value| level.check(value).is_ok()),
+            [false, true, true, false]
+        );
     }
 
     #[test]

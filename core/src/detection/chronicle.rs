@@ -114,9 +114,8 @@ impl Chronicle {
     }
 
     fn make_room(&mut self) -> Option<FaultId> {
-        let ended = |entry: &&Entry| {
-            matches!(entry.ended, Some((_, End::Recovered | End::Cleared)))
-        };
+        let ended =
+            |entry: &&Entry| matches!(entry.ended, Some((_, End::Recovered | End::Cleared)));
         let oldest = self.entries.values().find(ended).or(self.entries.values().next());
         let id = oldest?.fault.id;
         self.latches.retain(|_, latched| *latched != id);

@@ -6,7 +6,8 @@ use super::{
     Notice, Observation, Outcome, Record, Turn,
 };
 use crate::{
-    Fault, FaultId, FaultKind, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectName, Place,
+    Fault, FaultId, FaultKind, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectName,
+    Place,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -213,7 +214,11 @@ impl Detector {
             Outcome::Decided { measure } => {
                 entry.decided = Some((at, measure.clone()));
                 let fault = entry.fault.clone();
-                self.told.push_back(DetectorOutput::Tell { fault, at, turn: Turn::Decided { measure } });
+                self.told.push_back(DetectorOutput::Tell {
+                    fault,
+                    at,
+                    turn: Turn::Decided { measure },
+                });
             }
             Outcome::Recovered => {
                 self.handed.remove(&id);
@@ -399,9 +404,8 @@ impl Detector {
             }
             Lifecycle::Active => {
                 let life = scene.incarnation;
-                let is_over = |fault: &Fault| {
-                    fault.incarnation < life || fault.kind == FaultKind::ErrorState
-                };
+                let is_over =
+                    |fault: &Fault| fault.incarnation < life || fault.kind == FaultKind::ErrorState;
                 self.end_all_at(scene, is_over, &End::Recovered);
             }
             Lifecycle::Created | Lifecycle::Initialized | Lifecycle::Finalized => {}

@@ -190,7 +190,8 @@ impl<T: Clone> Handover<T> {
         let flight = self.flight.as_mut().expect("the caller has seen one");
         flight.tries += 1;
         flight.due = now + pause(&self.limits, flight.tries);
-        self.outputs.push_back(Handed::Deliver { number: flight.number, item: flight.item.clone() });
+        self.outputs
+            .push_back(Handed::Deliver { number: flight.number, item: flight.item.clone() });
         if self.recent.len() >= self.limits.per_second {
             self.recent.pop_front();
         }

@@ -126,14 +126,18 @@ impl Inquiry {
     }
 
     /// Asks an object from now on, whose life `incarnation` begins or goes on.
-    pub fn enrol(&mut self, object: &ObjectName, pull: Pull, incarnation: Incarnation, now: Instant) {
+    pub fn enrol(
+        &mut self,
+        object: &ObjectName,
+        pull: Pull,
+        incarnation: Incarnation,
+        now: Instant,
+    ) {
         let least = Duration::from_millis(1);
         let pull =
             Pull { interval: pull.interval.max(least), within: pull.within.max(least), ..pull };
-        let asked = self
-            .asked
-            .entry(object.clone())
-            .or_insert_with(|| Asked::new(pull, incarnation, now));
+        let asked =
+            self.asked.entry(object.clone()).or_insert_with(|| Asked::new(pull, incarnation, now));
         asked.pull = pull;
         if asked.incarnation < incarnation {
             *asked = Asked { look: asked.look, ..Asked::new(pull, incarnation, now) };

@@ -51,7 +51,10 @@ impl Default for MonitorLimits {
         // Ten thousand components are measured; a robot has hundreds.
         let rows = 16 * 1024;
         // At start every object is enrolled at once, and some of them have more to tell.
-        MonitorLimits { rows, handover: HandoverLimits { capacity: 4 * rows, ..Default::default() } }
+        MonitorLimits {
+            rows,
+            handover: HandoverLimits { capacity: 4 * rows, ..Default::default() },
+        }
     }
 }
 
@@ -235,7 +238,12 @@ impl Monitor {
     }
 
     /// A sign of life that nobody asked for. The hottest input: in the steady state one search.
-    pub fn handle_heartbeat(&mut self, source: &ObjectName, incarnation: Incarnation, now: Instant) {
+    pub fn handle_heartbeat(
+        &mut self,
+        source: &ObjectName,
+        incarnation: Incarnation,
+        now: Instant,
+    ) {
         if self.watchdog.knows(source, incarnation) {
             self.watchdog.handle_heartbeat(source, incarnation, now);
         } else if self.objects.contains_key(source)
@@ -782,9 +790,7 @@ impl Machine for Monitor {
             Handed::Deliver { number, item } => {
                 MonitorOutput::Observe { number, observation: item }
             }
-            Handed::GivenUp { item, tries } => {
-                MonitorOutput::GivenUp { observation: item, tries }
-            }
+            Handed::GivenUp { item, tries } => MonitorOutput::GivenUp { observation: item, tries },
         })
     }
 

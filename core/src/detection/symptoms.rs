@@ -52,7 +52,11 @@ impl Dependencies {
         match place {
             Place::Object(address) if address.node == self.node => {
                 let declared = self.declared.get(&address.object);
-                declared.into_iter().flat_map(|needs| needs.iter().cloned()).map(Place::Object).collect()
+                declared
+                    .into_iter()
+                    .flat_map(|needs| needs.iter().cloned())
+                    .map(Place::Object)
+                    .collect()
             }
             Place::Object(address) => vec![Place::Node(address.node.clone())],
             Place::Link { neighbour: Some(node), .. } => vec![Place::Node(node.clone())],

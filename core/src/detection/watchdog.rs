@@ -87,7 +87,13 @@ impl Watchdog {
 
     /// Watches an object, whose life `incarnation` begins now. For an object that is watched already
     /// in this life, only the times are changed.
-    pub fn enrol(&mut self, object: &ObjectName, push: Push, incarnation: Incarnation, now: Instant) {
+    pub fn enrol(
+        &mut self,
+        object: &ObjectName,
+        push: Push,
+        incarnation: Incarnation,
+        now: Instant,
+    ) {
         // A period of zero would condemn everybody at once.
         let push = Push { interval: push.interval.max(Duration::from_millis(1)), ..push };
         let fresh = Watched {
@@ -115,7 +121,12 @@ impl Watchdog {
     }
 
     /// A sign of life. Costs one search and arms no timer: the standing look finds out when it is due.
-    pub fn handle_heartbeat(&mut self, source: &ObjectName, incarnation: Incarnation, now: Instant) {
+    pub fn handle_heartbeat(
+        &mut self,
+        source: &ObjectName,
+        incarnation: Incarnation,
+        now: Instant,
+    ) {
         let Some(watched) = self.watched.get_mut(source) else { return };
         if incarnation < watched.incarnation {
             return;
@@ -219,7 +230,11 @@ impl Watchdog {
 }
 
 /// Puts an object's look where its deadline needs it. A look that is early is left standing.
-fn schedule(looks: &mut BTreeSet<(Instant, ObjectName)>, object: &ObjectName, watched: &mut Watched) {
+fn schedule(
+    looks: &mut BTreeSet<(Instant, ObjectName)>,
+    object: &ObjectName,
+    watched: &mut Watched,
+) {
     let deadline = watched.deadline();
     if let (Some(look), Some(deadline)) = (watched.look, deadline)
         && look <= deadline
