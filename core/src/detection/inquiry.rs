@@ -493,8 +493,8 @@ mod tests {
 
         inquiry.handle_stall(Duration::from_secs(60), at(60_030));
 
-        assert_eq!(run(&mut inquiry, 60_069), []);
-        assert_eq!(run(&mut inquiry, 60_070), texts([(60_070, "suspect")]));
+        assert_eq!(run(&mut inquiry, 60_039), []);
+        assert_eq!(run(&mut inquiry, 60_040), texts([(60_040, "suspect")]));
     }
 
     #[test]

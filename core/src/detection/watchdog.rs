@@ -397,7 +397,7 @@ mod tests {
 
         assert_eq!(run(&mut watchdog, 60_100), []);
         let told = run(&mut watchdog, 70_000);
-        assert_eq!(told, [(60_250, Opinion::Suspect), (60_450, Opinion::Failed)]);
+        assert_eq!(told, [(60_150, Opinion::Suspect), (60_350, Opinion::Failed)]);
         assert_eq!(watchdog.stalls(), 1);
     }
 
