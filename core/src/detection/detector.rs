@@ -79,7 +79,6 @@ impl Default for DetectorLimits {
 
 /// What a [`Detector`] wants done.
 #[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
 pub enum DetectorOutput {
     /// Hand this to the notifier, and bring its confirmation to [`Detector::handle_confirmed`].
     HandOver {

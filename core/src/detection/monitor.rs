@@ -60,7 +60,6 @@ impl Default for MonitorLimits {
 
 /// What a [`Monitor`] wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum MonitorOutput {
     /// Ask this object whether it is alive, and bring the answer to [`Monitor::handle_alive`].
     Ask {

@@ -70,7 +70,6 @@ impl fmt::Display for Port {
 
 /// What a [`Notifier`] wants done.
 #[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
 pub enum NotifierOutput {
     /// Hand this to the recoverer behind this port, and bring its confirmation to
     /// [`Notifier::handle_confirmed`].

@@ -19,7 +19,6 @@ pub struct Observation {
 
 /// What was seen. Whether it is a fault is for the detector to say.
 #[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum Finding {
     /// The object is now known, and needs these to do its work.
     Enrolled {
