@@ -1,5 +1,6 @@
 //! Fault-tolerant middleware for robots: typed actors that grow back.
 
+mod chain;
 mod drive;
 mod guardian;
 mod panics;

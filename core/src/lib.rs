@@ -8,6 +8,7 @@ pub mod contract;
 pub mod dead_letters;
 pub mod delivery;
 pub mod description;
+pub mod detection;
 pub mod difference;
 pub mod fault;
 pub mod field;
