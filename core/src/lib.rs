@@ -11,6 +11,7 @@ pub mod layout;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
+pub mod net;
 pub mod time;
 
 pub use contract::{Contract, ContractIdentity, Event, Request};
