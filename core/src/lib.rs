@@ -21,6 +21,7 @@ pub mod name;
 pub mod quarantine;
 pub mod random;
 pub mod recovery;
+pub mod net;
 pub mod time;
 
 pub use codec::{DecodeError, EncodeError};
