@@ -142,7 +142,10 @@ mod tests {
             chaos: true,
         };
 
-        assert_eq!(parse("blastema demo --json --seed 42 --for 60s --chaos"), Ok(Job::Demo(wanted)));
+        assert_eq!(
+            parse("blastema demo --json --seed 42 --for 60s --chaos"),
+            Ok(Job::Demo(wanted))
+        );
     }
 
     #[test]

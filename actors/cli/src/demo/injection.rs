@@ -86,7 +86,9 @@ impl Injection {
     pub(crate) fn place(&self) -> String {
         match self {
             Injection::Object { module, object, .. } => format!("{module}:{object}"),
-            Injection::Cut { cable, .. } => format!("{} -{}- {}", Module::Module1, cable.name, cable.far),
+            Injection::Cut { cable, .. } => {
+                format!("{} -{}- {}", Module::Module1, cable.name, cable.far)
+            }
             Injection::Blackout { far } => format!("{} - {far}", Module::Module1),
             Injection::Router { module } => format!("{module}, its router"),
             Injection::Kill { module } => module.to_string(),
@@ -326,10 +328,7 @@ mod tests {
 
         let cables = vec!["ethernet".to_owned(), "ieee1394-b".to_owned()];
         let wanted = Command::Cut { order: OrderId(3), cables };
-        assert_eq!(
-            commands,
-            [(Module::Module1, wanted.clone()), (Module::Module2, wanted)],
-        );
+        assert_eq!(commands, [(Module::Module1, wanted.clone()), (Module::Module2, wanted)],);
     }
 
     #[test]

@@ -110,7 +110,10 @@ mod tests {
     fn tally(samples: &[(u64, u64)]) -> SinkState {
         let mut tally = Tally::new("flow", 9);
         for &(epoch, number) in samples {
-            tally.handle_sample(Sample { epoch, number, sent: Moment::default() }, Moment::default());
+            tally.handle_sample(
+                Sample { epoch, number, sent: Moment::default() },
+                Moment::default(),
+            );
         }
         tally.state()
     }

@@ -136,7 +136,10 @@ mod tests {
     fn nothing_recorded_has_no_figures() {
         let none = Timings::default();
 
-        assert_eq!((none.mean(), none.least(), none.worst(), none.quantile(990)), (None, None, None, None));
+        assert_eq!(
+            (none.mean(), none.least(), none.worst(), none.quantile(990)),
+            (None, None, None, None)
+        );
     }
 
     #[test]
