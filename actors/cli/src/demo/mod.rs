@@ -10,6 +10,8 @@
 //! ```
 
 mod chaos;
+#[cfg(test)]
+mod fake;
 mod injection;
 mod known;
 mod ledger;

@@ -1,7 +1,6 @@
 //! How long something took, over many times, in a bounded space.
 
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// Buckets to each doubling: a quantile is at most an eighth too high.
@@ -17,7 +16,8 @@ pub(crate) struct Timings {
     sum_ns: u64,
     least_ns: u64,
     worst_ns: u64,
-    buckets: BTreeMap<u16, u64>,
+    /// How many in each bucket that holds any, in order: JSON's maps have no numbers as keys.
+    buckets: Vec<(u16, u64)>,
 }
 
 impl Timings {
@@ -28,7 +28,7 @@ impl Timings {
         self.worst_ns = self.worst_ns.max(nanos);
         self.count += 1;
         self.sum_ns = self.sum_ns.saturating_add(nanos);
-        *self.buckets.entry(bucket(nanos)).or_default() += 1;
+        self.add(bucket(nanos), 1);
     }
 
     /// Adds all of another.
@@ -41,8 +41,8 @@ impl Timings {
         self.worst_ns = self.worst_ns.max(other.worst_ns);
         self.count += other.count;
         self.sum_ns = self.sum_ns.saturating_add(other.sum_ns);
-        for (&bucket, &count) in &other.buckets {
-            *self.buckets.entry(bucket).or_default() += count;
+        for &(bucket, count) in &other.buckets {
+            self.add(bucket, count);
         }
     }
 
@@ -70,13 +70,20 @@ impl Timings {
     pub(crate) fn quantile(&self, per_mille: u64) -> Option<Duration> {
         let wanted = (self.count * per_mille).div_ceil(1_000).max(1);
         let mut seen = 0;
-        for (&bucket, &count) in &self.buckets {
+        for &(bucket, count) in &self.buckets {
             seen += count;
             if seen >= wanted {
                 return Some(Duration::from_nanos(upper_edge(bucket).min(self.worst_ns)));
             }
         }
         None
+    }
+
+    fn add(&mut self, bucket: u16, count: u64) {
+        match self.buckets.binary_search_by_key(&bucket, |entry| entry.0) {
+            Ok(at) => self.buckets[at].1 += count,
+            Err(at) => self.buckets.insert(at, (bucket, count)),
+        }
     }
 }
 
@@ -92,7 +99,7 @@ fn bucket(nanos: u64) -> u16 {
 fn upper_edge(bucket: u16) -> u64 {
     let (doubling, step) = (u64::from(bucket) / STEPS, u64::from(bucket) % STEPS);
     let width = 1u64 << (doubling - 3);
-    (1u64 << doubling).saturating_add((step + 1).saturating_mul(width)).saturating_sub(1)
+    (1u64 << doubling).saturating_add((step + 1) * width - 1)
 }
 
 #[cfg(test)]
