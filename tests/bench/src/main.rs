@@ -11,6 +11,7 @@ mod restart;
 
 use std::process::ExitCode;
 
+const PARTS: [&str; 4] = ["messages", "restart", "fanout", "monitored"];
 
 fn main() -> ExitCode {
     let mut arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -32,7 +33,6 @@ fn main() -> ExitCode {
     }
     if wanted("fanout") {
         blastema::run(fanout::run(rounds));
-    }
     }
     if wanted("monitored") {
         monitored::run(rounds.min(3));
