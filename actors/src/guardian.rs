@@ -1,0 +1,122 @@
+//! The reflex that keeps the middleware's own actors alive.
+//!
+//! Components are hosted; the objects of the middleware itself are plain actors, and this is what
+//! stands between their panics and actix. A panic is caught around each poll, so that actix never sees
+//! it: the actor begins anew in [`Supervised::restarting`], and its address and its mailbox live on.
+//! Only the message that it was serving is lost.
+
+use crate::panics;
+use crate::platform;
+use actix::dev::{ContextFut, channel};
+use actix::prelude::*;
+use blastema_contract::reports::{Exit, Exited};
+use blastema_core::{Incarnation, Instant, ObjectName};
+use std::collections::VecDeque;
+use std::future::Future;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::pin::Pin;
+use std::task::{self, Poll};
+use std::time::Duration;
+
+/// More restarts than this within [`PERIOD`], and the reflex gives up: an actor of the middleware
+/// that cannot stay alive is a matter for the whole node.
+const TIMES: usize = 20;
+/// The sliding window in which restarts are counted.
+const PERIOD: Duration = Duration::from_secs(10);
+/// Requests that may wait on the mailbox before a sender notices; `do_send` knows no bound.
+const MAILBOX: usize = 1024;
+
+/// Runs actors that must not die. They begin anew, in their own `restarting`, from what they were
+/// configured with.
+#[derive(Clone)]
+pub(crate) struct Guardian {
+    deaths: Recipient<Exited>,
+}
+
+impl Guardian {
+    /// A guardian that reports every death, survived or not, to `deaths`.
+    pub(crate) fn new(deaths: Recipient<Exited>) -> Self {
+        Guardian { deaths }
+    }
+
+    /// Starts an actor on `arbiter`, or here.
+    pub(crate) fn start<A>(
+        &self,
+        name: ObjectName,
+        arbiter: Option<&ArbiterHandle>,
+        make: impl FnOnce(&mut Context<A>) -> A + Send + 'static,
+    ) -> Addr<A>
+    where
+        A: Actor<Context = Context<A>> + Supervised,
+    {
+        panics::install_hook();
+        let (sender, receiver) = channel::channel(MAILBOX);
+        let deaths = self.deaths.clone();
+        let enter = move || {
+            let mut context = Context::with_receiver(receiver);
+            let actor = make(&mut context);
+            let future = Box::pin(context.into_future(actor));
+            let past = VecDeque::new();
+            let incarnation = Incarnation::FIRST;
+            actix_rt::spawn(Ward { future, name, incarnation, past, deaths });
+        };
+        match arbiter {
+            Some(arbiter) => {
+                arbiter.spawn_fn(enter);
+            }
+            None => enter(),
+        }
+        Addr::new(sender)
+    }
+}
+
+/// One guarded actor.
+struct Ward<A: Actor<Context = Context<A>> + Supervised> {
+    future: Pin<Box<ContextFut<A, Context<A>>>>,
+    name: ObjectName,
+    incarnation: Incarnation,
+    past: VecDeque<Instant>,
+    deaths: Recipient<Exited>,
+}
+
+impl<A: Actor<Context = Context<A>> + Supervised> Ward<A> {
+    /// Says whether the actor lives again.
+    fn revive(&mut self, text: String) -> bool {
+        let now = platform::now();
+        while self.past.front().is_some_and(|&death| now - death > PERIOD) {
+            self.past.pop_front();
+        }
+        self.past.push_back(now);
+        let alive = self.past.len() <= TIMES
+            && catch_unwind(AssertUnwindSafe(|| self.future.restart())).unwrap_or(false);
+        let exit = Exit::Panicked { text, at: panics::take_place(), during: "the middleware" };
+        let restarted_as = alive.then(|| self.incarnation.next());
+        let (object, incarnation) = (self.name.clone(), self.incarnation);
+        self.deaths.do_send(Exited { object, incarnation, exit, restarted_as });
+        self.incarnation = self.incarnation.next();
+        alive
+    }
+}
+
+impl<A: Actor<Context = Context<A>> + Supervised> Future for Ward<A> {
+    type Output = ();
+
+    fn poll(mut self: Pin<&mut Self>, cx: &mut task::Context<'_>) -> Poll<()> {
+        let future = &mut self.future;
+        let caught = {
+            let _guarded = panics::Guarded::enter();
+            catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(cx)))
+        };
+        match caught {
+            Ok(poll) => poll,
+            Err(payload) => {
+                if !self.revive(panics::text_of(payload)) {
+                    return Poll::Ready(());
+                }
+                // Its neighbours have their turn before it tries again.
+                cx.waker().wake_by_ref();
+                Poll::Pending
+            }
+        }
+    }
+}

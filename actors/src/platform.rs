@@ -1,0 +1,81 @@
+//! What the operating system gives: the one place that reads a clock, starts threads and knows
+//! processes.
+
+use blastema_core::{Incarnation, Instant};
+use std::hash::{BuildHasher, RandomState};
+use std::sync::OnceLock;
+use std::time::SystemTime;
+use std::{io, thread};
+
+/// The point at which both clocks were read together.
+struct Origin {
+    runtime: tokio::time::Instant,
+    monotonic_nanos: u64,
+}
+
+fn origin() -> &'static Origin {
+    static ORIGIN: OnceLock<Origin> = OnceLock::new();
+    ORIGIN.get_or_init(|| {
+        let monotonic = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+        let nanos = monotonic.tv_sec * 1_000_000_000 + monotonic.tv_nsec;
+        Origin {
+            runtime: tokio::time::Instant::now(),
+            monotonic_nanos: u64::try_from(nanos).unwrap_or_default(),
+        }
+    })
+}
+
+/// The time on this thread's clock.
+///
+/// It is the system's monotonic clock, so that instants of two processes of one machine compare, and
+/// it stands still and leaps as tokio's clock does where a test has paused that.
+pub fn now() -> Instant {
+    let origin = origin();
+    let since = tokio::time::Instant::now().saturating_duration_since(origin.runtime);
+    Instant::from_nanos(origin.monotonic_nanos) + since
+}
+
+/// What tokio's timers call `at`.
+pub(crate) fn timer_at(at: Instant) -> tokio::time::Instant {
+    let origin = origin();
+    origin.runtime + (at - Instant::from_nanos(origin.monotonic_nanos))
+}
+
+/// The incarnation of a node whose process starts now: milliseconds of the wall clock, so that it is
+/// larger than that of any earlier process unless the clock was set back in between.
+pub(crate) fn node_incarnation() -> Incarnation {
+    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    Incarnation(u64::try_from(since.as_millis()).unwrap_or(u64::MAX))
+}
+
+/// A seed that differs from run to run.
+pub(crate) fn random_seed() -> u64 {
+    RandomState::new().hash_one(0u64)
+}
+
+/// Starts a thread of the middleware's own.
+///
+/// # Errors
+/// The operating system has no thread left.
+pub(crate) fn start_thread(
+    name: &str,
+    body: impl FnOnce() + Send + 'static,
+) -> io::Result<thread::JoinHandle<()>> {
+    thread::Builder::new().name(name.into()).spawn(body)
+}
+
+/// Asks the kernel to end this process when its parent ends, however that happens.
+///
+/// # Errors
+/// The parent is already gone, or the kernel does not offer it.
+pub fn end_with_parent(parent: u32) -> io::Result<()> {
+    let signal = rustix::process::Signal::KILL;
+    rustix::process::set_parent_process_death_signal(Some(signal))?;
+    // The parent may have ended before the kernel knew that we care.
+    let present = rustix::process::getppid().map(|pid| pid.as_raw_nonzero().get());
+    if present.and_then(|pid| u32::try_from(pid).ok()) == Some(parent) {
+        Ok(())
+    } else {
+        Err(io::Error::other("the process that started this one has ended"))
+    }
+}
