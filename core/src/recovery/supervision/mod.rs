@@ -517,7 +517,9 @@ impl Supervision {
     ) {
         let Some(key) = self.present(name, incarnation) else { return };
         self.life_ended(key, false, reason, now);
-        if self.kept(key).failed.is_some() && self.at_work() {
+        // It may have been about to leave, and is gone now.
+        let failed = self.children.get(&key).is_some_and(|child| child.failed.is_some());
+        if failed && self.at_work() {
             self.replace(key, Cause::Died, now);
         }
         self.advance(now);
@@ -542,6 +544,7 @@ impl Supervision {
                     if self.at_work() && self.kept(key).goal == Goal::Run {
                         self.coming.insert(key);
                     }
+                    self.after_end(key, now);
                 }
             }
         }

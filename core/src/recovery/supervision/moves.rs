@@ -31,8 +31,10 @@ impl Supervision {
         }
         match self.coming.first() {
             Some(&first) => {
+                // One further back may have begun before this one joined.
+                let starting = self.timed.intersection(&self.coming).next().is_some();
                 let child = self.kept(first);
-                if child.state == State::Down && child.failed.is_none() {
+                if !starting && child.state == State::Down && child.failed.is_none() {
                     self.start(first, now);
                 }
             }
@@ -197,7 +199,10 @@ impl Supervision {
                 self.coming.remove(&key);
                 self.outputs.push_back(SupervisorAction::Left { child: child.name });
             }
-            Goal::Run if alone && child.failed.is_none() => self.start(key, now),
+            Goal::Run if alone && child.failed.is_none() => match self.rules.strategy {
+                Strategy::OneForOne => self.start(key, now),
+                Strategy::OneForAll | Strategy::RestForOne => drop(self.coming.insert(key)),
+            },
             Goal::Run | Goal::Rest | Goal::Finished => {}
         }
     }
