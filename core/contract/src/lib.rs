@@ -6,6 +6,9 @@
 //! [`Recipient`]: actix::Recipient
 
 pub mod child;
+pub mod detector;
+pub mod monitor;
+pub mod notifier;
 pub mod recoverer;
 pub mod reports;
 pub mod strategy;

@@ -15,7 +15,8 @@ const NODES_MAX: usize = 8;
 fuzz_target!(|script: Vec<(u8, u16, bool, Vec<u8>)>| {
     let name = |text: &str| NodeName::new(text).expect("a good name");
     let mut now = Instant::from_millis(1);
-    let config = RouterConfig { nodes_max: NODES_MAX, ..RouterConfig::new(name("m1"), Incarnation(7)) };
+    let config =
+        RouterConfig { nodes_max: NODES_MAX, ..RouterConfig::new(name("m1"), Incarnation(7)) };
     let mut router = Router::new(config, now);
     for (number, neighbour) in [(0, "m2"), (1, "m3")] {
         let neighbour = Neighbour { node: name(neighbour), incarnation: Incarnation(9) };

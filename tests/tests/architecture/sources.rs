@@ -85,6 +85,10 @@ pub(crate) fn unfinished(tree: &Tree) -> Vec<Breach> {
     ];
     let mut breaches = found(tree, &marks, |_, _| true);
     for source in &tree.sources {
+        // The derives' examples need the facade, which stands above them; it shows them again.
+        if source.path.starts_with("core/macros/") {
+            continue;
+        }
         let skipped = ["```ignore", "```text,ignore", "```rust,ignore"];
         for (at, line) in source.text.lines().enumerate() {
             let doc = line.trim_start();
@@ -156,11 +160,12 @@ pub(crate) fn long_files(tree: &Tree) -> Vec<Breach> {
         .collect()
 }
 
-/// Every file begins with what it is about; a folder's `mod.rs` with the folder's story.
+/// Every file begins with what it is about; a folder's `mod.rs` with the folder's story. Tests that
+/// were moved out of a file have their story there.
 pub(crate) fn stories(tree: &Tree) -> Vec<Breach> {
     tree.sources
         .iter()
-        .filter(|source| !source.text.starts_with("//!"))
+        .filter(|source| !source.text.starts_with("//!") && !source.path.ends_with("tests.rs"))
         .map(|source| Breach::new(&source.path, 1, "the file does not begin with //!"))
         .collect()
 }
