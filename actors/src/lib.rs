@@ -12,6 +12,8 @@ compile_error!(
      the profile in Cargo.toml, or set `panic = \"unwind\"`"
 );
 
+pub use chain::strategy::{RecoveryStrategy, Tools};
+
 pub use blastema_core as core;
 pub use blastema_core::{Contract, Described};
 pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
