@@ -14,7 +14,7 @@ use tokio::time::Sleep;
 const SHORTEST: Duration = Duration::from_millis(20);
 /// The longest pause: how late a freed port may be noticed.
 const LONGEST: Duration = Duration::from_secs(1);
-/// So often the port of the last life is wanted back when any port would do: peers know it.
+/// So often the port of the last life is wanted back where any port would do: peers know it.
 #[cfg(any(feature = "udp", feature = "tcp"))]
 const LOYALTY: u32 = 8;
 
@@ -23,6 +23,8 @@ const LOYALTY: u32 = 8;
 pub(crate) struct Reopening {
     attempts: u32,
     pause: Option<Pin<Box<Sleep>>>,
+    #[cfg(any(feature = "udp", feature = "tcp"))]
+    last: Option<SocketAddr>,
 }
 
 impl Reopening {
@@ -41,10 +43,28 @@ impl Reopening {
         }
     }
 
-    /// The address to try next: the one of the last life, for a while, where any port would do.
+    /// Forgets the failures: it is open now, or a new life begins.
+    pub(crate) fn reset(&mut self) {
+        (self.attempts, self.pause) = (0, None);
+    }
+
+    /// Remembers the address that was really taken.
     #[cfg(any(feature = "udp", feature = "tcp"))]
-    pub(crate) fn wanted(&self, bind: SocketAddr, last: Option<SocketAddr>) -> SocketAddr {
-        match last {
+    pub(crate) fn opened(&mut self, local: SocketAddr) {
+        self.reset();
+        self.last = Some(local);
+    }
+
+    /// The address that was taken last.
+    #[cfg(any(feature = "udp", feature = "tcp"))]
+    pub(crate) fn last(&self) -> Option<SocketAddr> {
+        self.last
+    }
+
+    /// The address to try next: where any port would do, the one taken last, for a while.
+    #[cfg(any(feature = "udp", feature = "tcp"))]
+    pub(crate) fn wanted(&self, bind: SocketAddr) -> SocketAddr {
+        match self.last {
             Some(last) if bind.port() == 0 && self.attempts < LOYALTY => {
                 SocketAddr::new(bind.ip(), last.port())
             }
@@ -80,12 +100,14 @@ mod tests {
         let any: SocketAddr = "127.0.0.1:0".parse().unwrap();
         let last: SocketAddr = "127.0.0.1:7400".parse().unwrap();
 
-        assert_eq!(Reopening::default().wanted(any, None), any);
-        assert_eq!(Reopening::default().wanted(any, Some(last)), last);
-        let tired = Reopening { attempts: LOYALTY, pause: None };
-        assert_eq!(tired.wanted(any, Some(last)), any);
+        let mut reopening = Reopening::default();
+        assert_eq!(reopening.wanted(any), any);
+        reopening.opened(last);
+        assert_eq!(reopening.wanted(any), last);
+        reopening.attempts = LOYALTY;
+        assert_eq!(reopening.wanted(any), any);
         let fixed: SocketAddr = "127.0.0.1:80".parse().unwrap();
-        assert_eq!(Reopening::default().wanted(fixed, Some(last)), fixed);
+        assert_eq!(reopening.wanted(fixed), fixed);
     }
 
     #[test]
