@@ -110,7 +110,6 @@ impl Outlet {
 /// Parts the first `length` bytes from a buffer that is read into again, in pieces of `chunk` bytes.
 ///
 /// The frame shares the buffer unless it would keep more than four times its size from being freed.
-#[cfg(any(feature = "udp", feature = "tcp"))]
 pub(crate) fn part_frame(buffer: &mut bytes::BytesMut, length: usize, chunk: usize) -> Bytes {
     if length >= chunk / 4 {
         return buffer.split_to(length).freeze();

@@ -1,9 +1,7 @@
 //! Opening a medium again when it could not be opened or was lost.
 
 use std::future::Future;
-#[cfg(any(feature = "udp", feature = "tcp"))]
 use std::io;
-#[cfg(any(feature = "udp", feature = "tcp"))]
 use std::net::SocketAddr;
 use std::pin::Pin;
 use std::task::{self, Poll};
@@ -15,7 +13,6 @@ const SHORTEST: Duration = Duration::from_millis(20);
 /// The longest pause: how late a freed port may be noticed.
 const LONGEST: Duration = Duration::from_secs(1);
 /// So often the port of the last life is wanted back where any port would do: peers know it.
-#[cfg(any(feature = "udp", feature = "tcp"))]
 const LOYALTY: u32 = 8;
 
 /// Counts attempts and waits between them, twice as long each time.
@@ -23,7 +20,6 @@ const LOYALTY: u32 = 8;
 pub(crate) struct Reopening {
     attempts: u32,
     pause: Option<Pin<Box<Sleep>>>,
-    #[cfg(any(feature = "udp", feature = "tcp"))]
     last: Option<SocketAddr>,
 }
 
@@ -49,20 +45,17 @@ impl Reopening {
     }
 
     /// Remembers the address that was really taken.
-    #[cfg(any(feature = "udp", feature = "tcp"))]
     pub(crate) fn opened(&mut self, local: SocketAddr) {
         self.reset();
         self.last = Some(local);
     }
 
     /// The address that was taken last.
-    #[cfg(any(feature = "udp", feature = "tcp"))]
     pub(crate) fn last(&self) -> Option<SocketAddr> {
         self.last
     }
 
     /// The address to try next: where any port would do, the one taken last, for a while.
-    #[cfg(any(feature = "udp", feature = "tcp"))]
     pub(crate) fn wanted(&self, bind: SocketAddr) -> SocketAddr {
         match self.last {
             Some(last) if bind.port() == 0 && self.attempts < LOYALTY => {
@@ -74,7 +67,6 @@ impl Reopening {
 }
 
 /// What a person may do about a socket that does not open.
-#[cfg(any(feature = "udp", feature = "tcp"))]
 pub(crate) fn explain(medium: &str, address: SocketAddr, error: &io::Error) -> String {
     let advice = match error.kind() {
         io::ErrorKind::AddrInUse => {
@@ -91,7 +83,7 @@ pub(crate) fn explain(medium: &str, address: SocketAddr, error: &io::Error) -> S
     format!("{medium} {address} cannot be opened ({error}): {advice}; trying again")
 }
 
-#[cfg(all(test, any(feature = "udp", feature = "tcp")))]
+#[cfg(test)]
 mod tests {
     use super::*;
 

@@ -186,8 +186,14 @@ impl Tcp {
                 false
             }
             Poll::Ready(Err(error)) => {
-                tracing::debug!(%error, from = %stranger.ip, "a connection is refused");
-                counters.refused += 1;
+                tracing::debug!(%error, from = %stranger.ip, "a connection came to nothing");
+                match error.kind() {
+                    // Who hangs up has thought better of it: he was called meanwhile, perhaps.
+                    io::ErrorKind::UnexpectedEof | io::ErrorKind::ConnectionReset => {
+                        counters.errors += 1;
+                    }
+                    _ => counters.refused += 1,
+                }
                 false
             }
             Poll::Pending => true,
