@@ -148,6 +148,7 @@ impl Director {
                     Output::Finished => return Ok(()),
                 }
             }
+            let due = self.next_due();
             let happening = tokio::select! {
                 biased;
                 name = self.signals.next() => Happening::Interrupted(name),
@@ -157,7 +158,7 @@ impl Director {
                     Ok((process, reader, writer)) => Happening::Entered(process, reader, writer),
                     Err(error) => Happening::EntryFailed(error),
                 },
-                () = wait(self.next_due()) => Happening::Due,
+                () = wait(due) => Happening::Due,
                 _ = frames.tick() => Happening::Frame,
             };
             self.handle(happening, display)?;
@@ -233,8 +234,11 @@ impl Director {
             return Ok(());
         };
         let was_ready = self.story.known.module(module).is_some_and(|known| known.ready);
-        let failures =
-            if was_ready || member.process.is_killed() { 0 } else { member.failures + 1 };
+        let failures = match (was_ready, member.process.is_killed()) {
+            (true, _) => 0,
+            (false, true) => member.failures,
+            (false, false) => member.failures + 1,
+        };
         let unasked = (was_ready && !member.process.is_killed()).then_some(how.as_str());
         if failures >= ATTEMPTS {
             let reason = if member.reason.is_empty() { how } else { member.reason.clone() };
