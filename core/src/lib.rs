@@ -3,21 +3,40 @@
 //! Nothing here performs IO, reads a clock or knows an actor. Time, randomness and identity are
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
+pub mod codec;
 pub mod contract;
+pub mod dead_letters;
 pub mod delivery;
+pub mod description;
+pub mod detection;
+pub mod difference;
 pub mod fault;
+pub mod field;
 pub mod identity;
+pub mod impairment;
 pub mod layout;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
+pub mod net;
+pub mod quarantine;
+pub mod random;
+pub mod recovery;
 pub mod time;
 
-pub use contract::{Contract, ContractIdentity, Event, Request};
+pub use codec::{DecodeError, EncodeError};
+pub use contract::{Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request};
 pub use delivery::Why;
+pub use description::{DescriptionError, LayoutDescription};
+pub use difference::Difference;
 pub use fault::{Fault, FaultId, FaultKind, Place, Severity};
 pub use identity::Incarnation;
+pub use layout::{Described, Layout};
 pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
+pub use quarantine::MessageId;
+/// The codec's interface, for the code that the derives write.
+#[doc(hidden)]
+pub use serde;
 pub use time::Instant;

@@ -1,1 +1,124 @@
-//! Derives for the contracts of the Blastema middleware.
+//! Derives for the contracts of the Blastema middleware, and its `main` and `test`.
+//!
+//! Use them through the crate `blastema`, which re-exports all but `test`; that one comes with
+//! `blastema-testkit`. The code that the derives write refers to `::blastema::core` and
+//! `::blastema::serde`; `#[contract(crate = "path")]` names another place where these two are found.
+
+mod attributes;
+mod contract;
+mod foreign;
+mod program;
+mod spelling;
+mod structure;
+
+use proc_macro::TokenStream;
+use syn::{DeriveInput, ItemFn, Path, Result, parse_macro_input, parse_quote};
+
+/// Makes a type part of messages: its structure becomes data and it can be encoded.
+///
+/// Fields take `#[contract(unit = "m", frame = "laser")]`, which parties compare when they bind.
+/// Structures nest at most 32 deep in one message.
+///
+/// ```text
+/// #[derive(Clone, Debug, Structure)]
+/// struct Pose {
+///     #[contract(unit = "m", frame = "map")]
+///     x: f64,
+///     #[contract(unit = "m", frame = "map")]
+///     y: f64,
+/// }
+/// ```
+#[proc_macro_derive(Structure, attributes(contract, serde))]
+pub fn structure(input: TokenStream) -> TokenStream {
+    let input = parse_macro_input!(input as DeriveInput);
+    tokens(structure::derive(&input))
+}
+
+/// Makes a type an event: a message without an answer, which may have many listeners.
+///
+/// | key | meaning | if left out |
+/// | --- | --- | --- |
+/// | `name = "laser/scan"` | by which both parties know it | the type's identifier |
+/// | `version = 2` | raised by whoever changes the meaning | 1 |
+/// | `max_size = 4096` | most bytes of an encoded message | 64 KiB |
+/// | `max_age = "100ms"` | older ones are not delivered but counted | no limit |
+///
+/// ```text
+/// /// One sweep of the laser.
+/// #[derive(Clone, Debug, Event)]
+/// #[contract(name = "laser/scan", version = 1, max_age = "100ms")]
+/// struct Scan {
+///     #[contract(unit = "m", frame = "laser")]
+///     ranges: Vec<f32>,
+/// }
+/// ```
+#[proc_macro_derive(Event, attributes(contract, serde))]
+pub fn event(input: TokenStream) -> TokenStream {
+    let input = parse_macro_input!(input as DeriveInput);
+    tokens(contract::derive_event(&input))
+}
+
+/// Makes a type a request: a message with one answer.
+///
+/// `reply = Type` is required; `name`, `version` and `max_size` are those of [`Event`]. The limit in
+/// size holds for the reply too.
+///
+/// ```text
+/// #[derive(Debug, Request)]
+/// #[contract(reply = f32)]
+/// struct Nearest {
+///     #[contract(unit = "rad")]
+///     within: f32,
+/// }
+/// ```
+#[proc_macro_derive(Request, attributes(contract, serde))]
+pub fn request(input: TokenStream) -> TokenStream {
+    let input = parse_macro_input!(input as DeriveInput);
+    tokens(contract::derive_request(&input))
+}
+
+/// Runs an async `main` in the middleware's runtime, by `::blastema::run`.
+///
+/// ```
+/// # mod blastema {
+/// #     pub use blastema_macros::main;
+/// #     pub fn run<F: Future<Output = ()>>(_: F) {}
+/// # }
+/// #[blastema::main(crate = "crate::blastema")] // `#[blastema::main]` where the facade is used
+/// async fn main() {
+///     // ..
+/// }
+/// ```
+#[proc_macro_attribute]
+pub fn main(arguments: TokenStream, item: TokenStream) -> TokenStream {
+    let mut facade: Path = parse_quote!(::blastema);
+    let parser = syn::meta::parser(|meta| attributes::parse_crate(&meta, &mut facade));
+    parse_macro_input!(arguments with parser);
+    tokens(program::main(parse_macro_input!(item as ItemFn), &facade))
+}
+
+/// Runs an async test in the test kit's runtime, by `::blastema_testkit::run`; time stands still in it
+/// until it is advanced.
+///
+/// ```
+/// # mod blastema_testkit {
+/// #     pub use blastema_macros::test;
+/// #     pub fn run<F: Future<Output = ()>>(_: F) {}
+/// # }
+/// #[blastema_testkit::test(crate = "crate::blastema_testkit")] // in short: `#[blastema_testkit::test]`
+/// async fn a_laser_answers() {
+///     // ..
+/// }
+/// # fn main() {}
+/// ```
+#[proc_macro_attribute]
+pub fn test(arguments: TokenStream, item: TokenStream) -> TokenStream {
+    let mut testkit: Path = parse_quote!(::blastema_testkit);
+    let parser = syn::meta::parser(|meta| attributes::parse_crate(&meta, &mut testkit));
+    parse_macro_input!(arguments with parser);
+    tokens(program::test(parse_macro_input!(item as ItemFn), &testkit))
+}
+
+fn tokens(result: Result<proc_macro2::TokenStream>) -> TokenStream {
+    result.unwrap_or_else(|error| error.into_compile_error()).into()
+}

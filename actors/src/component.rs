@@ -1,0 +1,157 @@
+//! What a user writes: a component, and what it does with each contract.
+
+use crate::context::Context;
+use crate::ports::Ports;
+use blastema_core::Contract;
+use std::fmt;
+use std::future::Future;
+
+/// An application's object: a struct with a life cycle.
+///
+/// Every hook is optional. A hook that fails ends the component's work: `on_aborting` is called, the
+/// component is in error, and the fault is reported. After a panic, or at the next life, the component
+/// is built anew by the factory of its `ChildSpec`.
+///
+/// ```text
+/// built ─ on_initialize ─► Initialized ─ on_startup, on_activated ─► Active ─ on_execute, handlers …
+///                              ▲                                       │ a hook fails
+///                              └──── on_reset ──── Error ◄─ on_aborting┘
+/// at the end: on_deactivated, on_shutdown, on_finalize
+/// ```
+///
+/// Messages are served while the component is active, one at a time; a handler or hook that awaits
+/// keeps the others waiting. Names and meaning of the hooks are those of the OMG Robotic Technology
+/// Component specification.
+pub trait Component: Sized + 'static {
+    /// Declares what the component takes: requests, events, topics.
+    fn ports(ports: &mut Ports<Self>) {
+        let _ = ports;
+    }
+
+    /// Prepares what a life needs: opens devices, checks settings. A failure here is fatal.
+    fn on_initialize(
+        &mut self,
+        cx: &mut Context<Self>,
+    ) -> impl Future<Output = Result<(), Failure>> {
+        let _ = cx;
+        async { Ok(()) }
+    }
+
+    /// Follows `on_initialize`, once in a life.
+    fn on_startup(&mut self, cx: &mut Context<Self>) -> impl Future<Output = Result<(), Failure>> {
+        let _ = cx;
+        async { Ok(()) }
+    }
+
+    /// The component goes to work, at first or after a reset.
+    fn on_activated(
+        &mut self,
+        cx: &mut Context<Self>,
+    ) -> impl Future<Output = Result<(), Failure>> {
+        let _ = cx;
+        async { Ok(()) }
+    }
+
+    /// One round of periodic work, at the rate of the `ChildSpec`, while active. Rounds that were
+    /// missed are skipped.
+    fn on_execute(&mut self, cx: &mut Context<Self>) -> impl Future<Output = Result<(), Failure>> {
+        let _ = cx;
+        async { Ok(()) }
+    }
+
+    /// The rate of `on_execute` has changed.
+    fn on_rate_changed(
+        &mut self,
+        cx: &mut Context<Self>,
+    ) -> impl Future<Output = Result<(), Failure>> {
+        let _ = cx;
+        async { Ok(()) }
+    }
+
+    /// The component leaves work in order.
+    fn on_deactivated(
+        &mut self,
+        cx: &mut Context<Self>,
+    ) -> impl Future<Output = Result<(), Failure>> {
+        let _ = cx;
+        async { Ok(()) }
+    }
+
+    /// The component leaves work because something failed. Bring outputs into a safe state here.
+    fn on_aborting(&mut self, cx: &mut Context<Self>) -> impl Future<Output = Result<(), Failure>> {
+        let _ = cx;
+        async { Ok(()) }
+    }
+
+    /// The component is in error now, and waits for a reset.
+    fn on_error(&mut self, cx: &mut Context<Self>) -> impl Future<Output = Result<(), Failure>> {
+        let _ = cx;
+        async { Ok(()) }
+    }
+
+    /// Recovers from an error, within the same life. A failure here is fatal.
+    fn on_reset(&mut self, cx: &mut Context<Self>) -> impl Future<Output = Result<(), Failure>> {
+        let _ = cx;
+        async { Ok(()) }
+    }
+
+    /// Precedes `on_finalize` where the life ends in order.
+    fn on_shutdown(&mut self, cx: &mut Context<Self>) -> impl Future<Output = Result<(), Failure>> {
+        let _ = cx;
+        async { Ok(()) }
+    }
+
+    /// The last word of a life, unless it panicked.
+    fn on_finalize(&mut self, cx: &mut Context<Self>) -> impl Future<Output = Result<(), Failure>> {
+        let _ = cx;
+        async { Ok(()) }
+    }
+}
+
+/// Takes one contract. Written as `async fn handle`; it may hold `&mut self` across an await.
+pub trait Handle<M: Contract>: Component {
+    /// Serves one message; for a request, the result is the reply.
+    fn handle(&mut self, message: M, cx: &mut Context<Self>) -> impl Future<Output = M::Reply>;
+}
+
+/// Why a hook failed.
+///
+/// ```
+/// use blastema::Failure;
+///
+/// let failure = Failure::from("the laser does not answer");
+/// assert!(!failure.fatal);
+/// assert!(Failure::fatal("the laser is on fire").fatal);
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Failure {
+    /// What went wrong, in words for a person.
+    pub reason: String,
+    /// This life cannot be saved by a reset.
+    pub fatal: bool,
+}
+
+impl Failure {
+    /// A failure that a reset cannot mend: the component is to be built anew.
+    pub fn fatal(reason: impl Into<String>) -> Self {
+        Failure { reason: reason.into(), fatal: true }
+    }
+}
+
+impl From<&str> for Failure {
+    fn from(reason: &str) -> Self {
+        Failure { reason: reason.into(), fatal: false }
+    }
+}
+
+impl From<String> for Failure {
+    fn from(reason: String) -> Self {
+        Failure { reason, fatal: false }
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.reason)
+    }
+}

@@ -1,0 +1,363 @@
+//! What all lives of one component share: it is what a reference refers to.
+//!
+//! The queue, the name and the record of messages that kill belong here, not to a life, so that they
+//! outlive panics and hung threads.
+
+use super::Host;
+use super::arbiters::Seat;
+use super::environment::HostEnvironment;
+use super::life::LifeToken;
+use super::pulse;
+use super::spec::Limits;
+use crate::component::{Component, Handle};
+use crate::death_watch::Mourners;
+use crate::lane::{Lane, WhenFull};
+use crate::letter::{Mail, pack, posting_time};
+use crate::platform;
+use crate::reply::{Answer, Reply, Revocable};
+use crate::sender::{Inlet, RequestError, SendError};
+use crate::topic::Subscription;
+use actix::Addr;
+use blastema_contract::child::StandingOrder;
+use blastema_contract::reports::Alive;
+use blastema_core::quarantine::Quarantine;
+use blastema_core::{Contract, Incarnation, Lifecycle, MessageId, ObjectName, Why};
+use std::future::Future;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::pin::Pin;
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// Nothing comes in.
+const ISOLATED: u8 = 1;
+/// Some message is quarantined, so that identified ones are looked at.
+const QUARANTINE: u8 = 2;
+
+pub(crate) struct Anchor<C: Component> {
+    pub(crate) lane: Lane<Mail<C>>,
+    pub(crate) record: Record,
+    pub(crate) factory: Box<dyn Fn() -> C + Send + Sync>,
+    control: Mutex<Option<Addr<Host<C>>>>,
+    subscriptions: Mutex<Arc<[Arc<dyn Subscription<C>>]>>,
+}
+
+/// The part of an [`Anchor`] that does not depend on the component's type.
+pub(crate) struct Record {
+    pub(crate) name: ObjectName,
+    pub(crate) limits: Limits,
+    pub(crate) environment: HostEnvironment,
+    pub(crate) mourners: Mourners,
+    gate: AtomicU8,
+    state: Mutex<Standing>,
+    /// The life that began last.
+    incarnation: AtomicU64,
+    service: Mutex<Followed>,
+    quarantine: Mutex<Quarantine>,
+    order: Mutex<Option<StandingOrder>>,
+}
+
+/// Where a component stands, and where it lives.
+struct Standing {
+    state: Lifecycle,
+    seat: Option<Seated>,
+}
+
+/// One life's place.
+#[derive(Clone)]
+pub(crate) struct Seated {
+    pub(crate) seat: Seat,
+    pub(crate) slot: u32,
+    pub(crate) token: Arc<LifeToken>,
+}
+
+/// Who is to be told if the message in service brings death. It stands here and not with the pump, so
+/// that a hung callee cannot keep it.
+#[derive(Default)]
+pub(crate) struct Followed {
+    asker: Option<Arc<dyn Revocable>>,
+    id: Option<MessageId>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Record {
+    pub(crate) fn new(name: ObjectName, limits: Limits, environment: HostEnvironment) -> Self {
+        Record {
+            name,
+            limits,
+            environment,
+            mourners: Mourners::default(),
+            gate: AtomicU8::new(0),
+            state: Mutex::new(Standing { state: Lifecycle::Created, seat: None }),
+            incarnation: AtomicU64::new(0),
+            service: Mutex::default(),
+            quarantine: Mutex::default(),
+            order: Mutex::default(),
+        }
+    }
+
+    pub(crate) fn incarnation(&self) -> Incarnation {
+        Incarnation(self.incarnation.load(Relaxed))
+    }
+
+    pub(crate) fn set_incarnation(&self, incarnation: Incarnation) {
+        self.incarnation.store(incarnation.0, Relaxed);
+    }
+
+    pub(crate) fn state(&self) -> Lifecycle {
+        lock(&self.state).state
+    }
+
+    pub(crate) fn set_state(&self, state: Lifecycle) {
+        lock(&self.state).state = state;
+    }
+
+    pub(crate) fn seat(&self) -> Option<Seated> {
+        lock(&self.state).seat.clone()
+    }
+
+    pub(crate) fn set_seat(&self, seat: Option<Seated>) -> Option<Seated> {
+        std::mem::replace(&mut lock(&self.state).seat, seat)
+    }
+
+    pub(crate) fn order(&self) -> Option<StandingOrder> {
+        *lock(&self.order)
+    }
+
+    pub(crate) fn set_order(&self, order: Option<StandingOrder>) {
+        *lock(&self.order) = order;
+    }
+
+    #[inline]
+    pub(crate) fn is_isolated(&self) -> bool {
+        self.gate.load(Relaxed) & ISOLATED != 0
+    }
+
+    /// The message in service is one whose sender waits, or one that may come again.
+    #[inline]
+    pub(crate) fn follow(&self, asker: Option<Arc<dyn Revocable>>, id: Option<MessageId>) {
+        *lock(&self.service) = Followed { asker, id };
+    }
+
+    /// It has been served.
+    #[inline]
+    pub(crate) fn unfollow(&self) {
+        let followed = std::mem::take(&mut *lock(&self.service));
+        drop(followed);
+    }
+
+    /// The life ends with the message that it serves: its asker is told, and it is blamed.
+    pub(crate) fn blame(&self, incarnation: Incarnation) {
+        let Followed { asker, id } = std::mem::take(&mut *lock(&self.service));
+        if let Some(asker) = asker {
+            asker.revoke(Why::PeerDied { incarnation });
+        }
+        if let Some(id) = id {
+            let mut quarantine = lock(&self.quarantine);
+            quarantine.handle_kill(id, incarnation);
+            if quarantine.is_active() {
+                self.gate.fetch_or(QUARANTINE, Relaxed);
+            }
+        }
+    }
+
+    /// Says why this message is not let in.
+    #[inline]
+    pub(crate) fn refusal(&self, id: Option<MessageId>) -> Option<Why> {
+        match self.gate.load(Relaxed) {
+            0 => None,
+            gate => self.look_closer(gate, id),
+        }
+    }
+
+    #[cold]
+    fn look_closer(&self, gate: u8, id: Option<MessageId>) -> Option<Why> {
+        if gate & ISOLATED != 0 {
+            return Some(Why::Isolated);
+        }
+        let kills = lock(&self.quarantine).refuses(id?)?;
+        Some(Why::Quarantined { kills })
+    }
+
+    pub(crate) fn bury(&self, contract: &'static str, why: &Why) {
+        self.environment.dead_letters.take(&self.name, contract, why);
+    }
+}
+
+impl<C: Component> Anchor<C> {
+    pub(crate) fn new(
+        record: Record,
+        queue: (usize, WhenFull),
+        factory: Box<dyn Fn() -> C + Send + Sync>,
+    ) -> Self {
+        Anchor {
+            lane: Lane::new(queue.0, queue.1),
+            record,
+            factory,
+            control: Mutex::default(),
+            subscriptions: Mutex::new(Arc::new([])),
+        }
+    }
+
+    pub(crate) fn control(&self) -> Option<Addr<Host<C>>> {
+        lock(&self.control).clone()
+    }
+
+    pub(crate) fn set_control(&self, host: Option<Addr<Host<C>>>) {
+        *lock(&self.control) = host;
+    }
+
+    pub(crate) fn subscriptions(&self) -> Arc<[Arc<dyn Subscription<C>>]> {
+        lock(&self.subscriptions).clone()
+    }
+
+    pub(crate) fn set_subscriptions(&self, subscriptions: Arc<[Arc<dyn Subscription<C>>]>) {
+        *lock(&self.subscriptions) = subscriptions;
+    }
+
+    /// Forbids the component to send and receive, or allows it again.
+    pub(crate) fn isolate(&self, isolated: bool) {
+        if isolated {
+            self.record.gate.fetch_or(ISOLATED, Relaxed);
+        } else {
+            self.record.gate.fetch_and(!ISOLATED, Relaxed);
+        }
+        if let Some(seated) = self.record.seat() {
+            seated.token.mute(isolated);
+        }
+        self.lane.hold(isolated);
+    }
+
+    /// Closes the queue until the next life; what was in it is returned or counted.
+    pub(crate) fn close(&self) {
+        for mail in self.lane.stop() {
+            self.return_mail(mail, Why::Stopped);
+        }
+    }
+
+    /// A message that is not going to be served.
+    pub(crate) fn return_mail(&self, mut mail: Mail<C>, why: Why) {
+        self.record.bury(mail.brief().name, &why);
+        // What is dropped here is the user's; its `Drop` may panic, but not into the host.
+        let _ = catch_unwind(AssertUnwindSafe(move || {
+            mail.give_back(why);
+            drop(mail);
+        }));
+    }
+
+    /// The answer to "are you alive?".
+    pub(crate) fn alive(&self, long_operation: bool) -> Alive {
+        let posted_at = self.lane.with_oldest(|mail| mail.brief().posted_at);
+        Alive {
+            incarnation: self.record.incarnation(),
+            state: self.record.state(),
+            queued: self.lane.depth(),
+            oldest: posted_at.map_or(Duration::ZERO, |posted_at| platform::now() - posted_at),
+            long_operation,
+        }
+    }
+
+    #[inline]
+    fn admit(&self, id: Option<MessageId>) -> Result<(), Why> {
+        match pulse::forbidden().or_else(|| self.record.refusal(id)) {
+            None => Ok(()),
+            Some(why) => Err(why),
+        }
+    }
+
+    /// An event for a component that is busy, or has just been.
+    pub(crate) fn queue_event<M: Contract>(&self, event: M, posted_at: blastema_core::Instant)
+    where
+        C: Handle<M>,
+    {
+        let refused = match self.record.refusal(None) {
+            Some(why) => why,
+            None => {
+                let push = self.lane.push_with(event, |m| pack::<C, M>(m, None, None, posted_at));
+                match push {
+                    Ok(None) => return,
+                    Ok(Some(oldest)) => return self.return_mail(oldest, Why::Full),
+                    Err((_, why)) => why,
+                }
+            }
+        };
+        self.record.bury(M::NAME, &refused);
+    }
+}
+
+impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
+    #[inline]
+    fn tell(&self, message: M) -> Result<(), SendError<M>> {
+        match self.offer(message) {
+            Err(SendError { why: why @ (Why::Full | Why::Restarting), message })
+                if self.lane.policy() == WhenFull::DropNewest =>
+            {
+                self.record.bury(M::NAME, &why);
+                drop(message);
+                Ok(())
+            }
+            other => other,
+        }
+    }
+
+    #[inline]
+    fn offer(&self, message: M) -> Result<(), SendError<M>> {
+        if let Err(why) = self.admit(None) {
+            return Err(SendError { why, message });
+        }
+        match self.lane.push_with(message, |m| pack::<C, M>(m, None, None, posting_time::<M>())) {
+            Ok(None) => Ok(()),
+            Ok(Some(oldest)) => {
+                self.return_mail(oldest, Why::Full);
+                Ok(())
+            }
+            Err((message, why)) => Err(SendError { why, message }),
+        }
+    }
+
+    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+        Box::pin(self.lane.room())
+    }
+
+    #[inline]
+    fn ask(&self, message: M, id: Option<MessageId>) -> Result<Reply<M>, RequestError<M>> {
+        let (answer, reply) = Answer::awaited();
+        match self.post(message, answer, id) {
+            Ok(()) => Ok(reply),
+            Err(SendError { why, message }) => Err(RequestError { why, message: Some(message) }),
+        }
+    }
+}
+
+impl<C: Component> Anchor<C> {
+    /// Hands a request over, whoever waits for its answer.
+    #[inline]
+    pub(crate) fn post<M: Contract>(
+        &self,
+        message: M,
+        answer: Answer<M>,
+        id: Option<MessageId>,
+    ) -> Result<(), SendError<M>>
+    where
+        C: Handle<M>,
+    {
+        if let Err(why) = self.admit(id) {
+            if let Why::Quarantined { .. } = why {
+                self.record.bury(M::NAME, &why);
+            }
+            return Err(SendError { why, message });
+        }
+        let posted_at = posting_time::<M>();
+        match self.lane.push_with(message, |m| pack::<C, M>(m, Some(answer), id, posted_at)) {
+            Ok(None) => Ok(()),
+            Ok(Some(oldest)) => {
+                self.return_mail(oldest, Why::Full);
+                Ok(())
+            }
+            Err((message, why)) => Err(SendError { why, message }),
+        }
+    }
+}

@@ -1,0 +1,43 @@
+//! What a node gives every component: whom its guard tells, where it lives, whom it finds.
+
+use super::arbiters::Arbiters;
+use super::office::DeadLetterOffice;
+use super::watch::WatchList;
+use crate::registry::Registry;
+use crate::topic::Topics;
+use actix::Recipient;
+use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
+
+/// Who is told what guards and components report. Whoever is not named is not told.
+#[derive(Clone, Default)]
+pub(crate) struct Reports {
+    pub(crate) exits: Option<Recipient<Exited>>,
+    pub(crate) states: Option<Recipient<StateReported>>,
+    pub(crate) faults: Option<Recipient<FaultDeclared>>,
+}
+
+/// What all components of a node share. Clones share it too.
+#[derive(Clone)]
+pub(crate) struct HostEnvironment {
+    pub(crate) reports: Reports,
+    pub(crate) arbiters: Arbiters,
+    pub(crate) registry: Registry,
+    pub(crate) topics: Topics,
+    pub(crate) dead_letters: DeadLetterOffice,
+    pub(crate) watch_list: WatchList,
+}
+
+impl HostEnvironment {
+    /// An environment of its own, whose components live on `arbiters`.
+    pub(crate) fn new(arbiters: Arbiters, reports: Reports) -> Self {
+        let dead_letters = DeadLetterOffice::default();
+        HostEnvironment {
+            reports,
+            arbiters,
+            registry: Registry::default(),
+            topics: Topics::new(dead_letters.clone()),
+            dead_letters,
+            watch_list: WatchList::default(),
+        }
+    }
+}

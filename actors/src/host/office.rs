@@ -1,0 +1,63 @@
+//! The dead-letter office: what was not delivered, readable by anyone.
+
+use crate::platform;
+use blastema_core::dead_letters::{
+    DeadLetter, DeadLetterCount, DeadLetterLimits, DeadLetters, DeadReason,
+};
+use blastema_core::{ObjectName, Why};
+use std::borrow::Cow;
+use std::fmt;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// A handle on a node's record of undelivered messages; clones share it.
+#[derive(Clone, Default)]
+pub struct DeadLetterOffice(Arc<Mutex<DeadLetters>>);
+
+impl fmt::Debug for DeadLetterOffice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} dead letters", self.total())
+    }
+}
+
+impl DeadLetterOffice {
+    /// An empty office that remembers this much.
+    pub fn new(limits: DeadLetterLimits) -> Self {
+        DeadLetterOffice(Arc::new(Mutex::new(DeadLetters::new(limits))))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, DeadLetters> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes note of one message that was not delivered.
+    pub(crate) fn take(
+        &self,
+        object: &ObjectName,
+        contract: impl Into<Cow<'static, str>>,
+        why: &Why,
+    ) {
+        let (object, contract) = (object.clone(), contract.into());
+        let (reason, at) = (DeadReason::from(why), platform::now());
+        self.lock().handle(DeadLetter { object, contract, reason, at });
+    }
+
+    /// How many messages were not delivered.
+    pub fn total(&self) -> u64 {
+        self.lock().total()
+    }
+
+    /// How many messages to `object` were not delivered for this reason.
+    pub fn count(&self, object: &ObjectName, reason: DeadReason) -> u64 {
+        self.lock().count(object, reason)
+    }
+
+    /// The counts, by object, contract and reason.
+    pub fn counts(&self) -> Vec<DeadLetterCount> {
+        self.lock().counts().collect()
+    }
+
+    /// The latest letters, the oldest of them first.
+    pub fn latest(&self) -> Vec<DeadLetter> {
+        self.lock().latest().cloned().collect()
+    }
+}

@@ -1,0 +1,269 @@
+//! What an arbiter says about itself: it turns, whom it is running, whether it has been given up.
+//!
+//! A worker reads no clock. Its beat, a task that wakes every 10 ms, counts up, notes the time for
+//! those who need it only roughly, and sweeps the deadlines of requests that were made here.
+
+use super::arbiters::Loan;
+use crate::platform;
+use crate::reply::Revocable;
+use blastema_core::{Instant, Why};
+use std::cell::{Cell, OnceCell};
+use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use tokio::time::MissedTickBehavior;
+
+/// How often an arbiter beats: a fiftieth of the default limit for a blocking handler.
+pub(crate) const BEAT: Duration = Duration::from_millis(10);
+
+/// Somebody's handler keeps the arbiter; nothing that is sent from it gets out.
+const FENCED: u8 = 1;
+/// It did not come back in time; its components live elsewhere.
+const LOST: u8 = 2;
+/// The component that is running now is isolated.
+const MUTED: u8 = 4;
+
+/// One arbiter's signs of life. Written by its thread, and by whoever gives it up.
+#[derive(Default)]
+pub(crate) struct Pulse {
+    beat: AtomicU64,
+    /// 1 + the slot of the component on the thread right now; 0 between polls.
+    running: AtomicU32,
+    gate: AtomicU8,
+    /// The time of the last beat, in nanoseconds.
+    time: AtomicU64,
+    deadlines: Mutex<Deadlines>,
+}
+
+thread_local! {
+    static HERE: OnceCell<Arc<Pulse>> = const { OnceCell::new() };
+    static BEATS: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Why nothing may be sent from here now, if that is so. A send that is past this check when the
+/// fence goes up may still land: to be strict would cost every message a lock.
+#[inline]
+pub(crate) fn forbidden() -> Option<Why> {
+    let gate = HERE.try_with(|here| here.get().map_or(0, |pulse| pulse.gate.load(Relaxed)));
+    match gate.unwrap_or(0) {
+        0 => None,
+        MUTED => Some(Why::Isolated),
+        _ => Some(Why::Fenced),
+    }
+}
+
+/// The time to the precision of the beat.
+#[inline]
+pub(crate) fn rough_now() -> Instant {
+    let beaten = HERE.try_with(|here| here.get().map_or(0, |pulse| pulse.time.load(Relaxed)));
+    match beaten.unwrap_or(0) {
+        0 => platform::now(),
+        nanos => Instant::from_nanos(nanos),
+    }
+}
+
+impl Pulse {
+    /// The pulse of this thread, if it is an arbiter that was enrolled.
+    #[inline]
+    pub(crate) fn here() -> Option<Arc<Pulse>> {
+        HERE.try_with(|here| here.get().cloned()).ok().flatten()
+    }
+
+    /// Gives this thread its pulse, and lets it beat while its event loop turns.
+    ///
+    /// # Panics
+    /// Outside of an actix arbiter.
+    pub(crate) fn enrol_here() -> Arc<Pulse> {
+        let pulse = HERE.with(|here| here.get_or_init(Arc::default).clone());
+        pulse.clone().start_beating();
+        pulse
+    }
+
+    /// Gives this fresh thread a pulse that somebody already holds.
+    pub(crate) fn adopt(self: &Arc<Self>, loan: Option<Loan>) {
+        HERE.with(|here| {
+            let _ = here.set(self.clone());
+        });
+        self.clone().start_beating();
+        if let Some(loan) = loan {
+            actix_rt::spawn(async move {
+                let _loan = loan;
+                std::future::pending::<()>().await;
+            });
+        }
+    }
+
+    fn start_beating(self: Arc<Self>) {
+        /// A thread may hold one event loop after another, as tests do.
+        struct Beating;
+        impl Drop for Beating {
+            fn drop(&mut self) {
+                let _ = BEATS.try_with(|beats| beats.set(false));
+            }
+        }
+        if BEATS.replace(true) {
+            return;
+        }
+        let beating = Beating;
+        self.time.store(platform::now().as_nanos(), Relaxed);
+        actix_rt::spawn(async move {
+            let _beating = beating;
+            let mut ticks = tokio::time::interval(BEAT);
+            ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+            loop {
+                ticks.tick().await;
+                self.beat(platform::now());
+            }
+        });
+    }
+
+    fn beat(&self, now: Instant) {
+        self.beat.store(self.beat.load(Relaxed) + 1, Relaxed);
+        self.time.store(now.as_nanos(), Relaxed);
+        // The loop turns, so whoever kept it has come back.
+        self.lift();
+        let due = self.deadlines().sweep(now);
+        due.into_iter().for_each(|slot| slot.revoke(Why::DeadlinePassed));
+    }
+
+    /// How often it has beaten.
+    pub(crate) fn beats(&self) -> u64 {
+        self.beat.load(Relaxed)
+    }
+
+    /// The slot of the component that its thread is running.
+    pub(crate) fn running(&self) -> Option<u32> {
+        self.running.load(Relaxed).checked_sub(1)
+    }
+
+    /// From now on the thread runs the component of this slot, or none.
+    #[inline]
+    pub(crate) fn run(&self, slot: Option<u32>) {
+        self.running.store(slot.map_or(0, |slot| slot + 1), Relaxed);
+    }
+
+    /// Whether the arbiter has been given up, or is about to be.
+    #[inline]
+    pub(crate) fn is_fenced(&self) -> bool {
+        self.gate.load(Relaxed) & (FENCED | LOST) != 0
+    }
+
+    /// Whether its components live elsewhere now.
+    #[inline]
+    pub(crate) fn is_lost(&self) -> bool {
+        self.gate.load(Relaxed) & LOST != 0
+    }
+
+    /// Lets nothing out until the handler that keeps the thread has returned.
+    pub(crate) fn fence(&self) {
+        self.gate.fetch_or(FENCED, Relaxed);
+    }
+
+    /// The handler has returned. Too late once the arbiter is lost.
+    pub(crate) fn lift(&self) {
+        if self.gate.load(Relaxed) & FENCED != 0 {
+            let _ = self.gate.fetch_update(Relaxed, Relaxed, |gate| {
+                (gate & LOST == 0).then_some(gate & !FENCED)
+            });
+        }
+    }
+
+    /// The grace time is over. Says whether the arbiter was still fenced.
+    pub(crate) fn lose(&self) -> bool {
+        let lost = self.gate.fetch_update(Relaxed, Relaxed, |gate| {
+            (gate & (FENCED | LOST) == FENCED).then_some(gate | LOST)
+        });
+        lost.is_ok()
+    }
+
+    /// Forbids the component that runs now to send, or ends that.
+    pub(crate) fn mute(&self, muted: bool) {
+        if muted {
+            self.gate.fetch_or(MUTED, Relaxed);
+        } else {
+            self.gate.fetch_and(!MUTED, Relaxed);
+        }
+    }
+
+    /// Its thread is this one.
+    pub(crate) fn is_here(&self) -> bool {
+        HERE.try_with(|here| here.get().is_some_and(|here| std::ptr::eq(&**here, self)))
+            .unwrap_or(false)
+    }
+
+    fn deadlines(&self) -> MutexGuard<'_, Deadlines> {
+        self.deadlines.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Requests of one arbiter that wait for a reply: as many as there are futures that wait.
+#[derive(Default)]
+struct Deadlines {
+    waiting: Vec<Option<(Due, Arc<dyn Revocable>)>>,
+    free: Vec<usize>,
+}
+
+/// The first sweep after a request was made turns its span into a point in time, so that the request
+/// itself reads no clock. The deadline is late by a beat at most, and never early.
+enum Due {
+    After(Duration),
+    At(Instant),
+}
+
+impl Deadlines {
+    fn sweep(&mut self, now: Instant) -> Vec<Arc<dyn Revocable>> {
+        let mut due = Vec::new();
+        for place in &mut self.waiting {
+            match place {
+                Some((Due::At(at), _)) if *at <= now => {
+                    due.extend(place.take().map(|(_, slot)| slot));
+                }
+                Some((at @ Due::After(_), _)) => {
+                    if let Due::After(span) = *at {
+                        *at = Due::At(now + span);
+                    }
+                }
+                _ => {}
+            }
+        }
+        due
+    }
+}
+
+/// One request's place among the deadlines of the arbiter on which it was made.
+pub(crate) struct Deadline {
+    pulse: Arc<Pulse>,
+    place: usize,
+}
+
+impl Deadline {
+    #[inline]
+    pub(crate) fn set(pulse: Arc<Pulse>, span: Duration, slot: Arc<dyn Revocable>) -> Self {
+        let place = {
+            let mut deadlines = pulse.deadlines();
+            let entry = Some((Due::After(span), slot));
+            match deadlines.free.pop() {
+                Some(place) => {
+                    deadlines.waiting[place] = entry;
+                    place
+                }
+                None => {
+                    deadlines.waiting.push(entry);
+                    deadlines.waiting.len() - 1
+                }
+            }
+        };
+        Deadline { pulse, place }
+    }
+}
+
+impl Drop for Deadline {
+    #[inline]
+    fn drop(&mut self) {
+        let mut deadlines = self.pulse.deadlines();
+        let entry = deadlines.waiting[self.place].take();
+        deadlines.free.push(self.place);
+        drop(deadlines);
+        drop(entry);
+    }
+}

@@ -1,0 +1,181 @@
+//! What a component says about itself by working: turns, signs of life, and what it is doing.
+//!
+//! Every store is plain and every stamp has one writer, the thread that runs its component. Who
+//! wants to know since when looks twice.
+
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// What a component's pump says. A cache line each, so that two arbiters do not share one.
+#[derive(Default)]
+#[repr(align(64))]
+pub(crate) struct Stamp {
+    /// Odd while something is in service; two per message or hook.
+    turn: AtomicU64,
+    /// Signs of life that the component gave.
+    alive: AtomicU64,
+    /// Which life it is, 0 between two.
+    incarnation: AtomicU64,
+    /// The label of what is in service.
+    during: AtomicU32,
+    /// 1 while signs of life are to be expected.
+    speaks: AtomicU32,
+    /// What the component announced to take longer than usual, in milliseconds.
+    allowance: AtomicU64,
+}
+
+/// What a look at a stamp finds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct StampReading {
+    pub(crate) turn: u64,
+    pub(crate) alive: u64,
+    pub(crate) incarnation: u64,
+    pub(crate) during: u32,
+    pub(crate) speaks: bool,
+    pub(crate) allowance: Duration,
+}
+
+impl Stamp {
+    /// One writer only, so a plain store does.
+    #[inline]
+    pub(crate) fn step(&self) {
+        self.turn.store(self.turn.load(Relaxed) + 1, Relaxed);
+    }
+
+    /// Something is in service.
+    #[inline]
+    pub(crate) fn is_busy(&self) -> bool {
+        self.turn.load(Relaxed) % 2 == 1
+    }
+
+    /// Names what is taken into service.
+    #[inline]
+    pub(crate) fn begin(&self, label: u32) {
+        self.during.store(label, Relaxed);
+        self.step();
+    }
+
+    #[inline]
+    pub(crate) fn give_sign(&self) {
+        self.alive.store(self.alive.load(Relaxed) + 1, Relaxed);
+    }
+
+    pub(crate) fn begin_life(&self, incarnation: u64) {
+        self.incarnation.store(incarnation, Relaxed);
+        self.allowance.store(0, Relaxed);
+    }
+
+    pub(crate) fn expect_signs(&self, expected: bool) {
+        self.speaks.store(u32::from(expected), Relaxed);
+    }
+
+    pub(crate) fn allow(&self, span: Duration) {
+        self.allowance.store(u64::try_from(span.as_millis()).unwrap_or(u64::MAX), Relaxed);
+    }
+
+    pub(crate) fn read(&self) -> StampReading {
+        StampReading {
+            turn: self.turn.load(Relaxed),
+            alive: self.alive.load(Relaxed),
+            incarnation: self.incarnation.load(Relaxed),
+            during: self.during.load(Relaxed),
+            speaks: self.speaks.load(Relaxed) == 1,
+            allowance: Duration::from_millis(self.allowance.load(Relaxed)),
+        }
+    }
+}
+
+/// Stamps are made in chunks that stay where they are, so that reading one takes no lock.
+const CHUNK: usize = 1024;
+
+/// All stamps of the process. It grows to the largest number of components that lived at one time.
+struct Table {
+    chunks: Vec<&'static [Stamp]>,
+    free: Vec<u32>,
+    next: u32,
+}
+
+static TABLE: Mutex<Table> = Mutex::new(Table { chunks: Vec::new(), free: Vec::new(), next: 0 });
+
+fn table() -> MutexGuard<'static, Table> {
+    TABLE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A place in the table; given back when dropped, which a pump that hangs does not do.
+pub(crate) struct Slot {
+    pub(crate) index: u32,
+    pub(crate) stamp: &'static Stamp,
+}
+
+impl Slot {
+    pub(crate) fn claim() -> Self {
+        let mut table = table();
+        let index = table.free.pop().unwrap_or_else(|| {
+            table.next += 1;
+            table.next - 1
+        });
+        let (chunk, place) = (index as usize / CHUNK, index as usize % CHUNK);
+        if chunk == table.chunks.len() {
+            let fresh = (0..CHUNK).map(|_| Stamp::default()).collect::<Vec<_>>();
+            table.chunks.push(Vec::leak(fresh));
+        }
+        Slot { index, stamp: &table.chunks[chunk][place] }
+    }
+}
+
+impl Drop for Slot {
+    fn drop(&mut self) {
+        let stamp = self.stamp;
+        stamp.incarnation.store(0, Relaxed);
+        stamp.speaks.store(0, Relaxed);
+        stamp.allowance.store(0, Relaxed);
+        if stamp.is_busy() {
+            stamp.step();
+        }
+        table().free.push(self.index);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stamp_is_odd_while_something_is_in_service() {
+        let slot = Slot::claim();
+        assert!(!slot.stamp.is_busy());
+
+        slot.stamp.begin(7);
+        assert!(slot.stamp.is_busy());
+        assert_eq!(slot.stamp.read().during, 7);
+
+        slot.stamp.step();
+        assert!(!slot.stamp.is_busy());
+    }
+
+    #[test]
+    fn a_slot_that_is_given_back_is_at_rest() {
+        let slot = Slot::claim();
+        slot.stamp.begin_life(3);
+        slot.stamp.begin(1);
+        slot.stamp.expect_signs(true);
+        let stamp = slot.stamp;
+
+        drop(slot);
+
+        let reading = stamp.read();
+        assert!(reading.turn % 2 == 0 || reading.incarnation != 3, "or somebody has claimed it");
+    }
+
+    #[test]
+    fn slots_beyond_one_chunk_are_places_of_their_own() {
+        let slots: Vec<Slot> = (0..=CHUNK).map(|_| Slot::claim()).collect();
+        for (at, slot) in slots.iter().enumerate() {
+            slot.stamp.begin_life(at as u64 + 1);
+        }
+        for (at, slot) in slots.iter().enumerate() {
+            assert_eq!(slot.stamp.read().incarnation, at as u64 + 1);
+        }
+    }
+}

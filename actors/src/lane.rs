@@ -1,0 +1,383 @@
+//! The data lane: a queue that is bounded for real.
+//!
+//! It belongs to the reference, not to the life that serves it, so that it outlives panics and even a
+//! hung thread. Only the life that owns it may take from it. What a full lane does is the owner's
+//! stated policy, [`WhenFull`].
+
+use blastema_core::{Incarnation, Why};
+use std::collections::VecDeque;
+use std::future::{Future, poll_fn};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::task::{Poll, Waker};
+
+/// What happens to a message for which a queue has no room.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum WhenFull {
+    /// The sender gets it back.
+    #[default]
+    Refuse,
+    /// It comes in, and the oldest goes to the dead letters: for data of which the newest counts.
+    DropOldest,
+    /// It goes to the dead letters: for data of which the first counts.
+    DropNewest,
+    /// As `Refuse`, for senders that use `deliver`, which waits for room.
+    Wait,
+}
+
+/// The next message, if there is one.
+pub(crate) enum Taken<T> {
+    /// Here it is.
+    Got(T),
+    /// None; the waker is kept for when one comes.
+    Empty,
+    /// The asking life owns the lane no more.
+    Retired,
+}
+
+/// A bounded queue from many senders to the one life that owns it.
+pub(crate) struct Lane<T> {
+    inner: Mutex<Inner<T>>,
+    /// Written under the lock; a hint for those who only want to know whether anything is there.
+    length: AtomicUsize,
+    /// Nothing is taken while set.
+    held: AtomicBool,
+    capacity: usize,
+    policy: WhenFull,
+}
+
+struct Inner<T> {
+    queue: VecDeque<T>,
+    /// Who may take; `None` between two lives.
+    owner: Option<Incarnation>,
+    stopped: bool,
+    parked: Option<Waker>,
+    /// Senders that wait for room, in the order in which they came.
+    room: VecDeque<(u64, Waker)>,
+    next_ticket: u64,
+}
+
+impl<T> Lane<T> {
+    pub(crate) fn new(capacity: usize, policy: WhenFull) -> Self {
+        let inner = Inner {
+            queue: VecDeque::new(),
+            owner: None,
+            stopped: false,
+            parked: None,
+            room: VecDeque::new(),
+            next_ticket: 0,
+        };
+        Lane {
+            inner: Mutex::new(inner),
+            length: AtomicUsize::new(0),
+            held: AtomicBool::new(false),
+            capacity,
+            policy,
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inner<T>> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn policy(&self) -> WhenFull {
+        self.policy
+    }
+
+    /// Asks the bound first and packs only what goes in, so that a refused message comes back as it
+    /// was. `Ok(Some)` is the older one that had to leave.
+    #[inline]
+    pub(crate) fn push_with<M>(
+        &self,
+        message: M,
+        pack: impl FnOnce(M) -> T,
+    ) -> Result<Option<T>, (M, Why)> {
+        let mut lane = self.lock();
+        if lane.stopped {
+            return Err((message, Why::Stopped));
+        }
+        let mut displaced = None;
+        if lane.queue.len() >= self.capacity {
+            match self.policy {
+                WhenFull::DropOldest => displaced = lane.queue.pop_front(),
+                // Nobody takes from it now: the reason is the death, not the load.
+                _ if lane.owner.is_none() => return Err((message, Why::Restarting)),
+                _ => return Err((message, Why::Full)),
+            }
+        }
+        lane.queue.push_back(pack(message));
+        self.length.store(lane.queue.len(), Relaxed);
+        let parked = lane.parked.take();
+        drop(lane); // To wake across threads is a system call, so it happens outside of the lock.
+        if let Some(waker) = parked {
+            waker.wake();
+        }
+        Ok(displaced)
+    }
+
+    /// Completes when there may be room. Who wakes then tries again; a claim that is dropped is
+    /// passed on to the next.
+    pub(crate) fn room(&self) -> impl Future<Output = ()> + '_ {
+        let mut claim = Claim { lane: self, ticket: None };
+        poll_fn(move |cx| claim.poll(cx.waker()))
+    }
+
+    /// The next message for the life `owner`; where there is none, the waker is kept.
+    #[inline]
+    pub(crate) fn take(&self, owner: Incarnation, waker: &Waker) -> Taken<T> {
+        let mut lane = self.lock();
+        if lane.owner != Some(owner) {
+            return Taken::Retired;
+        }
+        if self.held.load(Relaxed) {
+            lane.parked = Some(waker.clone());
+            return Taken::Empty;
+        }
+        let Some(item) = lane.queue.pop_front() else {
+            lane.parked = Some(waker.clone());
+            return Taken::Empty;
+        };
+        self.length.store(lane.queue.len(), Relaxed);
+        let next = lane.room.pop_front();
+        drop(lane);
+        if let Some((_, waker)) = next {
+            waker.wake();
+        }
+        Taken::Got(item)
+    }
+
+    /// From now on only `owner` may take. A life that lost the lane is cut off from its input.
+    pub(crate) fn give_to(&self, owner: Option<Incarnation>) {
+        let mut lane = self.lock();
+        lane.owner = owner;
+        lane.stopped &= owner.is_none();
+        let parked = lane.parked.take();
+        drop(lane);
+        if let Some(waker) = parked {
+            waker.wake();
+        }
+    }
+
+    /// Takes the lane from `owner`, unless it already belongs to another.
+    pub(crate) fn leave(&self, owner: Incarnation) -> bool {
+        let mut lane = self.lock();
+        let mine = lane.owner == Some(owner);
+        if mine {
+            lane.owner = None;
+        }
+        mine
+    }
+
+    /// Who may take.
+    pub(crate) fn owner(&self) -> Option<Incarnation> {
+        self.lock().owner
+    }
+
+    /// Keeps everything in the lane, or lets it flow again.
+    pub(crate) fn hold(&self, held: bool) {
+        self.held.store(held, Relaxed);
+        let parked = self.lock().parked.take();
+        if let Some(waker) = parked {
+            waker.wake();
+        }
+    }
+
+    #[inline]
+    pub(crate) fn is_empty(&self) -> bool {
+        self.length.load(Relaxed) == 0
+    }
+
+    /// How many messages wait.
+    pub(crate) fn depth(&self) -> usize {
+        self.length.load(Relaxed)
+    }
+
+    /// Looks at the oldest message.
+    pub(crate) fn with_oldest<R>(&self, look: impl FnOnce(&T) -> R) -> Option<R> {
+        self.lock().queue.front().map(look)
+    }
+
+    /// A copy of everything that waits.
+    pub(crate) fn snapshot(&self) -> Vec<T>
+    where
+        T: Clone,
+    {
+        self.lock().queue.iter().cloned().collect()
+    }
+
+    /// Closes the lane until it is given to somebody again, and hands out what was never served.
+    pub(crate) fn stop(&self) -> VecDeque<T> {
+        let mut lane = self.lock();
+        lane.stopped = true;
+        lane.owner = None;
+        let parked = lane.parked.take();
+        let room = std::mem::take(&mut lane.room);
+        let left = std::mem::take(&mut lane.queue);
+        self.length.store(0, Relaxed);
+        drop(lane);
+        parked.into_iter().chain(room.into_iter().map(|(_, waker)| waker)).for_each(Waker::wake);
+        left
+    }
+}
+
+/// One sender's place among those that wait for room.
+struct Claim<'a, T> {
+    lane: &'a Lane<T>,
+    ticket: Option<u64>,
+}
+
+impl<T> Claim<'_, T> {
+    fn poll(&mut self, waker: &Waker) -> Poll<()> {
+        let mut lane = self.lane.lock();
+        if let Some(ticket) = self.ticket {
+            let mine = lane.room.iter_mut().find(|(of, _)| *of == ticket);
+            let Some((_, kept)) = mine else {
+                self.ticket = None; // Somebody made room and called this claim.
+                return Poll::Ready(());
+            };
+            kept.clone_from(waker);
+            return Poll::Pending;
+        }
+        if lane.stopped || lane.queue.len() < self.lane.capacity {
+            return Poll::Ready(());
+        }
+        let ticket = lane.next_ticket;
+        lane.next_ticket += 1;
+        lane.room.push_back((ticket, waker.clone()));
+        self.ticket = Some(ticket);
+        Poll::Pending
+    }
+}
+
+impl<T> Drop for Claim<'_, T> {
+    fn drop(&mut self) {
+        let Some(ticket) = self.ticket else { return };
+        let mut lane = self.lane.lock();
+        let before = lane.room.len();
+        lane.room.retain(|(of, _)| *of != ticket);
+        // It was called and never came: the room it was called for goes to the next.
+        let next = if lane.room.len() == before { lane.room.pop_front() } else { None };
+        drop(lane);
+        if let Some((_, waker)) = next {
+            waker.wake();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::pin::pin;
+    use std::sync::Arc;
+    use std::sync::atomic::AtomicU32;
+    use std::task::{Context, Wake};
+
+    #[derive(Default)]
+    struct Count(AtomicU32);
+
+    impl Wake for Count {
+        fn wake(self: Arc<Self>) {
+            self.0.fetch_add(1, Relaxed);
+        }
+    }
+
+    const LIFE: Incarnation = Incarnation(1);
+
+    fn lane(capacity: usize, policy: WhenFull) -> Lane<u32> {
+        let lane = Lane::new(capacity, policy);
+        lane.give_to(Some(LIFE));
+        lane
+    }
+
+    fn push(lane: &Lane<u32>, n: u32) -> Result<Option<u32>, (u32, Why)> {
+        lane.push_with(n, |n| n)
+    }
+
+    fn take(lane: &Lane<u32>) -> Option<u32> {
+        match lane.take(LIFE, Waker::noop()) {
+            Taken::Got(n) => Some(n),
+            _ => None,
+        }
+    }
+
+    #[test]
+    fn a_full_lane_does_what_its_policy_says() {
+        for policy in [WhenFull::Refuse, WhenFull::DropNewest, WhenFull::Wait] {
+            let lane = lane(1, policy);
+            assert_eq!(push(&lane, 1), Ok(None));
+            assert_eq!(push(&lane, 2), Err((2, Why::Full)));
+        }
+        let lane = lane(1, WhenFull::DropOldest);
+        assert_eq!(push(&lane, 1), Ok(None));
+        assert_eq!(push(&lane, 2), Ok(Some(1)));
+    }
+
+    #[test]
+    fn a_lane_without_a_life_keeps_what_it_has_and_says_restarting_when_full() {
+        let lane = lane(1, WhenFull::Refuse);
+        assert!(lane.leave(LIFE));
+
+        assert_eq!(push(&lane, 1), Ok(None));
+        assert_eq!(push(&lane, 2), Err((2, Why::Restarting)));
+
+        lane.give_to(Some(LIFE));
+        assert_eq!(take(&lane), Some(1));
+    }
+
+    #[test]
+    fn only_the_owner_takes() {
+        let lane = lane(2, WhenFull::Refuse);
+        push(&lane, 1).unwrap();
+
+        lane.give_to(Some(LIFE.next()));
+
+        assert!(matches!(lane.take(LIFE, Waker::noop()), Taken::Retired));
+        assert!(!lane.leave(LIFE));
+        assert!(matches!(lane.take(LIFE.next(), Waker::noop()), Taken::Got(1)));
+    }
+
+    #[test]
+    fn a_stopped_lane_hands_out_what_was_left_and_opens_for_the_next_life() {
+        let lane = lane(2, WhenFull::Refuse);
+        push(&lane, 1).unwrap();
+
+        assert_eq!(lane.stop(), [1]);
+        assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));
+        lane.give_to(None);
+        assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));
+
+        lane.give_to(Some(LIFE.next()));
+        assert_eq!(push(&lane, 2), Ok(None));
+    }
+
+    #[test]
+    fn a_held_lane_gives_nothing_until_it_is_let_go() {
+        let lane = lane(2, WhenFull::Refuse);
+        push(&lane, 1).unwrap();
+        lane.hold(true);
+        assert_eq!(take(&lane), None);
+
+        lane.hold(false);
+
+        assert_eq!(take(&lane), Some(1));
+    }
+
+    #[test]
+    fn room_wakes_one_waiter_and_a_dropped_claim_passes_it_on() {
+        let lane = lane(1, WhenFull::Wait);
+        push(&lane, 1).unwrap();
+        let (first, second) = (Arc::new(Count::default()), Arc::new(Count::default()));
+        let (one, two) = (Waker::from(first.clone()), Waker::from(second.clone()));
+        let mut claim_one = Box::pin(lane.room());
+        let mut claim_two = pin!(lane.room());
+        assert!(claim_one.as_mut().poll(&mut Context::from_waker(&one)).is_pending());
+        assert!(claim_two.as_mut().poll(&mut Context::from_waker(&two)).is_pending());
+
+        assert_eq!(take(&lane), Some(1));
+        assert_eq!((first.0.load(Relaxed), second.0.load(Relaxed)), (1, 0));
+
+        drop(claim_one);
+        assert_eq!(second.0.load(Relaxed), 1);
+        assert!(claim_two.as_mut().poll(&mut Context::from_waker(&two)).is_ready());
+    }
+}

@@ -1,0 +1,217 @@
+//! A message on its way, type-erased towards its receiver.
+//!
+//! A letter is plain data and crosses threads sealed. Its handler's future is built on the receiving
+//! thread, in a nest: a pinned place that is kept per component and contract and filled again and
+//! again, so that a message costs one allocation, the letter. The future owns a share of the
+//! component's home and borrows the component for as long as it runs. The guard owns the other share,
+//! so that an unwinding handler never drops the component.
+
+use crate::component::{Component, Handle};
+use crate::host::pulse;
+use crate::host::pump::{Home, Pump};
+use crate::platform;
+use crate::reply::{Answer, Revocable};
+use blastema_core::{Contract, Instant, MessageId, Why};
+use pin_project_lite::pin_project;
+use std::any::{Any, TypeId};
+use std::future::Future;
+use std::pin::Pin;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+pub(crate) type Mail<C> = Box<dyn Letter<C> + Send>;
+
+/// What the pump must know of a letter before it opens it.
+pub(crate) struct Brief {
+    pub(crate) contract: TypeId,
+    pub(crate) name: &'static str,
+    pub(crate) posted_at: Instant,
+    pub(crate) max_age: Option<Duration>,
+    /// Somebody is to be told if the letter brings death.
+    pub(crate) is_followed: bool,
+}
+
+pub(crate) trait Letter<C: Component> {
+    fn brief(&self) -> Brief;
+    /// Nobody waits for the answer any more.
+    fn is_void(&self) -> bool;
+    fn id(&self) -> Option<MessageId>;
+    /// The asker's slot, for whoever watches over the receiver.
+    fn revocable(&self) -> Option<Arc<dyn Revocable>>;
+    /// Tells the asker that the message was not taken up, and gives it back.
+    fn give_back(&mut self, why: Why);
+    /// A nest for futures of this contract, filled with this message.
+    fn nest(&mut self, home: &Rc<Home<C>>) -> Option<Pin<Box<dyn Nest<C>>>>;
+    /// Where a nest of this contract finds the message.
+    fn contents(&mut self) -> &mut dyn Any;
+}
+
+/// A pinned place, on the arbiter only, in which one contract's handler futures run one after another.
+pub(crate) trait Nest<C: Component> {
+    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, home: &Rc<Home<C>>) -> bool;
+    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()>;
+}
+
+struct Contents<M: Contract> {
+    message: Option<M>,
+    answer: Option<Answer<M>>,
+}
+
+/// A letter that stays what it is: plain data, and `Send` by itself.
+struct Sealed<M: Contract, G> {
+    make: G,
+    contents: Contents<M>,
+    posted_at: Instant,
+    /// Boxed, since few messages have one.
+    id: Option<Box<MessageId>>,
+}
+
+pin_project! {
+    struct Brood<M: Contract, G, F> {
+        make: G,
+        answer: Option<Answer<M>>,
+        #[pin]
+        future: Option<F>,
+    }
+}
+
+impl<C, M, G, F> Letter<C> for Sealed<M, G>
+where
+    C: Component,
+    M: Contract,
+    G: Fn(Rc<Home<C>>, M) -> F + Copy + Send + 'static,
+    F: Future<Output = M::Reply> + 'static,
+{
+    #[inline]
+    fn brief(&self) -> Brief {
+        Brief {
+            contract: TypeId::of::<M>(),
+            name: M::NAME,
+            posted_at: self.posted_at,
+            max_age: M::MAX_AGE,
+            is_followed: self.contents.answer.is_some() || self.id.is_some(),
+        }
+    }
+
+    fn is_void(&self) -> bool {
+        self.contents.answer.as_ref().is_some_and(|answer| !answer.is_wanted())
+    }
+
+    fn id(&self) -> Option<MessageId> {
+        self.id.as_deref().copied()
+    }
+
+    fn revocable(&self) -> Option<Arc<dyn Revocable>> {
+        self.contents.answer.as_ref()?.revocable()
+    }
+
+    fn give_back(&mut self, why: Why) {
+        let message = self.contents.message.take();
+        if let Some(answer) = self.contents.answer.take() {
+            answer.refuse(why, message);
+        }
+    }
+
+    fn nest(&mut self, home: &Rc<Home<C>>) -> Option<Pin<Box<dyn Nest<C>>>> {
+        let make = self.make;
+        let mut nest = Box::pin(Brood { make, answer: None, future: None::<F> });
+        Nest::<C>::refill(nest.as_mut(), &mut self.contents, home).then_some(nest as _)
+    }
+
+    fn contents(&mut self) -> &mut dyn Any {
+        &mut self.contents
+    }
+}
+
+impl<C, M, G, F> Nest<C> for Brood<M, G, F>
+where
+    C: Component,
+    M: Contract,
+    G: Fn(Rc<Home<C>>, M) -> F + Copy,
+    F: Future<Output = M::Reply> + 'static,
+{
+    #[inline]
+    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, home: &Rc<Home<C>>) -> bool {
+        let mut this = self.project();
+        let Some(contents) = contents.downcast_mut::<Contents<M>>() else { return false };
+        let Some(message) = contents.message.take() else { return false };
+        *this.answer = contents.answer.take();
+        this.future.set(Some((this.make)(home.clone(), message)));
+        true
+    }
+
+    #[inline]
+    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
+        let mut this = self.project();
+        let Some(future) = this.future.as_mut().as_pin_mut() else { return Poll::Ready(()) };
+        let Poll::Ready(reply) = future.poll(cx) else { return Poll::Pending };
+        if let Some(answer) = this.answer.take() {
+            match pulse::forbidden() {
+                None => answer.give(reply),
+                Some(why) => answer.refuse(why, None),
+            }
+        }
+        this.future.set(None);
+        Poll::Ready(())
+    }
+}
+
+/// When the message was posted: exactly where its contract limits its age, else to the beat.
+#[inline]
+pub(crate) fn posting_time<M: Contract>() -> Instant {
+    match M::MAX_AGE {
+        Some(_) => platform::now(),
+        None => pulse::rough_now(),
+    }
+}
+
+/// Packs a message for a component.
+#[inline]
+// Holding the borrow across the await is the point: other messages wait, and control does not borrow.
+#[allow(clippy::await_holding_refcell_ref)]
+pub(crate) fn pack<C: Handle<M>, M: Contract>(
+    message: M,
+    answer: Option<Answer<M>>,
+    id: Option<MessageId>,
+    posted_at: Instant,
+) -> Mail<C> {
+    let make = |home: Rc<Home<C>>, message: M| async move {
+        let mut seat = home.seat.borrow_mut();
+        let (component, cx) = seat.both();
+        component.handle(message, cx).await
+    };
+    Box::new(seal(make, message, answer, id, posted_at))
+}
+
+/// Hands an event to an idle component at once; the pump must be free.
+#[inline]
+#[allow(clippy::await_holding_refcell_ref)]
+pub(crate) fn pass<C: Handle<M>, M: Contract>(pump: &mut Pump<C>, message: M, posted_at: Instant) {
+    let make = |home: Rc<Home<C>>, message: M| async move {
+        let mut seat = home.seat.borrow_mut();
+        let (component, cx) = seat.both();
+        component.handle(message, cx).await
+    };
+    pump.serve_at_once(&mut seal(make, message, None, None, posted_at));
+}
+
+/// Names the closure's type by inference; neither it nor its future's can be written down.
+#[inline]
+fn seal<C, M, G, F>(
+    make: G,
+    message: M,
+    answer: Option<Answer<M>>,
+    id: Option<MessageId>,
+    posted_at: Instant,
+) -> Sealed<M, G>
+where
+    C: Component,
+    M: Contract,
+    G: Fn(Rc<Home<C>>, M) -> F + Copy + Send + 'static,
+    F: Future<Output = M::Reply> + 'static,
+{
+    let contents = Contents { message: Some(message), answer };
+    Sealed { make, contents, posted_at, id: id.map(Box::new) }
+}

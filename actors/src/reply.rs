@@ -1,0 +1,198 @@
+//! The place where the answer to one request is put.
+//!
+//! A slot belongs to the asker's side. The callee holds a way to fill it, and whoever watches over the
+//! callee holds a way to revoke it, so that a callee which hangs cannot keep its askers waiting, and
+//! what it says after it was given up is refused. A slot takes one result, the first.
+
+use crate::host::pulse::{Deadline, Pulse};
+use crate::sender::RequestError;
+use blastema_core::{Contract, Why};
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll, Waker};
+use std::time::Duration;
+
+/// Gets a reply that leaves this process, or the reason why there is none.
+pub(crate) type Callback<M> = Box<dyn FnOnce(Result<<M as Contract>::Reply, Why>) + Send>;
+
+/// What whoever watches over the callee may do with a slot.
+pub(crate) trait Revocable: Send + Sync {
+    /// Resolves the request with this reason, unless it is resolved already.
+    fn revoke(&self, why: Why);
+}
+
+pub(crate) struct ReplySlot<M: Contract> {
+    state: Mutex<State<M>>,
+}
+
+enum State<M: Contract> {
+    /// Nothing has come yet.
+    Open(Listener<M>),
+    /// This has come, and waits to be fetched.
+    Resolved(Result<M::Reply, RequestError<M>>),
+    /// Nobody wants an answer any more.
+    Closed,
+}
+
+enum Listener<M: Contract> {
+    Nobody,
+    Task(Waker),
+    Callback(Callback<M>),
+}
+
+impl<M: Contract> ReplySlot<M> {
+    fn lock(&self) -> MutexGuard<'_, State<M>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn resolve(&self, result: Result<M::Reply, RequestError<M>>) {
+        let mut state = self.lock();
+        let State::Open(listener) = &mut *state else { return };
+        match std::mem::replace(listener, Listener::Nobody) {
+            Listener::Nobody => *state = State::Resolved(result),
+            Listener::Task(waker) => {
+                *state = State::Resolved(result);
+                drop(state);
+                waker.wake();
+            }
+            Listener::Callback(callback) => {
+                *state = State::Closed;
+                drop(state);
+                callback(result.map_err(|error| error.why));
+            }
+        }
+    }
+}
+
+impl<M: Contract> Revocable for ReplySlot<M> {
+    fn revoke(&self, why: Why) {
+        self.resolve(Err(RequestError { why, message: None }));
+    }
+}
+
+/// The callee's end of a slot. Dropped without an answer, it says that the callee was stopped.
+pub(crate) struct Answer<M: Contract>(Option<Arc<ReplySlot<M>>>);
+
+impl<M: Contract> Answer<M> {
+    /// A slot whose result is awaited.
+    #[inline]
+    pub(crate) fn awaited() -> (Answer<M>, Reply<M>) {
+        let state = Mutex::new(State::Open(Listener::Nobody));
+        let slot = Arc::new(ReplySlot { state });
+        (Answer(Some(slot.clone())), Reply { slot, limit: Limit::None })
+    }
+
+    /// A slot whose result goes to a callback.
+    pub(crate) fn called_back(callback: Callback<M>) -> Answer<M> {
+        let state = Mutex::new(State::Open(Listener::Callback(callback)));
+        Answer(Some(Arc::new(ReplySlot { state })))
+    }
+
+    /// Puts the reply in, unless the slot was revoked.
+    #[inline]
+    pub(crate) fn give(mut self, reply: M::Reply) {
+        if let Some(slot) = self.0.take() {
+            slot.resolve(Ok(reply));
+        }
+    }
+
+    /// Says that there will be no reply, and gives the message back where it was not taken up.
+    pub(crate) fn refuse(mut self, why: Why, message: Option<M>) {
+        if let Some(slot) = self.0.take() {
+            slot.resolve(Err(RequestError { why, message }));
+        }
+    }
+
+    /// The end of the slot for whoever watches over the callee.
+    #[inline]
+    pub(crate) fn revocable(&self) -> Option<Arc<dyn Revocable>> {
+        self.0.clone().map(|slot| slot as Arc<dyn Revocable>)
+    }
+
+    /// The asker still waits.
+    #[inline]
+    pub(crate) fn is_wanted(&self) -> bool {
+        self.0.as_ref().is_some_and(|slot| matches!(*slot.lock(), State::Open(_)))
+    }
+}
+
+impl<M: Contract> Drop for Answer<M> {
+    fn drop(&mut self) {
+        if let Some(slot) = self.0.take() {
+            slot.revoke(Why::Stopped);
+        }
+    }
+}
+
+/// The asker's end of a slot: resolves to the reply, or to why there is none. Dropped, it tells the
+/// callee that nobody waits.
+pub(crate) struct Reply<M: Contract> {
+    slot: Arc<ReplySlot<M>>,
+    limit: Limit,
+}
+
+enum Limit {
+    None,
+    /// To be set at the first poll.
+    Within(Duration),
+    /// Swept by the beat of the arbiter on which the wait began.
+    Swept { _deadline: Deadline },
+    /// This thread has no beat.
+    Timed(Pin<Box<tokio::time::Sleep>>),
+}
+
+impl<M: Contract> Reply<M> {
+    /// The same, and it resolves with [`Why::DeadlinePassed`] when nothing came in time.
+    #[inline]
+    pub(crate) fn within(mut self, deadline: Duration) -> Self {
+        self.limit = Limit::Within(deadline);
+        self
+    }
+}
+
+impl<M: Contract> Future for Reply<M> {
+    type Output = Result<M::Reply, RequestError<M>>;
+
+    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
+        let this = self.get_mut();
+        if let Limit::Timed(sleep) = &mut this.limit
+            && sleep.as_mut().poll(cx).is_ready()
+        {
+            this.slot.revoke(Why::DeadlinePassed);
+        }
+        let mut state = this.slot.lock();
+        match &mut *state {
+            State::Open(Listener::Task(waker)) => waker.clone_from(cx.waker()),
+            State::Open(listener) => *listener = Listener::Task(cx.waker().clone()),
+            State::Resolved(_) => {
+                let State::Resolved(result) = std::mem::replace(&mut *state, State::Closed) else {
+                    return Poll::Pending;
+                };
+                return Poll::Ready(result);
+            }
+            State::Closed => return Poll::Pending,
+        }
+        drop(state);
+        if let Limit::Within(deadline) = this.limit {
+            match Pulse::here() {
+                Some(pulse) => {
+                    let slot: Arc<dyn Revocable> = this.slot.clone();
+                    this.limit = Limit::Swept { _deadline: Deadline::set(pulse, deadline, slot) };
+                }
+                None => {
+                    this.limit = Limit::Timed(Box::pin(tokio::time::sleep(deadline)));
+                    cx.waker().wake_by_ref();
+                }
+            }
+        }
+        Poll::Pending
+    }
+}
+
+impl<M: Contract> Drop for Reply<M> {
+    fn drop(&mut self) {
+        // The reply, if it is there, is the user's: it is dropped outside of the lock.
+        let _left = std::mem::replace(&mut *self.slot.lock(), State::Closed);
+    }
+}

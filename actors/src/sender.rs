@@ -1,0 +1,240 @@
+//! Where messages of one contract can be sent, whoever is behind it and wherever it lives.
+
+use crate::host::life::LifeToken;
+use crate::reply::Reply;
+use blastema_core::{Contract, MessageId, Why};
+use std::fmt;
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::time::Duration;
+
+/// How long [`Sender::ask`] waits for a reply.
+pub const DEFAULT_DEADLINE: Duration = Duration::from_secs(1);
+
+/// What stands behind a [`Sender`]: a component here, or one on another node.
+pub(crate) trait Inlet<M: Contract>: Send + Sync {
+    /// Hands the message over, or lets the receiver's policy decide. Never waits.
+    fn tell(&self, message: M) -> Result<(), SendError<M>>;
+
+    /// Hands the message over, or gives it back where there is no room.
+    fn offer(&self, message: M) -> Result<(), SendError<M>>;
+
+    /// Completes when there may be room.
+    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>>;
+
+    /// Hands a request over.
+    fn ask(&self, message: M, id: Option<MessageId>) -> Result<Reply<M>, RequestError<M>>;
+}
+
+/// Where messages of contract `M` can be sent. It outlives the receiver's restarts; local and remote
+/// receivers are alike.
+///
+/// Messages from one sender to one receiver arrive in order. What was accepted is served unless the
+/// receiver dies while it serves it, is stopped, or its queue's policy drops it; all of these are
+/// counted among the dead letters.
+pub struct Sender<M: Contract>(pub(crate) Arc<dyn Inlet<M>>);
+
+impl<M: Contract> Clone for Sender<M> {
+    fn clone(&self) -> Self {
+        Sender(self.0.clone())
+    }
+}
+
+impl<M: Contract> fmt::Debug for Sender<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Sender of {}", M::NAME)
+    }
+}
+
+impl<M: Contract> Sender<M> {
+    /// Hands the message to the receiver's queue. Never waits; a reply, if the contract has one, is
+    /// dropped.
+    ///
+    /// # Errors
+    /// The reason, and the message as it was.
+    pub fn tell(&self, message: M) -> Result<(), SendError<M>> {
+        self.0.tell(message)
+    }
+
+    /// Hands the message to the receiver's queue, and waits while it has no room.
+    ///
+    /// # Errors
+    /// The reason, and the message as it was; never [`Why::Full`] or [`Why::Restarting`].
+    pub async fn deliver(&self, message: M) -> Result<(), SendError<M>> {
+        deliver(&*self.0, message).await
+    }
+
+    /// Asks, and waits for the reply for one second at most.
+    ///
+    /// # Errors
+    /// The request always resolves: with the reply, when the deadline passes, or when the receiver
+    /// dies, whichever is first. The message comes back where it was not taken up.
+    pub async fn ask(&self, message: M) -> Result<M::Reply, RequestError<M>> {
+        self.ask_within(message, DEFAULT_DEADLINE).await
+    }
+
+    /// Asks, and waits for the reply until the deadline.
+    ///
+    /// # Errors
+    /// As [`ask`](Self::ask).
+    pub async fn ask_within(
+        &self,
+        message: M,
+        deadline: Duration,
+    ) -> Result<M::Reply, RequestError<M>> {
+        self.0.ask(message, None)?.within(deadline).await
+    }
+
+    /// Prepares a request that may be sent more than once and stays the same message: if it has
+    /// killed three lives of the receiver, it is quarantined.
+    pub fn repeatable(&self, message: M) -> Repeatable<M>
+    where
+        M: Clone,
+    {
+        Repeatable { sender: self.clone(), message, id: next_id() }
+    }
+}
+
+/// One request that may be sent more than once, under one identity.
+#[derive(Debug)]
+pub struct Repeatable<M: Contract> {
+    sender: Sender<M>,
+    message: M,
+    id: MessageId,
+}
+
+impl<M: Contract + Clone> Repeatable<M> {
+    /// Sends it, or sends it again, and waits for one second at most.
+    ///
+    /// # Errors
+    /// As [`Sender::ask`].
+    pub async fn ask(&self) -> Result<M::Reply, RequestError<M>> {
+        self.ask_within(DEFAULT_DEADLINE).await
+    }
+
+    /// Sends it, or sends it again, and waits until the deadline.
+    ///
+    /// # Errors
+    /// As [`Sender::ask`].
+    pub async fn ask_within(&self, deadline: Duration) -> Result<M::Reply, RequestError<M>> {
+        self.sender.0.ask(self.message.clone(), Some(self.id))?.within(deadline).await
+    }
+
+    /// Its identity.
+    pub fn id(&self) -> MessageId {
+        self.id
+    }
+}
+
+/// A fresh identity for a message of this process.
+pub(crate) fn next_id() -> MessageId {
+    static NEXT: AtomicU64 = AtomicU64::new(1);
+    static SENDER: std::sync::OnceLock<u64> = std::sync::OnceLock::new();
+    let sender = *SENDER.get_or_init(crate::platform::random_seed);
+    MessageId { sender, sequence: NEXT.fetch_add(1, Relaxed) }
+}
+
+pub(crate) async fn deliver<M: Contract>(
+    inlet: &(impl Inlet<M> + ?Sized),
+    message: M,
+) -> Result<(), SendError<M>> {
+    let mut message = message;
+    loop {
+        match inlet.offer(message) {
+            Err(SendError { why: Why::Full | Why::Restarting, message: back }) => message = back,
+            other => return other,
+        }
+        inlet.room().await;
+    }
+}
+
+/// A sender for a thread of the component's own: it is refused once the life that made it has ended.
+pub(crate) struct Detached<M: Contract> {
+    pub(crate) inner: Sender<M>,
+    pub(crate) life: Arc<LifeToken>,
+}
+
+impl<M: Contract> Inlet<M> for Detached<M> {
+    fn tell(&self, message: M) -> Result<(), SendError<M>> {
+        match self.life.forbidden() {
+            Some(why) => Err(SendError { why, message }),
+            None => self.inner.0.tell(message),
+        }
+    }
+
+    fn offer(&self, message: M) -> Result<(), SendError<M>> {
+        match self.life.forbidden() {
+            Some(why) => Err(SendError { why, message }),
+            None => self.inner.0.offer(message),
+        }
+    }
+
+    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+        self.inner.0.room()
+    }
+
+    fn ask(&self, message: M, id: Option<MessageId>) -> Result<Reply<M>, RequestError<M>> {
+        match self.life.forbidden() {
+            Some(why) => Err(RequestError { why, message: Some(message) }),
+            None => self.inner.0.ask(message, id),
+        }
+    }
+}
+
+/// A message that was not handed over.
+#[derive(PartialEq, Eq)]
+pub struct SendError<M> {
+    /// Why.
+    pub why: Why,
+    /// The message as it was.
+    pub message: M,
+}
+
+/// A request without a reply.
+#[derive(PartialEq, Eq)]
+pub struct RequestError<M> {
+    /// Why.
+    pub why: Why,
+    /// The message as it was, where the receiver did not take it up.
+    pub message: Option<M>,
+}
+
+// By hand, so that nobody asks the user's message for `Debug`.
+impl<M> fmt::Debug for SendError<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("SendError").field("why", &self.why).finish_non_exhaustive()
+    }
+}
+
+impl<M> fmt::Debug for RequestError<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let returned = self.message.is_some();
+        f.debug_struct("RequestError")
+            .field("why", &self.why)
+            .field("message_returned", &returned)
+            .finish()
+    }
+}
+
+impl<M> fmt::Display for SendError<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "the message was not sent: {}", self.why)
+    }
+}
+
+impl<M> fmt::Display for RequestError<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "the request failed: {}", self.why)
+    }
+}
+
+impl<M> std::error::Error for SendError<M> {}
+impl<M> std::error::Error for RequestError<M> {}
+
+impl<M> From<SendError<M>> for RequestError<M> {
+    fn from(error: SendError<M>) -> Self {
+        RequestError { why: error.why, message: Some(error.message) }
+    }
+}

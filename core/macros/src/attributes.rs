@@ -1,0 +1,268 @@
+//! What may stand in `#[contract(..)]`.
+
+use crate::spelling::nearest;
+use proc_macro2::Span;
+use syn::meta::ParseNestedMeta;
+use syn::{Attribute, Error, Expr, LitInt, LitStr, Path, Result, Type, parse_quote};
+
+/// The longest name of a contract in bytes, as for objects.
+const NAME_LIMIT: usize = 128;
+/// The longest unit or frame in bytes; a description with a longer one is not taken by a peer.
+const TEXT_LIMIT: usize = 128;
+
+const TYPE_KEYS: &[&str] = &["name", "version", "max_size", "max_age", "reply", "crate"];
+const FIELD_KEYS: &[&str] = &["unit", "frame"];
+
+/// Which derive reads the attributes.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Derive {
+    Structure,
+    Event,
+    Request,
+}
+
+/// What `#[contract(..)]` says about a type.
+pub(crate) struct TypeAttributes {
+    pub(crate) name: Option<LitStr>,
+    pub(crate) version: Option<u16>,
+    pub(crate) max_size: Option<Expr>,
+    pub(crate) max_age_nanos: Option<u64>,
+    pub(crate) reply: Option<Type>,
+    /// Where the facade is to be found.
+    pub(crate) facade: Path,
+}
+
+/// What `#[contract(..)]` says about a field.
+#[derive(Default)]
+pub(crate) struct FieldAttributes {
+    pub(crate) unit: Option<LitStr>,
+    pub(crate) frame: Option<LitStr>,
+}
+
+impl TypeAttributes {
+    pub(crate) fn parse(attributes: &[Attribute], derive: Derive) -> Result<Self> {
+        refuse_serde(attributes)?;
+        let mut parsed = TypeAttributes {
+            name: None,
+            version: None,
+            max_size: None,
+            max_age_nanos: None,
+            reply: None,
+            facade: parse_quote!(::blastema),
+        };
+        let mut seen = Vec::new();
+        for_each_key(attributes, |meta, key| {
+            if let Some(reason) = misplaced(key, derive) {
+                return Err(meta.error(reason));
+            }
+            refuse_repetition(&mut seen, &meta, key)?;
+            match key {
+                "name" => parsed.name = Some(parse_name(&meta)?),
+                "version" => {
+                    parsed.version = Some(meta.value()?.parse::<LitInt>()?.base10_parse()?)
+                }
+                "max_size" => parsed.max_size = Some(meta.value()?.parse()?),
+                "max_age" => parsed.max_age_nanos = Some(parse_nanos(&meta.value()?.parse()?)?),
+                "reply" => parsed.reply = Some(meta.value()?.parse()?),
+                "crate" => parsed.facade = meta.value()?.parse::<LitStr>()?.parse()?,
+                _ => return Err(unknown(&meta, key, TYPE_KEYS)),
+            }
+            Ok(())
+        })?;
+        Ok(parsed)
+    }
+}
+
+impl FieldAttributes {
+    pub(crate) fn parse(attributes: &[Attribute]) -> Result<Self> {
+        refuse_serde(attributes)?;
+        let mut parsed = FieldAttributes::default();
+        let mut seen = Vec::new();
+        for_each_key(attributes, |meta, key| {
+            if TYPE_KEYS.contains(&key) {
+                return Err(meta.error(format!("`{key}` belongs above the type, not to a field")));
+            }
+            refuse_repetition(&mut seen, &meta, key)?;
+            match key {
+                "unit" => parsed.unit = Some(parse_text(&meta)?),
+                "frame" => parsed.frame = Some(parse_text(&meta)?),
+                _ => return Err(unknown(&meta, key, FIELD_KEYS)),
+            }
+            Ok(())
+        })?;
+        Ok(parsed)
+    }
+}
+
+/// Refuses everything on a variant itself, where nothing can be declared.
+pub(crate) fn refuse_on_variant(attributes: &[Attribute]) -> Result<()> {
+    refuse_serde(attributes)?;
+    for_each_key(attributes, |meta, key| {
+        Err(meta
+            .error(format!("`{key}` cannot stand on a variant: put it on a field or on the type")))
+    })
+}
+
+/// Reads the arguments of `#[main(..)]` and `#[test(..)]`: at most `crate = ".."`.
+pub(crate) fn parse_crate(meta: &ParseNestedMeta<'_>, facade: &mut Path) -> Result<()> {
+    if !meta.path.is_ident("crate") {
+        return Err(meta.error("unknown key: only `crate = \"path\"` is known here"));
+    }
+    *facade = meta.value()?.parse::<LitStr>()?.parse()?;
+    Ok(())
+}
+
+fn for_each_key(
+    attributes: &[Attribute],
+    mut take: impl FnMut(ParseNestedMeta<'_>, &str) -> Result<()>,
+) -> Result<()> {
+    for attribute in attributes.iter().filter(|a| a.path().is_ident("contract")) {
+        attribute.parse_nested_meta(|meta| {
+            let key = match meta.path.get_ident() {
+                Some(ident) => ident.to_string(),
+                None => return Err(meta.error("a key is a single word")),
+            };
+            take(meta, &key)
+        })?;
+    }
+    Ok(())
+}
+
+fn misplaced(key: &str, derive: Derive) -> Option<String> {
+    match (key, derive) {
+        ("unit" | "frame", _) => Some(format!("`{key}` belongs to a field, not above the type")),
+        ("crate", _) => None,
+        ("reply", Derive::Event) => {
+            Some("an event has no reply: derive `Request` instead, or remove `reply`".into())
+        }
+        ("max_age", Derive::Request) => {
+            Some("a request has no max_age: the asker states a deadline; remove `max_age`".into())
+        }
+        (key, Derive::Structure) if TYPE_KEYS.contains(&key) => Some(format!(
+            "a structure is part of contracts and has none of its own: derive `Event` or `Request` \
+             instead, or remove `{key}`"
+        )),
+        _ => None,
+    }
+}
+
+fn unknown(meta: &ParseNestedMeta<'_>, key: &str, known: &[&str]) -> Error {
+    let hint = match nearest(key, known) {
+        Some(word) => format!("did you mean `{word}`?"),
+        None => format!("the keys here are `{}`", known.join("`, `")),
+    };
+    meta.error(format!("unknown key `{key}`: {hint}"))
+}
+
+fn refuse_repetition(seen: &mut Vec<String>, meta: &ParseNestedMeta<'_>, key: &str) -> Result<()> {
+    if seen.iter().any(|other| other == key) {
+        return Err(meta.error(format!("`{key}` is given twice")));
+    }
+    seen.push(key.into());
+    Ok(())
+}
+
+/// Reads the name of a contract, which obeys the rules for names of objects.
+fn parse_name(meta: &ParseNestedMeta<'_>) -> Result<LitStr> {
+    let literal: LitStr = meta.value()?.parse()?;
+    let name = literal.value();
+    let wrong = |c: &char| !(c.is_ascii_alphanumeric() || "_-./".contains(*c));
+    let reason = if name.split('/').any(str::is_empty) {
+        "a contract's name, or a part of it between slashes, is empty".into()
+    } else if name.len() > NAME_LIMIT {
+        format!("a contract's name has at most {NAME_LIMIT} bytes")
+    } else if let Some(c) = name.chars().find(wrong) {
+        format!("a contract's name takes letters, digits, '_', '-', '.' and '/', but not {c:?}")
+    } else {
+        return Ok(literal);
+    };
+    Err(Error::new(literal.span(), reason))
+}
+
+/// Reads a unit or a frame.
+fn parse_text(meta: &ParseNestedMeta<'_>) -> Result<LitStr> {
+    let literal: LitStr = meta.value()?.parse()?;
+    let text = literal.value();
+    let reason = if text.trim().is_empty() || text.trim() != text {
+        "is empty, or has blanks around it".into()
+    } else if text.len() > TEXT_LIMIT {
+        format!("has more than {TEXT_LIMIT} bytes")
+    } else if text.chars().any(char::is_control) {
+        "holds a control character".into()
+    } else {
+        return Ok(literal);
+    };
+    Err(Error::new(literal.span(), format!("this {reason}")))
+}
+
+/// Reads a span of time such as `100ms`.
+fn parse_nanos(literal: &LitStr) -> Result<u64> {
+    let text = literal.value();
+    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let nanos_each: Option<u64> = match unit.trim_start() {
+        "ns" => Some(1),
+        "us" | "µs" => Some(1_000),
+        "ms" => Some(1_000_000),
+        "s" => Some(1_000_000_000),
+        "min" => Some(60_000_000_000),
+        "h" => Some(3_600_000_000_000),
+        _ => None,
+    };
+    nanos_each
+        .zip(number.parse::<u64>().ok())
+        .and_then(|(each, number)| number.checked_mul(each))
+        .filter(|&nanos| nanos > 0)
+        .ok_or_else(|| {
+            let hint =
+                "a span of time above zero is a whole number and one of ns, us, ms, s, min, h";
+            Error::new(literal.span(), format!("{hint}, such as `100ms`"))
+        })
+}
+
+fn refuse_serde(attributes: &[Attribute]) -> Result<()> {
+    let Some(attribute) = attributes.iter().find(|a| a.path().is_ident("serde")) else {
+        return Ok(());
+    };
+    let mut advice = "remove it";
+    let mut span = attribute.path().segments[0].ident.span();
+    // What cannot be read as keys needs no particular advice: it is refused as it is.
+    let _ = attribute.parse_nested_meta(|meta| {
+        let key = meta.path.get_ident().map(ToString::to_string).unwrap_or_default();
+        if let Some(better) = advice_instead_of(&key) {
+            advice = better;
+            span =
+                meta.path.get_ident().map_or(span, |ident| Span::located_at(&ident.span(), span));
+        }
+        let _ = meta.value().and_then(|value| value.parse::<Expr>());
+        Ok(())
+    });
+    Err(Error::new(
+        span,
+        format!(
+            "a contract's bytes carry no names, so that serde's attributes either change nothing or \
+             make a message that cannot be read back: {advice}"
+        ),
+    ))
+}
+
+fn advice_instead_of(key: &str) -> Option<&'static str> {
+    Some(match key {
+        "flatten" => "write the inner structure as a field of its own",
+        "untagged" | "tag" | "content" | "other" => "write a plain enum; its variants are numbered",
+        "skip" | "skip_serializing" | "skip_deserializing" | "skip_serializing_if" => {
+            "write an `Option`, or keep the field out of the message"
+        }
+        "default" => {
+            "write an `Option`; parties whose fields differ do not bind, so that nothing is missing"
+        }
+        "rename" | "rename_all" | "rename_all_fields" | "alias" => {
+            "call the field or variant itself by that name"
+        }
+        "with" | "serialize_with" | "deserialize_with" | "getter" | "remote" | "from" | "into"
+        | "try_from" => "send a structure of your own and convert at both ends",
+        "borrow" => "write an owned type, such as `String` or `Vec<u8>`",
+        "transparent" => "a structure of one field takes no more bytes than that field",
+        _ => return None,
+    })
+}

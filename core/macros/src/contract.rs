@@ -1,0 +1,113 @@
+//! `#[derive(Event)]` and `#[derive(Request)]`.
+
+use crate::attributes::{Derive, TypeAttributes};
+use crate::structure::{described_generics, expand};
+use proc_macro2::TokenStream;
+use quote::quote;
+use syn::ext::IdentExt;
+use syn::{DeriveInput, Error, Generics, Result, parse_quote};
+
+pub(crate) fn derive_event(input: &DeriveInput) -> Result<TokenStream> {
+    let attributes = TypeAttributes::parse(&input.attrs, Derive::Event)?;
+    let structure = expand(input, &attributes)?;
+    let contract = contract(input, &attributes, &quote!(()))?;
+    let facade = &attributes.facade;
+    let kind = marker(
+        input,
+        &attributes,
+        &quote!(#facade::core::Event),
+        &quote!(::std::clone::Clone + ::std::marker::Send + ::std::marker::Sync),
+    );
+    Ok(quote!(#structure #contract #kind))
+}
+
+pub(crate) fn derive_request(input: &DeriveInput) -> Result<TokenStream> {
+    let attributes = TypeAttributes::parse(&input.attrs, Derive::Request)?;
+    let Some(reply) = &attributes.reply else {
+        return Err(Error::new(
+            input.ident.span(),
+            "a request needs a reply: write `#[contract(reply = Type)]`; `reply = ()` says only that \
+             it was served",
+        ));
+    };
+    let structure = expand(input, &attributes)?;
+    let contract = contract(input, &attributes, &quote!(#reply))?;
+    let facade = &attributes.facade;
+    let kind =
+        marker(input, &attributes, &quote!(#facade::core::Request), &quote!(::std::marker::Send));
+    Ok(quote!(#structure #contract #kind))
+}
+
+fn contract(
+    input: &DeriveInput,
+    attributes: &TypeAttributes,
+    reply: &TokenStream,
+) -> Result<TokenStream> {
+    if attributes.name.is_none() && input.generics.params.iter().next().is_some() {
+        return Err(Error::new(
+            input.ident.span(),
+            "a generic contract needs a name of its own: write `#[contract(name = \"..\")]`; all its \
+             forms share that name and are told apart by their structure",
+        ));
+    }
+    let TypeAttributes { name, version, max_size, max_age_nanos, facade, .. } = attributes;
+    let ident = &input.ident;
+    let default_name = ident.unraw().to_string();
+    let name = name.as_ref().map_or_else(|| quote!(#default_name), |name| quote!(#name));
+    let version = version.map(|version| quote!(const VERSION: u16 = #version;));
+    let size = max_size.as_ref().map(|size| {
+        quote! {
+            const MAX_SIZE: usize = {
+                let size: usize = #size;
+                ::std::assert!(
+                    size > 0 && size <= #facade::core::codec::SIZE_LIMIT,
+                    "max_size is zero or above 16 MiB: send larger data in parts"
+                );
+                size
+            };
+        }
+    });
+    let age = max_age_nanos.map(|nanos| {
+        quote! {
+            const MAX_AGE: ::std::option::Option<::std::time::Duration> =
+                ::std::option::Option::Some(::std::time::Duration::from_nanos(#nanos));
+        }
+    });
+    let generics = bounded(input, attributes, &quote!(::std::marker::Send));
+    let (impl_generics, type_generics, where_clause) = generics.split_for_impl();
+    Ok(quote! {
+        #[automatically_derived]
+        impl #impl_generics #facade::core::Contract for #ident #type_generics #where_clause {
+            type Reply = #reply;
+            const NAME: &'static str = #name;
+            #version
+            #size
+            #age
+        }
+    })
+}
+
+fn marker(
+    input: &DeriveInput,
+    attributes: &TypeAttributes,
+    kind: &TokenStream,
+    bounds: &TokenStream,
+) -> TokenStream {
+    let ident = &input.ident;
+    let generics = bounded(input, attributes, bounds);
+    let (impl_generics, type_generics, where_clause) = generics.split_for_impl();
+    quote! {
+        #[automatically_derived]
+        impl #impl_generics #kind for #ident #type_generics #where_clause {}
+    }
+}
+
+/// The generics under which the type has what its contract demands. Without parameters nothing is
+/// demanded here, so that the compiler names what is missing.
+fn bounded(input: &DeriveInput, attributes: &TypeAttributes, bounds: &TokenStream) -> Generics {
+    let mut generics = described_generics(input, attributes);
+    if generics.type_params().next().is_some() {
+        generics.make_where_clause().predicates.push(parse_quote!(Self: #bounds));
+    }
+    generics
+}

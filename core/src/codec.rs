@@ -1,0 +1,240 @@
+//! Messages as bytes. This file alone knows the codec.
+//!
+//! The format is bincode 2.0.1, standard configuration: little-endian, integers of variable length,
+//! fields and variants in their order without names. Whoever decodes must know that the sender means
+//! the same contract, which [`ContractIdentity::check`](crate::ContractIdentity::check) tells.
+//!
+//! Bytes are never trusted. A message has a size limit; what it claims to hold is held against that
+//! limit before memory is taken; bytes after its end are refused; structures within structures are
+//! followed to a depth of [`DEPTH_LIMIT`](crate::field::DEPTH_LIMIT).
+
+use crate::Contract;
+use bincode::config::{self, Config};
+use bincode::enc::EncoderImpl;
+use bincode::enc::write::{SliceWriter, Writer};
+use bincode::error::{DecodeError as Malformed, EncodeError as Refusal};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+/// The largest message that any contract may allow: larger data is sent in parts.
+pub const SIZE_LIMIT: usize = 16 * 1024 * 1024;
+
+/// Why a message could not be encoded.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EncodeError {
+    /// The message takes more bytes than its contract, or the buffer, allows. Send less at once, or
+    /// raise `max_size`.
+    #[error("the message takes more than the {limit} bytes that it may")]
+    TooLarge {
+        /// The limit in bytes.
+        limit: usize,
+    },
+    /// The message holds what has no encoding, such as structures nested too deep.
+    #[error("the message cannot be encoded: {reason}")]
+    Impossible {
+        /// What the codec said.
+        reason: String,
+    },
+}
+
+/// Why bytes are not the message that they should be.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DecodeError {
+    /// There are more bytes than the contract allows; nothing was read.
+    #[error("{size} bytes are more than the {limit} that a message of this kind may take")]
+    TooLarge {
+        /// How many there are.
+        size: usize,
+        /// The limit in bytes.
+        limit: usize,
+    },
+    /// The bytes end before the message does.
+    #[error("the message is cut short")]
+    Truncated,
+    /// Bytes follow the message: the sender means another contract, or two frames ran together.
+    #[error("{count} bytes follow the message")]
+    Trailing {
+        /// How many.
+        count: usize,
+    },
+    /// The bytes mean no value of the type.
+    #[error("the bytes are no such message: {reason}")]
+    Malformed {
+        /// What the codec said.
+        reason: String,
+    },
+}
+
+/// Encodes a message at the end of `buffer`. Reuse the buffer: a fresh one costs more than the rest.
+///
+/// # Errors
+/// [`EncodeError`]; the buffer is then as it was.
+pub fn encode<M: Contract>(message: &M, buffer: &mut Vec<u8>) -> Result<(), EncodeError> {
+    encode_bounded(message, M::MAX_SIZE, buffer)
+}
+
+/// Encodes a reply to `M` at the end of `buffer`.
+///
+/// # Errors
+/// [`EncodeError`]; the buffer is then as it was.
+pub fn encode_reply<M: Contract>(
+    reply: &M::Reply,
+    buffer: &mut Vec<u8>,
+) -> Result<(), EncodeError> {
+    encode_bounded(reply, M::MAX_SIZE, buffer)
+}
+
+/// Encodes any value of at most `limit` bytes at the end of `buffer`.
+///
+/// # Errors
+/// [`EncodeError`]; the buffer is then as it was.
+pub fn encode_bounded<T: Serialize>(
+    value: &T,
+    limit: usize,
+    buffer: &mut Vec<u8>,
+) -> Result<(), EncodeError> {
+    let start = buffer.len();
+    let result = write(value, BufferWriter { end: start.saturating_add(limit), buffer });
+    result.map(drop).map_err(|refusal| {
+        buffer.truncate(start);
+        encode_error(refusal, limit)
+    })
+}
+
+/// Encodes a message into the beginning of `slice` and says how many bytes it took.
+///
+/// # Errors
+/// [`EncodeError`]; what the slice then holds is no message.
+pub fn encode_into<M: Contract>(message: &M, slice: &mut [u8]) -> Result<usize, EncodeError> {
+    let limit = slice.len().min(M::MAX_SIZE);
+    let writer = write(message, SliceWriter::new(&mut slice[..limit]))
+        .map_err(|refusal| encode_error(refusal, limit))?;
+    Ok(writer.bytes_written())
+}
+
+/// Encodes a value of this crate, which has an encoding whatever it holds.
+pub(crate) fn encode_unbounded<T: Serialize>(value: &T) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    encode_bounded(value, usize::MAX, &mut bytes)
+        .expect("a value of the core's own is neither nested nor without an encoding");
+    bytes
+}
+
+/// Decodes a message of at most [`Contract::MAX_SIZE`] bytes.
+///
+/// # Errors
+/// [`DecodeError`] if the bytes are not exactly one message.
+pub fn decode<M: Contract>(bytes: &[u8]) -> Result<M, DecodeError> {
+    decode_within::<M, MessageLimit<M>>(bytes)
+}
+
+/// Decodes a reply to `M` of at most [`Contract::MAX_SIZE`] bytes.
+///
+/// # Errors
+/// [`DecodeError`] if the bytes are not exactly one reply.
+pub fn decode_reply<M: Contract>(bytes: &[u8]) -> Result<M::Reply, DecodeError> {
+    decode_within::<M::Reply, MessageLimit<M>>(bytes)
+}
+
+/// Decodes any value of at most `LIMIT` bytes.
+///
+/// # Errors
+/// [`DecodeError`] if the bytes are not exactly one value.
+pub fn decode_bounded<T: DeserializeOwned, const LIMIT: usize>(
+    bytes: &[u8],
+) -> Result<T, DecodeError> {
+    decode_within::<T, NumberLimit<LIMIT>>(bytes)
+}
+
+trait Limit {
+    const BYTES: usize;
+
+    /// How many bytes the codec may claim, in powers of four from 64 KiB on.
+    ///
+    /// The codec counts an integer by its full width, which is up to 16 times what it takes on the
+    /// wire, and it wants its limit as a constant.
+    const RUNG: u32 = {
+        assert!(Self::BYTES <= SIZE_LIMIT, "max_size is above 16 MiB: send larger data in parts");
+        let claimed = Self::BYTES * 16;
+        let mut rung = 0;
+        while (64 * 1024) << (2 * rung) < claimed {
+            rung += 1;
+        }
+        rung
+    };
+}
+
+struct MessageLimit<M>(M);
+
+impl<M: Contract> Limit for MessageLimit<M> {
+    const BYTES: usize = M::MAX_SIZE;
+}
+
+struct NumberLimit<const LIMIT: usize>;
+
+impl<const LIMIT: usize> Limit for NumberLimit<LIMIT> {
+    const BYTES: usize = LIMIT;
+}
+
+fn decode_within<T: DeserializeOwned, L: Limit>(bytes: &[u8]) -> Result<T, DecodeError> {
+    if bytes.len() > L::BYTES {
+        return Err(DecodeError::TooLarge { size: bytes.len(), limit: L::BYTES });
+    }
+    let standard = config::standard();
+    // The match is over a constant: one arm is compiled for each type.
+    match L::RUNG {
+        0 => read(bytes, standard.with_limit::<{ 64 * 1024 }>()),
+        1 => read(bytes, standard.with_limit::<{ 256 * 1024 }>()),
+        2 => read(bytes, standard.with_limit::<{ 1024 * 1024 }>()),
+        3 => read(bytes, standard.with_limit::<{ 4 * 1024 * 1024 }>()),
+        4 => read(bytes, standard.with_limit::<{ 16 * 1024 * 1024 }>()),
+        5 => read(bytes, standard.with_limit::<{ 64 * 1024 * 1024 }>()),
+        _ => read(bytes, standard.with_limit::<{ 256 * 1024 * 1024 }>()),
+    }
+}
+
+fn read<T: DeserializeOwned>(bytes: &[u8], config: impl Config) -> Result<T, DecodeError> {
+    let (value, taken) =
+        bincode::serde::decode_from_slice(bytes, config).map_err(|malformed| match malformed {
+            Malformed::UnexpectedEnd { .. } | Malformed::LimitExceeded => DecodeError::Truncated,
+            Malformed::OtherString(reason) => DecodeError::Malformed { reason },
+            other => DecodeError::Malformed { reason: other.to_string() },
+        })?;
+    match bytes.len() - taken {
+        0 => Ok(value),
+        count => Err(DecodeError::Trailing { count }),
+    }
+}
+
+fn write<T: Serialize, W: Writer>(value: &T, writer: W) -> Result<W, Refusal> {
+    let mut encoder = EncoderImpl::new(writer, config::standard());
+    bincode::Encode::encode(&bincode::serde::BorrowCompat(value), &mut encoder)?;
+    Ok(encoder.into_writer())
+}
+
+fn encode_error(refusal: Refusal, limit: usize) -> EncodeError {
+    match refusal {
+        Refusal::UnexpectedEnd => EncodeError::TooLarge { limit },
+        Refusal::OtherString(reason) => EncodeError::Impossible { reason },
+        other => EncodeError::Impossible { reason: other.to_string() },
+    }
+}
+
+/// Writes at the end of a buffer, up to a length.
+struct BufferWriter<'a> {
+    buffer: &'a mut Vec<u8>,
+    end: usize,
+}
+
+impl Writer for BufferWriter<'_> {
+    #[inline]
+    fn write(&mut self, bytes: &[u8]) -> Result<(), Refusal> {
+        if bytes.len() > self.end - self.buffer.len() {
+            return Err(Refusal::UnexpectedEnd);
+        }
+        self.buffer.extend_from_slice(bytes);
+        Ok(())
+    }
+}
