@@ -1,5 +1,6 @@
 //! Fault-tolerant middleware for robots: typed actors that grow back.
 
+mod chain;
 mod drive;
 mod guardian;
 mod panics;
@@ -12,5 +13,7 @@ compile_error!(
 );
 
 pub use blastema_core as core;
+pub use blastema_core::{Contract, Described};
 pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
+pub use blastema_macros::{Event, Request, Structure, main};
 pub use serde;

@@ -8,15 +8,20 @@ pub mod contract;
 pub mod dead_letters;
 pub mod delivery;
 pub mod description;
+pub mod detection;
 pub mod difference;
 pub mod fault;
 pub mod field;
 pub mod identity;
+pub mod impairment;
 pub mod layout;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
+pub mod net;
 pub mod quarantine;
+pub mod random;
+pub mod recovery;
 pub mod time;
 
 pub use codec::{DecodeError, EncodeError};
@@ -31,4 +36,7 @@ pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
 pub use quarantine::MessageId;
+/// The codec's interface, for the code that the derives write.
+#[doc(hidden)]
+pub use serde;
 pub use time::Instant;

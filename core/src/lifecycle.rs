@@ -29,6 +29,58 @@ pub enum Lifecycle {
     Finalized,
 }
 
+/// One way from one state to another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Transition {
+    /// From where.
+    pub from: Lifecycle,
+    /// The hook that was called, or what happened.
+    pub by: &'static str,
+    /// To where.
+    pub to: Lifecycle,
+}
+
+const fn way(from: Lifecycle, by: &'static str, to: Lifecycle) -> Transition {
+    Transition { from, by, to }
+}
+
+impl Lifecycle {
+    /// Every way that one life may take. There is no way back from `Fatal` and `Finalized`: what
+    /// follows is another life, which begins at `Created`.
+    pub const TRANSITIONS: [Transition; 16] = {
+        use Lifecycle::{Active, Created, Error, Fatal, Finalized, Initialized};
+        [
+            way(Created, "on_initialize", Initialized),
+            way(Created, "on_initialize failed", Fatal),
+            way(Created, "stopped before it was initialised", Finalized),
+            way(Initialized, "on_activated", Active),
+            way(Initialized, "on_activated failed", Error),
+            way(Initialized, "a fatal fault", Fatal),
+            way(Initialized, "on_finalize", Finalized),
+            way(Active, "on_deactivated", Initialized),
+            way(Active, "on_aborting, on_error", Error),
+            way(Active, "a fatal fault", Fatal),
+            way(Active, "on_deactivated, on_finalize", Finalized),
+            way(Error, "on_reset", Initialized),
+            way(Error, "on_reset failed", Fatal),
+            way(Error, "a fatal fault", Fatal),
+            way(Error, "on_finalize", Finalized),
+            way(Fatal, "on_finalize", Finalized),
+        ]
+    };
+
+    /// Whether one life may go from here to there in one step.
+    ///
+    /// ```
+    /// use blastema_core::Lifecycle;
+    /// assert!(Lifecycle::Error.may_become(Lifecycle::Initialized));
+    /// assert!(!Lifecycle::Created.may_become(Lifecycle::Active));
+    /// ```
+    pub fn may_become(self, next: Lifecycle) -> bool {
+        Self::TRANSITIONS.iter().any(|way| way.from == self && way.to == next)
+    }
+}
+
 impl fmt::Display for Lifecycle {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

@@ -1,8 +1,10 @@
 //! Between a supervisor and what it supervises.
 
+use crate::reports::Exit;
 use actix::{Message, Recipient};
 use blastema_core::{Incarnation, ObjectName};
-use std::time::Duration;
+
+pub use blastema_core::recovery::StandingOrder;
 
 /// What a supervisor may do with a child: a component, or a supervisor below it.
 ///
@@ -36,15 +38,6 @@ pub trait Child: Send {
     fn standing_order(&mut self, order: Option<StandingOrder>);
 }
 
-/// "Panic: restart on the spot, up to `times` in `period`."
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct StandingOrder {
-    /// How many restarts the guard may still make by itself.
-    pub times: u32,
-    /// The sliding window in which they are counted.
-    pub period: Duration,
-}
-
 /// What became of a supervisor's call.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
@@ -74,6 +67,20 @@ pub enum ChildEvent {
     /// It is still in error.
     ResetFailed {
         /// Why, as the component said it.
+        reason: String,
+    },
+    /// Its life ended although its supervisor had not asked for it; the guard has told the monitor
+    /// the same in [`Exited`](crate::reports::Exited).
+    Died {
+        /// How.
+        exit: Exit,
+        /// The guard has carried out its standing order: this life has begun in the old one's place.
+        restarted_as: Option<Incarnation>,
+    },
+    /// It is a supervisor whose children failed more often than it allows; it has ended them all and
+    /// leaves the decision to whom it reports.
+    Escalated {
+        /// Which limit was exceeded, by whom.
         reason: String,
     },
 }

@@ -6,7 +6,13 @@
 //! [`Recipient`]: actix::Recipient
 
 pub mod child;
+pub mod detector;
+pub mod monitor;
+pub mod notifier;
+pub mod recoverer;
 pub mod reports;
+pub mod strategy;
+pub mod supervisor;
 pub mod transport;
 
 /// The answer to a hand-over of fault information: it has arrived and is in the receiver's record.

@@ -7,6 +7,7 @@
 //! ```
 
 use actix::Message;
+pub use blastema_core::detection::Exit;
 use blastema_core::{FaultKind, Incarnation, Lifecycle, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
@@ -39,26 +40,6 @@ pub struct Alive {
     pub oldest: Duration,
     /// It has declared that its present handler takes long.
     pub long_operation: bool,
-}
-
-/// How a life ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Exit {
-    /// It ended itself.
-    Returned,
-    /// It panicked.
-    Panicked {
-        /// The panic's text.
-        text: String,
-        /// File and line, as `src/laser.rs:42`.
-        at: String,
-        /// What it was serving: the contract's name, or the hook's.
-        during: &'static str,
-    },
-    /// Its future was dropped before it ended: its arbiter went away.
-    Aborted,
-    /// It was told to.
-    Stopped,
 }
 
 /// The end of a life, told by its guard at once.

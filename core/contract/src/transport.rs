@@ -3,7 +3,9 @@
 //! A transport moves frames: whole, in any order, perhaps lost, perhaps twice. It knows neither nodes
 //! nor messages. It never blocks: when its own queue is full it drops the frame and counts it.
 
-use actix::{Message, Recipient};
+use actix::dev::ToEnvelope;
+use actix::{Actor, Addr, Handler, Message, Recipient};
+use blastema_core::impairment::{Impairment, Injected};
 use bytes::Bytes;
 use std::fmt;
 use std::net::SocketAddr;
@@ -78,7 +80,8 @@ pub enum TransportReport {
 pub struct Attach {
     /// Gets every frame.
     pub frames: Recipient<Received>,
-    /// Gets every report; the present state is reported at once.
+    /// Gets every report; the present state is reported at once. A transport reports its opening
+    /// and closing, not each of its attempts.
     pub reports: Recipient<TransportReport>,
 }
 
@@ -94,13 +97,117 @@ pub struct ReadCounters;
 
 /// What a transport did so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, actix::MessageResponse)]
+#[non_exhaustive]
 pub struct TransportCounters {
     /// Frames given to the medium.
     pub sent: u64,
-    /// Frames taken from it.
+    /// Frames taken from it and handed on.
     pub received: u64,
-    /// Frames not sent because the queue was full or no peer was connected.
+    /// Frames that got lost here: a queue was full, no peer was connected, or nobody is attached.
     pub dropped: u64,
-    /// Frames refused because they were too large, truncated or otherwise no frames.
+    /// What was refused: frames that are too large, bytes that are no frames, peers that do not
+    /// speak this protocol or are too many.
     pub refused: u64,
+    /// Failures that the medium told of and that the transport survived, such as an ICMP "port
+    /// unreachable" or a connection that broke.
+    pub errors: u64,
+}
+
+/// All that is known of a transport, whatever it is made of.
+///
+/// ```text
+/// link ──Transmit──► transport ──► medium
+///      ◄─Received──            ◄──
+/// ```
+#[derive(Clone, Debug)]
+pub struct Transport {
+    /// Takes frames.
+    pub transmit: Recipient<Transmit>,
+    /// Takes who is to get frames and reports.
+    pub attach: Recipient<Attach>,
+    /// Takes the end.
+    pub close: Recipient<Close>,
+    /// Gives the counters.
+    pub counters: Recipient<ReadCounters>,
+}
+
+impl<A> From<Addr<A>> for Transport
+where
+    A: Actor + Handler<Transmit> + Handler<Attach> + Handler<Close> + Handler<ReadCounters>,
+    A::Context: ToEnvelope<A, Transmit>
+        + ToEnvelope<A, Attach>
+        + ToEnvelope<A, Close>
+        + ToEnvelope<A, ReadCounters>,
+{
+    fn from(address: Addr<A>) -> Self {
+        Transport {
+            transmit: address.clone().recipient(),
+            attach: address.clone().recipient(),
+            close: address.clone().recipient(),
+            counters: address.recipient(),
+        }
+    }
+}
+
+/// Which way frames go, seen from the link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// From the link to the medium.
+    Outgoing,
+    /// From the medium to the link.
+    Incoming,
+    /// Both.
+    Both,
+}
+
+impl Direction {
+    /// Whether frames to the medium are meant.
+    pub fn outgoing(self) -> bool {
+        matches!(self, Direction::Outgoing | Direction::Both)
+    }
+
+    /// Whether frames from the medium are meant.
+    pub fn incoming(self) -> bool {
+        matches!(self, Direction::Incoming | Direction::Both)
+    }
+}
+
+/// Makes a medium bad, in place of how bad it was. For what stands between link and transport.
+#[derive(Clone, Copy, Debug, PartialEq, Message)]
+#[rtype(result = "()")]
+pub struct Impair {
+    /// Which way.
+    pub direction: Direction,
+    /// How bad.
+    pub impairment: Impairment,
+}
+
+/// Cuts the cable: nothing passes until [`Restore`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Cut {
+    /// Which way.
+    pub direction: Direction,
+    /// The medium notices, as Ethernet notices a pulled cable ([`TransportReport::Closed`]);
+    /// otherwise it says nothing, as a switch that has lost its next hop.
+    pub reported: bool,
+}
+
+/// Mends everything: no cut and no impairment, in both directions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Restore;
+
+/// Asks what was done to frames on purpose.
+#[derive(Clone, Copy, Debug, Message)]
+#[rtype(result = "InjectedFaults")]
+pub struct ReadInjectedFaults;
+
+/// What was done to frames on purpose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, actix::MessageResponse)]
+pub struct InjectedFaults {
+    /// To frames from the link to the medium.
+    pub outgoing: Injected,
+    /// To frames from the medium to the link.
+    pub incoming: Injected,
 }

@@ -1,1 +1,42 @@
-//! Test doubles that speak the contract of the Blastema middleware.
+//! Test doubles that speak the contract of the Blastema middleware, and nothing else.
+//!
+//! | double | stands in for |
+//! | --- | --- |
+//! | [`Probe`] | any receiver of a message: records it, replies as told |
+//! | [`MockTransport`] | a medium: records what is sent, lets the test receive and report |
+//! | [`SimulatedNetwork`] | a medium with several ends, bad as told, the same for one seed |
+//! | [`paused`](fn@paused), [`advance`] | the clock |
+//!
+//! ```
+//! use blastema_contract::transport::{Attach, MediumAddress, Transmit};
+//! use blastema_core::impairment::Impairment;
+//! use blastema_doubles::{Probe, SimulatedNetwork, paused};
+//! use std::time::Duration;
+//!
+//! paused(async {
+//!     let network = SimulatedNetwork::new(7);
+//!     let (left, right) = (network.end("left"), network.end("right"));
+//!     let slow = Impairment { delay: Duration::from_secs(3600), ..Impairment::NONE };
+//!     network.impair("left", "right", slow);
+//!     let (frames, reports) = (Probe::start(), Probe::start());
+//!     let (frames_to, reports_to) = (frames.recipient(), reports.recipient());
+//!     right.transport().attach.do_send(Attach { frames: frames_to, reports: reports_to });
+//!
+//!     let to = right.local();
+//!     left.transport().transmit.do_send(Transmit { to, frame: "hello".into() });
+//!
+//!     frames.expect_none_for(Duration::from_secs(3599)).await; // no time passes for you
+//!     assert_eq!(frames.wait(|_| true).await.frame, "hello");
+//! });
+//! ```
+
+mod mock_transport;
+mod network;
+mod paused;
+mod probe;
+mod record;
+
+pub use mock_transport::MockTransport;
+pub use network::SimulatedNetwork;
+pub use paused::{advance, now, paused, settle};
+pub use probe::{PATIENCE, Probe};

@@ -119,6 +119,21 @@ pub struct Variant<R: Clone + 'static> {
 /// in every run, and it comes out of the codec as it went in.
 ///
 /// Derive it with `#[derive(Structure)]`; do not implement it by hand.
+///
+/// # Examples
+/// ```
+/// # mod facade { pub(crate) use blastema_core::{self as core, serde}; }
+/// # use blastema_macros::Structure;
+/// #[derive(Clone, Debug, Structure)]
+/// # #[contract(crate = "crate::facade")]
+/// struct Pose {
+///     #[contract(unit = "m", frame = "map")]
+///     x: f64,
+///     #[contract(unit = "m", frame = "map")]
+///     y: f64,
+/// }
+/// # fn main() {}
+/// ```
 #[diagnostic::on_unimplemented(
     message = "`{Self}` cannot stand in a contract",
     label = "not allowed in a message",

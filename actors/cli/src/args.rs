@@ -1,0 +1,198 @@
+//! What the command line may say.
+
+use clap::{Args, Parser, Subcommand};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// The longest `--for`: beyond it the counters of a run would say nothing about a person's patience.
+const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
+/// The shortest `--for`: less than one step of the story.
+const SHORTEST: Duration = Duration::from_secs(1);
+
+const EXIT_STATUS: &str = "\
+Exit status:
+  0  every fault was found, named rightly and recovered, and no reliable message was lost or doubled
+  1  something stayed unrecovered, or a promise was broken; the table says which
+  2  the command line was wrong, or the demonstration could not be run to its end";
+
+/// The whole command line.
+#[derive(Debug, Parser)]
+#[command(
+    name = "blastema",
+    version,
+    about = "Fault-tolerant middleware for robots",
+    long_about = "Fault-tolerant middleware for robots.\n\n\
+        Without a command, `blastema demo` is run.",
+    after_help = EXIT_STATUS
+)]
+pub(crate) struct Arguments {
+    /// What is to be done; the demonstration, if nothing is said.
+    #[command(subcommand)]
+    pub(crate) job: Option<Job>,
+}
+
+/// What the program can do.
+#[derive(Clone, Debug, PartialEq, Subcommand)]
+pub(crate) enum Job {
+    /// Start a robot of three processes, kill, hang and unplug parts of it, and show how it recovers
+    ///
+    /// Three processes, module1 to module3, on two networks on loopback addresses and free ports, with
+    /// a service robot and a hundred small objects aboard. Ten faults are injected one after the other
+    /// while sequence-numbered traffic flows. On a terminal a live picture is shown, elsewhere plain
+    /// lines; at the end a table. It takes less than 30 seconds. Ctrl-C ends all processes.
+    #[command(after_help = EXIT_STATUS)]
+    Demo(DemoOptions),
+    /// Run one module of the demonstration's robot; the demonstration starts these by itself
+    #[command(hide = true)]
+    Module(ModuleOptions),
+}
+
+impl Default for Job {
+    fn default() -> Self {
+        Job::Demo(DemoOptions::default())
+    }
+}
+
+/// How the demonstration is to be run.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct DemoOptions {
+    /// Print one JSON document at the end, and nothing else
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Decides at which moments, and with --chaos where and which, faults are injected
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(crate) seed: u64,
+    /// Go on for so long, such as 60s, 5m, 1h or 1500ms: the story is told again and again, and the
+    /// step that is under way is finished. Without it: the story once, or 60s of chaos
+    #[arg(long = "for", value_name = "DURATION", value_parser = parse_duration)]
+    pub(crate) length: Option<Duration>,
+    /// Inject random faults until the time is up instead of telling the story
+    #[arg(long)]
+    pub(crate) chaos: bool,
+}
+
+impl Default for DemoOptions {
+    fn default() -> Self {
+        DemoOptions { json: false, seed: 1, length: None, chaos: false }
+    }
+}
+
+/// How the demonstration starts one module.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct ModuleOptions {
+    /// The module's name
+    #[arg(long)]
+    pub(crate) name: String,
+    /// The Unix socket on which the demonstration listens
+    #[arg(long)]
+    pub(crate) control: PathBuf,
+    /// The process with which this one ends
+    #[arg(long)]
+    pub(crate) parent: u32,
+}
+
+fn parse_duration(text: &str) -> Result<Duration, String> {
+    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let millis_of_unit = match unit {
+        "ms" => 1,
+        "s" => 1_000,
+        "m" | "min" => 60_000,
+        "h" => 3_600_000,
+        "" => return Err(format!("a duration needs its unit: did you mean {text}s?")),
+        other => return Err(format!("{other:?} is no unit; write 1500ms, 60s, 5m or 1h")),
+    };
+    let number: u64 =
+        number.parse().map_err(|_| format!("{text:?} does not begin with a whole number"))?;
+    let span = Duration::from_millis(number.saturating_mul(millis_of_unit));
+    if span < SHORTEST || span > LONGEST {
+        return Err(format!("{text} is not between 1s and 24h"));
+    }
+    Ok(span)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    fn parse(line: &str) -> Result<Job, String> {
+        Arguments::try_parse_from(line.split_whitespace())
+            .map(|arguments| arguments.job.unwrap_or_default())
+            .map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn the_definition_holds_together() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn no_argument_means_the_demonstration_as_it_comes() {
+        assert_eq!(parse("blastema"), Ok(Job::Demo(DemoOptions::default())));
+        assert_eq!(parse("blastema demo"), parse("blastema"));
+    }
+
+    #[test]
+    fn every_option_is_understood() {
+        let wanted = DemoOptions {
+            json: true,
+            seed: 42,
+            length: Some(Duration::from_secs(60)),
+            chaos: true,
+        };
+
+        assert_eq!(
+            parse("blastema demo --json --seed 42 --for 60s --chaos"),
+            Ok(Job::Demo(wanted))
+        );
+    }
+
+    #[test]
+    fn a_duration_takes_its_unit_and_nothing_else() {
+        let check = |text, millis| {
+            assert_eq!(parse_duration(text), Ok(Duration::from_millis(millis)), "{text}");
+        };
+        check("1500ms", 1_500);
+        check("60s", 60_000);
+        check("2m", 120_000);
+        check("24h", 86_400_000);
+
+        for (text, told) in [
+            ("60", "did you mean 60s?"),
+            ("s", "does not begin with a whole number"),
+            ("-5s", "is no unit"),
+            ("1.5s", "is no unit"),
+            ("5 s", "is no unit"),
+            ("10ms", "is not between"),
+            ("25h", "is not between"),
+            ("99999999999999999999s", "does not begin"),
+            ("9999999999999999999h", "is not between"),
+        ] {
+            let refusal = parse_duration(text).expect_err(text);
+            assert!(refusal.contains(told), "{text}: {refusal}");
+        }
+    }
+
+    #[test]
+    fn what_is_unknown_is_refused_with_the_nearest_right_spelling() {
+        let refusal = parse("blastema demo --sed 4").expect_err("an unknown flag");
+
+        assert!(refusal.contains("--seed"), "{refusal}");
+        assert!(parse("blastema dance").is_err());
+        assert!(parse("blastema demo now").is_err());
+    }
+
+    #[test]
+    fn the_help_tells_the_exit_status_and_hides_the_module() {
+        let help = Arguments::command().render_long_help().to_string();
+        assert!(help.contains("Exit status") && !help.contains("module  "), "{help}");
+        let demo = Arguments::command().find_subcommand_mut("demo").map(|demo| {
+            let help = demo.render_long_help().to_string();
+            for part in ["--json", "--seed <N>", "--for <DURATION>", "--chaos", "Exit status"] {
+                assert!(help.contains(part), "{part} is missing in {help}");
+            }
+        });
+        assert!(demo.is_some());
+    }
+}

@@ -1,0 +1,162 @@
+//! Random faults, the same for the same seed.
+
+use super::injection::Injection;
+use super::protocol::Sabotage;
+use super::robot::{CABLES, Module, skin};
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// How long a hung object blocks its thread: longer than any grace, short enough that the thread
+/// returns before abandoned threads add up.
+pub(crate) const HANG_MILLIS: u64 = 2_500;
+
+/// More than any queue of the robot holds.
+pub(crate) const FLOOD_MESSAGES: u32 = 20_000;
+
+/// Victims that are left alone for a while, so that chance does not add up to a restart storm.
+const SPARED: usize = 6;
+
+/// A small generator of numbers that look random (SplitMix64, Steele, Lea and Flood 2014).
+#[derive(Clone, Debug)]
+pub(crate) struct Dice(u64);
+
+impl Dice {
+    /// The same numbers for the same seed.
+    pub(crate) const fn new(seed: u64) -> Dice {
+        Dice(seed)
+    }
+
+    /// One of `0..bound`; 0 if the bound is.
+    pub(crate) fn below(&mut self, bound: u64) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut mixed = self.0;
+        mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (mixed ^ (mixed >> 31)).checked_rem(bound).unwrap_or_default()
+    }
+
+    /// A pause of up to `longest`.
+    pub(crate) fn pause(&mut self, longest: Duration) -> Duration {
+        Duration::from_millis(self.below(u64::try_from(longest.as_millis()).unwrap_or(u64::MAX)))
+    }
+
+    fn one_of<T: Clone>(&mut self, choice: &[T]) -> T {
+        let at = usize::try_from(self.below(choice.len() as u64)).unwrap_or_default();
+        choice[at].clone()
+    }
+}
+
+/// Endless random faults.
+#[derive(Clone, Debug)]
+pub(crate) struct Chaos {
+    dice: Dice,
+    spared: VecDeque<String>,
+}
+
+impl Chaos {
+    /// The same faults for the same seed.
+    pub(crate) fn new(seed: u64) -> Chaos {
+        Chaos { dice: Dice::new(seed), spared: VecDeque::new() }
+    }
+
+    /// The next fault.
+    pub(crate) fn next(&mut self) -> Injection {
+        let injection = loop {
+            let candidate = self.any();
+            if !self.spared.contains(&candidate.place()) {
+                break candidate;
+            }
+        };
+        if self.spared.len() == SPARED {
+            self.spared.pop_front();
+        }
+        self.spared.push_back(injection.place());
+        injection
+    }
+
+    fn any(&mut self) -> Injection {
+        match self.dice.below(12) {
+            0 => Injection::Cut { cable: self.dice.one_of(&CABLES), returns: true },
+            1 => Injection::Blackout { far: self.far() },
+            2 => Injection::Router { module: self.dice.one_of(&Module::ALL) },
+            3 => Injection::Kill { module: self.far() },
+            _ => self.object(),
+        }
+    }
+
+    /// Not module1: its end would take every path along, and there is no third one.
+    fn far(&mut self) -> Module {
+        self.dice.one_of(&[Module::Module2, Module::Module3])
+    }
+
+    fn object(&mut self) -> Injection {
+        let module = self.dice.one_of(&Module::ALL);
+        let sabotage = self.dice.one_of(&[
+            Sabotage::Panic,
+            Sabotage::Hang { millis: HANG_MILLIS },
+            Sabotage::ErrorState,
+            Sabotage::FailInitialization,
+            Sabotage::Silence,
+            Sabotage::Flood { messages: FLOOD_MESSAGES },
+        ]);
+        let cells = module.skin();
+        let cell = cells.start + u32::try_from(self.dice.below(cells.len() as u64)).unwrap_or(0);
+        let object = if self.dice.below(2) == 0 {
+            skin(cell)
+        } else {
+            self.dice.one_of(module.components()).to_owned()
+        };
+        Injection::Object { module, object, sabotage }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn places(seed: u64) -> Vec<String> {
+        let mut chaos = Chaos::new(seed);
+        (0..300).map(|_| chaos.next().to_string()).collect()
+    }
+
+    #[test]
+    fn one_seed_gives_one_run_and_another_seed_another() {
+        assert_eq!(places(1), places(1));
+        assert_ne!(places(1), places(2));
+    }
+
+    #[test]
+    fn every_kind_of_fault_comes() {
+        let all = places(1).join("\n");
+
+        for kind in [
+            "panic in module",
+            "hang",
+            "error state",
+            "failed init",
+            "silent",
+            "flood",
+            "cable cut",
+            "both cables",
+            "router",
+            "kill -9",
+        ] {
+            assert!(all.contains(kind), "{kind} never came");
+        }
+    }
+
+    #[test]
+    fn nobody_is_struck_again_at_once() {
+        let mut chaos = Chaos::new(7);
+        let places: Vec<_> = (0..300).map(|_| chaos.next().place()).collect();
+
+        for window in places.windows(SPARED + 1) {
+            assert!(!window[..SPARED].contains(&window[SPARED]), "{window:?}");
+        }
+    }
+
+    #[test]
+    fn module1_is_never_killed() {
+        assert!(!places(3).iter().any(|text| text == "kill -9, rejoin in module1"));
+    }
+}

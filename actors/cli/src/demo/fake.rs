@@ -1,0 +1,339 @@
+//! A robot that keeps every promise, or breaks one, without processes and in no time: for tests.
+
+use super::injection::cables_to;
+use super::known::Known;
+use super::moment::Moment;
+use super::protocol::{
+    Command, Event, FaultNote, LinkState, OrderId, Sabotage, SinkState, Snapshot, SourceState,
+};
+use super::report::Report;
+use super::robot::{CABLES, FLOWS, Flow, Module, address};
+use super::story::{Output, Story};
+use super::trial::Deed;
+use blastema::core::{FaultKind, NodeName, Place};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// What the fake robot does wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Flaw {
+    None,
+    NotFound,
+    NotReported,
+    NotBack,
+    WrongCulprit,
+    LosesOne,
+    DoublesOne,
+    DiesOfPanic,
+    Refuses,
+    FalseAlarm,
+    NeverTogether,
+}
+
+/// The fake robot, with its own time.
+pub(crate) struct FakeRobot {
+    flaw: Flaw,
+    now: Moment,
+    agenda: BTreeMap<(Moment, u64), Happening>,
+    written: u64,
+    cut: BTreeSet<&'static str>,
+    dead: BTreeSet<Module>,
+    lives: BTreeMap<Module, u64>,
+    began: BTreeMap<Module, Moment>,
+    watched: BTreeMap<Module, Moment>,
+    lost: u64,
+    doubled: u64,
+    next_fault: u64,
+}
+
+#[derive(Clone, Debug)]
+enum Happening {
+    Says(Module, Event),
+    Exits(Module, Option<&'static str>),
+    Returns(Module),
+    Snapshots,
+}
+
+impl FakeRobot {
+    pub(crate) fn new(flaw: Flaw) -> FakeRobot {
+        FakeRobot {
+            flaw,
+            now: Moment::default(),
+            agenda: BTreeMap::new(),
+            written: 0,
+            cut: BTreeSet::new(),
+            dead: BTreeSet::new(),
+            lives: Module::ALL.map(|module| (module, 1)).into(),
+            began: Module::ALL.map(|module| (module, Moment::default())).into(),
+            watched: BTreeMap::new(),
+            lost: 0,
+            doubled: 0,
+            next_fault: 1,
+        }
+    }
+
+    /// Lives through the whole story.
+    pub(crate) fn perform(mut self, mut story: Story) -> Report {
+        for module in Module::ALL {
+            if self.flaw != Flaw::NeverTogether || module != Module::Module3 {
+                self.says(module, 50, Event::Ready);
+            }
+        }
+        self.plan(100, Happening::Snapshots);
+        if self.flaw == Flaw::FalseAlarm {
+            let note = self.note(FaultKind::Silence, object(Module::Module1, "safety"), 350);
+            self.says(Module::Module1, 350, Event::Found(note));
+        }
+        loop {
+            while let Some(output) = story.poll_output() {
+                match output {
+                    Output::Do(deed) => self.carry_out(deed, &mut story),
+                    Output::Tell(_) => {}
+                    Output::Finished => return story.report(),
+                }
+            }
+            self.step(&mut story);
+        }
+    }
+
+    fn step(&mut self, story: &mut Story) {
+        let first = self.agenda.keys().next().copied();
+        let due = story.poll_timeout();
+        match first {
+            Some(key) if due.is_none_or(|due| key.0 <= due) => {
+                self.now = key.0;
+                let happening = self.agenda.remove(&key).expect("its key was just seen");
+                self.happen(happening, story);
+            }
+            _ => {
+                self.now = due.expect("a story that is not over waits for something").max(self.now);
+                story.handle_timeout(self.now);
+            }
+        }
+    }
+
+    fn happen(&mut self, happening: Happening, story: &mut Story) {
+        match happening {
+            Happening::Says(module, event) => story.handle_event(module, &event, self.now),
+            Happening::Exits(module, how) => story.handle_exit(module, how, self.now),
+            Happening::Returns(module) => {
+                self.dead.remove(&module);
+                *self.lives.entry(module).or_default() += 1;
+                self.began.insert(module, self.now);
+                story.handle_event(module, &Event::Ready, self.now);
+            }
+            Happening::Snapshots => {
+                for module in Module::ALL {
+                    if !self.dead.contains(&module) {
+                        let snapshot = Event::Snapshot(Box::new(self.snapshot(module)));
+                        story.handle_event(module, &snapshot, self.now);
+                    }
+                }
+                self.plan(100, Happening::Snapshots);
+            }
+        }
+        self.answer_watches();
+    }
+
+    fn carry_out(&mut self, deed: Deed, story: &mut Story) {
+        match deed {
+            Deed::Kill(module) => {
+                story.handle_killed(self.now, self.now);
+                self.die(module, None);
+                let place = Place::Node(NodeName::new(module.name()).expect("a name"));
+                let note = self.note(FaultKind::NodeLost, place, 30);
+                self.says(Module::Module1, 30, Event::Found(note));
+            }
+            Deed::Send(module, command) if !self.dead.contains(&module) => {
+                self.obey(module, command);
+            }
+            Deed::Send(..) => {}
+        }
+    }
+
+    fn die(&mut self, module: Module, how: Option<&'static str>) {
+        self.dead.insert(module);
+        self.watched.remove(&module);
+        self.plan(1, Happening::Exits(module, how));
+        self.plan(200, Happening::Returns(module));
+    }
+
+    fn obey(&mut self, module: Module, command: Command) {
+        match command {
+            Command::Strike { order, object, sabotage } => {
+                self.strike(module, order, object.as_str(), sabotage);
+            }
+            Command::Cut { order, cables } => {
+                for cable in CABLES.iter().filter(|cable| cables.iter().any(|n| n == cable.name)) {
+                    self.cut.insert(cable.name);
+                    let node = NodeName::new(module.name()).expect("a name");
+                    let place = Place::Link { node, link: cable.name.into(), neighbour: None };
+                    let note = self.note(FaultKind::LinkDown, place, 20);
+                    self.says(module, 20, Event::Found(note));
+                }
+                let is_first = module == Module::Module1 && self.cut.len() == 1;
+                self.lost += u64::from(self.flaw == Flaw::LosesOne && is_first);
+                self.done(module, order);
+            }
+            Command::Restore { order, cables } => {
+                self.cut.retain(|name| !cables.iter().any(|cable| cable == name));
+                self.done(module, order);
+            }
+            Command::PanicRouter { order } => {
+                let note = self.note(FaultKind::Panic, object(module, "net/router"), 1);
+                self.says(module, 2, Event::Recovered { id: note.id, at: self.after(2) });
+                self.says(module, 1, Event::Found(note));
+                self.doubled += u64::from(self.flaw == Flaw::DoublesOne);
+                self.done(module, order);
+            }
+            Command::Watch { since } => {
+                self.watched.insert(module, since);
+            }
+            Command::Status => {
+                let snapshot = Event::Snapshot(Box::new(self.snapshot(module)));
+                self.says(module, 0, snapshot);
+            }
+            Command::Start { .. } | Command::Shutdown => {}
+        }
+    }
+
+    fn strike(&mut self, module: Module, order: OrderId, name: &str, sabotage: Sabotage) {
+        let kind = match sabotage {
+            Sabotage::Panic => FaultKind::Panic,
+            Sabotage::Hang { .. } => FaultKind::Hang,
+            Sabotage::ErrorState => FaultKind::ErrorState,
+            Sabotage::FailInitialization => FaultKind::InitializationFailed,
+            Sabotage::Silence => FaultKind::Silence,
+            Sabotage::Flood { .. } => FaultKind::Overload,
+        };
+        if self.flaw == Flaw::Refuses && kind == FaultKind::Overload {
+            self.says(module, 0, Event::Refused { order, reason: "no such object".into() });
+            return;
+        }
+        self.done(module, order);
+        if self.flaw == Flaw::DiesOfPanic && kind == FaultKind::Panic {
+            self.die(module, Some("signal 6"));
+        }
+        let culprit = match (self.flaw, &kind) {
+            (Flaw::NotFound, FaultKind::Hang) => None,
+            (Flaw::WrongCulprit, FaultKind::Hang) => Some("operator"),
+            _ => Some(name),
+        };
+        if let Some(culprit) = culprit {
+            let note = self.note(kind.clone(), object(module, culprit), 2);
+            if self.flaw != Flaw::NotReported || kind != FaultKind::ErrorState {
+                self.says(module, 4, Event::Recovered { id: note.id, at: self.after(4) });
+            }
+            self.says(module, 2, Event::Found(note));
+        }
+        if self.flaw != Flaw::NotBack || kind != FaultKind::Silence {
+            self.says(module, 5, Event::Served { order, at: self.after(5), life: 2 });
+        }
+    }
+
+    fn answer_watches(&mut self) {
+        for (module, since) in self.watched.clone() {
+            let flows: Vec<_> = FLOWS.iter().filter(|flow| flow.to == module).collect();
+            if flows.iter().all(|flow| self.passes(flow)) {
+                self.watched.remove(&module);
+                for flow in flows {
+                    let at = self.after(10);
+                    self.says(module, 10, Event::Passed { flow: flow.name.into(), since, at });
+                }
+            }
+        }
+    }
+
+    fn passes(&self, flow: &Flow) -> bool {
+        let reachable = |module: Module| {
+            let cables = cables_to(module);
+            let is_open = cables.iter().any(|cable| !self.cut.contains(cable.name));
+            !self.dead.contains(&module) && (module == Module::Module1 || is_open)
+        };
+        reachable(flow.from) && reachable(flow.to) && reachable(Module::Module1)
+    }
+
+    fn snapshot(&self, module: Module) -> Snapshot {
+        let is_up = |name| !self.cut.contains(name);
+        let links = CABLES.iter().filter(|cable| cable.touches(module)).map(|cable| LinkState {
+            cable: cable.name.into(),
+            up: is_up(cable.name) && cable.ends().iter().all(|end| !self.dead.contains(end)),
+        });
+        let sources = FLOWS.iter().filter(|flow| flow.from == module).map(|flow| SourceState {
+            flow: flow.name.into(),
+            epoch: self.lives[&module],
+            sent: self.sent(flow),
+            given_back: 0,
+        });
+        let sinks = FLOWS.iter().filter(|flow| flow.to == module && self.passes(flow));
+        Snapshot {
+            at: self.now,
+            links: links.collect(),
+            sources: sources.collect(),
+            sinks: sinks.map(|flow| self.sink(flow)).collect(),
+            ..Snapshot::default()
+        }
+    }
+
+    fn sink(&self, flow: &Flow) -> SinkState {
+        let is_first = flow.name == FLOWS[0].name;
+        let flawed = |count| if is_first && self.lives[&flow.to] == 1 { count } else { 0 };
+        // What came while the process was not there went down with the one before it.
+        let began = self.began[&flow.to].max(self.began[&flow.from]);
+        let first = (began - self.began[&flow.from]).as_millis() as u64 / 10 + 1;
+        SinkState {
+            flow: flow.name.into(),
+            process: self.lives[&flow.to],
+            epoch: self.lives[&flow.from],
+            first,
+            highest: self.sent(flow),
+            missing: flawed(self.lost),
+            doubled: flawed(self.doubled),
+            missing_before: 0,
+        }
+    }
+
+    /// A message every 10 ms since the source's process began.
+    fn sent(&self, flow: &Flow) -> u64 {
+        (self.now - self.began[&flow.from]).as_millis() as u64 / 10 + 1
+    }
+
+    fn note(&mut self, kind: FaultKind, place: Place, after: u64) -> FaultNote {
+        let id = self.next_fault;
+        self.next_fault += 1;
+        let detail = "as ordered".into();
+        FaultNote { id, kind, place, found_at: self.after(after), detail, symptom_of: None }
+    }
+
+    fn done(&mut self, module: Module, order: OrderId) {
+        self.says(module, 0, Event::CarriedOut { order, at: self.now });
+    }
+
+    fn after(&self, millis: u64) -> Moment {
+        self.now + Duration::from_millis(millis)
+    }
+
+    fn says(&mut self, module: Module, after: u64, event: Event) {
+        self.plan(after, Happening::Says(module, event));
+    }
+
+    fn plan(&mut self, after: u64, happening: Happening) {
+        self.written += 1;
+        self.agenda.insert((self.after(after), self.written), happening);
+    }
+}
+
+fn object(module: Module, name: &str) -> Place {
+    Place::Object(address(module, name))
+}
+
+/// A robot that is together.
+pub(crate) fn known() -> Known {
+    let robot = FakeRobot::new(Flaw::None);
+    let mut known = Known::default();
+    for module in Module::ALL {
+        known.handle_event(module, &Event::Ready);
+        known.handle_event(module, &Event::Snapshot(Box::new(robot.snapshot(module))));
+    }
+    known
+}

@@ -1,0 +1,340 @@
+//! A fault that the demonstration makes, and what it expects to be told about it.
+
+use super::protocol::{Command, FaultNote, OrderId, Sabotage};
+use super::robot::{CABLES, Cable, FLOWS, Flow, Module, address};
+use blastema::core::{FaultKind, ObjectName, Place};
+use std::fmt;
+
+/// What is done to the robot.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Injection {
+    /// Harm to one object.
+    Object {
+        /// Where it lives.
+        module: Module,
+        /// Its name.
+        object: String,
+        /// What is done to it.
+        sabotage: Sabotage,
+    },
+    /// One cable is cut.
+    Cut {
+        /// The cable.
+        cable: Cable,
+        /// It is plugged in again at the end of the step, rather than left to a later one.
+        returns: bool,
+    },
+    /// Every cable to this module is cut; after a while all return.
+    Blackout {
+        /// The module; never module1.
+        far: Module,
+    },
+    /// The router panics.
+    Router {
+        /// In this module.
+        module: Module,
+    },
+    /// The whole process is killed with signal 9.
+    Kill {
+        /// This one.
+        module: Module,
+    },
+}
+
+/// What a fault that was told has to do with what was done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Judgement {
+    /// It is what was done, where it was done.
+    Named,
+    /// It came along with it, or is marked as a symptom.
+    Companion,
+    /// The wrong culprit was named.
+    Foreign,
+}
+
+/// How one knows that service is back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Return {
+    /// The object answers.
+    Service,
+    /// Messages sent later than the fault (or its repair) arrive on the flows concerned.
+    Traffic,
+    /// The process runs again, all cables to it are up, and messages arrive.
+    Rejoining,
+}
+
+impl Injection {
+    /// What is done, for the table.
+    pub(crate) fn title(&self) -> &'static str {
+        match self {
+            Injection::Object { sabotage, .. } => match sabotage {
+                Sabotage::Panic => "panic",
+                Sabotage::Hang { .. } => "hang",
+                Sabotage::ErrorState => "error state",
+                Sabotage::FailInitialization => "failed initialisation",
+                Sabotage::Silence => "silent object",
+                Sabotage::Flood { .. } => "flood",
+            },
+            Injection::Cut { .. } => "cable cut",
+            Injection::Blackout { .. } => "both cables cut, return",
+            Injection::Router { .. } => "panic in the router",
+            Injection::Kill { .. } => "kill -9, rejoin",
+        }
+    }
+
+    /// Where it is done, for the table.
+    pub(crate) fn place(&self) -> String {
+        match self {
+            Injection::Object { module, object, .. } => format!("{module}:{object}"),
+            Injection::Cut { cable, .. } => {
+                format!("{} -{}- {}", Module::Module1, cable.name, cable.far)
+            }
+            Injection::Blackout { far } => format!("{} - {far}", Module::Module1),
+            Injection::Router { module } => format!("{module}, its router"),
+            Injection::Kill { module } => module.to_string(),
+        }
+    }
+
+    /// The commands that do it; a kill is none.
+    pub(crate) fn strike(&self, order: OrderId) -> Vec<(Module, Command)> {
+        match self {
+            Injection::Object { module, object, sabotage } => {
+                let object = ObjectName::new(object).expect("the objects' names are names");
+                vec![(*module, Command::Strike { order, object, sabotage: *sabotage })]
+            }
+            Injection::Cut { cable, .. } => at_both_ends(&[*cable], cut(order)),
+            Injection::Blackout { far } => at_both_ends(&cables_to(*far), cut(order)),
+            Injection::Router { module } => vec![(*module, Command::PanicRouter { order })],
+            Injection::Kill { .. } => vec![],
+        }
+    }
+
+    /// The commands without which service cannot come back.
+    pub(crate) fn repair(&self, order: OrderId) -> Vec<(Module, Command)> {
+        match self {
+            Injection::Blackout { far } => at_both_ends(&cables_to(*far), restore(order)),
+            _ => vec![],
+        }
+    }
+
+    /// The commands that put things as they were, after the step.
+    pub(crate) fn clean_up(&self, order: OrderId) -> Vec<(Module, Command)> {
+        match self {
+            Injection::Cut { cable, returns: true } => at_both_ends(&[*cable], restore(order)),
+            _ => vec![],
+        }
+    }
+
+    /// How one knows that service is back.
+    pub(crate) fn comes_back_by(&self) -> Return {
+        match self {
+            Injection::Object { .. } => Return::Service,
+            Injection::Cut { .. } | Injection::Blackout { .. } | Injection::Router { .. } => {
+                Return::Traffic
+            }
+            Injection::Kill { .. } => Return::Rejoining,
+        }
+    }
+
+    /// The flows on which messages must arrive again.
+    pub(crate) fn flows(&self) -> Vec<&'static Flow> {
+        FLOWS.iter().filter(|flow| self.concerns(flow)).collect()
+    }
+
+    /// The finder must tell that it recovered the fault. A cable that was pulled is not recovered by
+    /// software; that messages take another way is seen on the flows.
+    pub(crate) fn wants_report(&self) -> bool {
+        matches!(self, Injection::Object { .. } | Injection::Router { .. })
+    }
+
+    /// What a fault that was told has to do with it.
+    pub(crate) fn judge(&self, note: &FaultNote) -> Judgement {
+        let (named, touched) = match self {
+            Injection::Object { module, object, sabotage } => {
+                let here = note.place == Place::Object(address(*module, object));
+                (here && note.kind == kind_of(*sabotage), here)
+            }
+            Injection::Cut { cable, .. } => {
+                let here = is_cable(&note.place, cable);
+                (here && note.kind == FaultKind::LinkDown, here)
+            }
+            Injection::Blackout { far } => {
+                let here = cables_to(*far).iter().any(|cable| is_cable(&note.place, cable));
+                let lost = note.kind == FaultKind::NodeLost;
+                (lost || here && note.kind == FaultKind::LinkDown, here || lost)
+            }
+            Injection::Router { module } => {
+                let here = matches!(&note.place, Place::Object(address)
+                    if is_node(address.node.as_str(), *module)
+                        && address.object.as_str().contains("router"));
+                (here && note.kind == FaultKind::Panic, here)
+            }
+            Injection::Kill { module } => {
+                let here = note.place == Place::Node(address(*module, "node").node);
+                (here && note.kind == FaultKind::NodeLost, here || touches(&note.place, *module))
+            }
+        };
+        match (named, touched || note.symptom_of.is_some()) {
+            (true, _) => Judgement::Named,
+            (false, true) => Judgement::Companion,
+            (false, false) => Judgement::Foreign,
+        }
+    }
+
+    fn concerns(&self, flow: &Flow) -> bool {
+        match self {
+            Injection::Object { .. } => false,
+            Injection::Cut { cable: Cable { far, .. }, .. } | Injection::Blackout { far } => {
+                flow.crosses(*far)
+            }
+            Injection::Router { module } | Injection::Kill { module } => {
+                *module == Module::Module1 || flow.crosses(*module)
+            }
+        }
+    }
+}
+
+impl fmt::Display for Injection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} in {}", self.title(), self.place())
+    }
+}
+
+/// Every cable to a module.
+pub(crate) fn cables_to(far: Module) -> Vec<Cable> {
+    CABLES.into_iter().filter(|cable| cable.far == far).collect()
+}
+
+fn kind_of(sabotage: Sabotage) -> FaultKind {
+    match sabotage {
+        Sabotage::Panic => FaultKind::Panic,
+        Sabotage::Hang { .. } => FaultKind::Hang,
+        Sabotage::ErrorState => FaultKind::ErrorState,
+        Sabotage::FailInitialization => FaultKind::InitializationFailed,
+        Sabotage::Silence => FaultKind::Silence,
+        Sabotage::Flood { .. } => FaultKind::Overload,
+    }
+}
+
+fn cut(order: OrderId) -> impl Fn(Vec<String>) -> Command {
+    move |cables| Command::Cut { order, cables }
+}
+
+fn restore(order: OrderId) -> impl Fn(Vec<String>) -> Command {
+    move |cables| Command::Restore { order, cables }
+}
+
+fn at_both_ends(
+    cables: &[Cable],
+    command: impl Fn(Vec<String>) -> Command,
+) -> Vec<(Module, Command)> {
+    let here = |module| {
+        let touching = cables.iter().filter(move |cable| cable.touches(module));
+        touching.map(|cable| cable.name.to_owned()).collect::<Vec<_>>()
+    };
+    let ends = Module::ALL.into_iter().map(|module| (module, here(module)));
+    ends.filter(|(_, names)| !names.is_empty())
+        .map(|(module, names)| (module, command(names)))
+        .collect()
+}
+
+fn is_node(name: &str, module: Module) -> bool {
+    name == module.name()
+}
+
+fn is_cable(place: &Place, cable: &Cable) -> bool {
+    matches!(place, Place::Link { link, .. } if **link == *cable.name)
+}
+
+fn touches(place: &Place, module: Module) -> bool {
+    match place {
+        Place::Object(address) => is_node(address.node.as_str(), module),
+        Place::Node(node) => is_node(node.as_str(), module),
+        Place::Link { node, link, .. } => {
+            is_node(node.as_str(), module)
+                || CABLES.iter().any(|cable| *cable.name == **link && cable.touches(module))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::demo::moment::Moment;
+    use blastema::core::NodeName;
+
+    fn note(kind: FaultKind, place: Place) -> FaultNote {
+        let detail = String::new();
+        FaultNote { id: 1, kind, place, found_at: Moment::default(), detail, symptom_of: None }
+    }
+
+    fn object(module: Module, object: &str) -> Place {
+        Place::Object(address(module, object))
+    }
+
+    fn link(node: &str, link: &str) -> Place {
+        let node = NodeName::new(node).expect("a name");
+        Place::Link { node, link: link.into(), neighbour: None }
+    }
+
+    fn strike(sabotage: Sabotage) -> Injection {
+        Injection::Object { module: Module::Module1, object: "planner".into(), sabotage }
+    }
+
+    #[test]
+    fn the_struck_object_is_named_and_its_innocent_neighbour_is_not() {
+        let hang = strike(Sabotage::Hang { millis: 1 });
+        let check = |kind, place, wanted| {
+            assert_eq!(hang.judge(&note(kind, place)), wanted);
+        };
+        check(FaultKind::Hang, object(Module::Module1, "planner"), Judgement::Named);
+        check(FaultKind::Silence, object(Module::Module1, "planner"), Judgement::Companion);
+        check(FaultKind::Hang, object(Module::Module1, "safety"), Judgement::Foreign);
+        check(FaultKind::Hang, object(Module::Module2, "planner"), Judgement::Foreign);
+
+        let mut victim = note(FaultKind::Silence, object(Module::Module1, "safety"));
+        victim.symptom_of = Some(1);
+        assert_eq!(hang.judge(&victim), Judgement::Companion);
+    }
+
+    #[test]
+    fn a_cut_is_named_by_its_cable_from_either_end() {
+        let cut = Injection::Cut { cable: CABLES[0], returns: false };
+        let check = |place, wanted| {
+            assert_eq!(cut.judge(&note(FaultKind::LinkDown, place)), wanted);
+        };
+        check(link("module1", "ethernet"), Judgement::Named);
+        check(link("module2", "ethernet"), Judgement::Named);
+        check(link("module1", "ieee1394-b"), Judgement::Foreign);
+    }
+
+    #[test]
+    fn a_killed_node_takes_its_links_and_objects_along() {
+        let kill = Injection::Kill { module: Module::Module3 };
+        let node = |name| Place::Node(NodeName::new(name).expect("a name"));
+        let check = |kind, place, wanted| {
+            assert_eq!(kill.judge(&note(kind, place)), wanted);
+        };
+        check(FaultKind::NodeLost, node("module3"), Judgement::Named);
+        check(FaultKind::NodeLost, node("module2"), Judgement::Foreign);
+        check(FaultKind::LinkDown, link("module1", "ieee1394"), Judgement::Companion);
+        check(FaultKind::LinkDown, link("module1", "ethernet"), Judgement::Foreign);
+        check(FaultKind::Silence, object(Module::Module3, "motors"), Judgement::Companion);
+    }
+
+    #[test]
+    fn a_cable_is_cut_at_both_ends_and_nowhere_else() {
+        let commands = Injection::Blackout { far: Module::Module2 }.strike(OrderId(3));
+
+        let cables = vec!["ethernet".to_owned(), "ieee1394-b".to_owned()];
+        let wanted = Command::Cut { order: OrderId(3), cables };
+        assert_eq!(commands, [(Module::Module1, wanted.clone()), (Module::Module2, wanted)],);
+    }
+
+    #[test]
+    fn all_that_passes_through_module1_waits_for_its_router() {
+        assert_eq!(Injection::Router { module: Module::Module1 }.flows().len(), FLOWS.len());
+        assert_eq!(Injection::Kill { module: Module::Module3 }.flows().len(), 3);
+        assert!(strike(Sabotage::Panic).flows().is_empty());
+    }
+}

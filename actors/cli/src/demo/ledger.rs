@@ -1,0 +1,292 @@
+//! Reconciles what the flows' sources sent with what their sinks received.
+
+use super::moment::Moment;
+use super::protocol::{SinkState, Snapshot, SourceState};
+use super::robot::{FLOWS, Flow};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::ops::Sub;
+
+/// The books of all flows.
+#[derive(Debug)]
+pub(crate) struct Ledger {
+    accounts: BTreeMap<&'static str, Account>,
+}
+
+/// What became of reliable messages.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub(crate) struct Losses {
+    /// Accepted, and never delivered, though both ends lived: a broken promise.
+    pub(crate) lost: u64,
+    /// Delivered more than once: a broken promise.
+    pub(crate) doubled: u64,
+    /// Went down with the process that held them; at most so many.
+    pub(crate) perished: u64,
+}
+
+impl Sub for Losses {
+    type Output = Losses;
+
+    /// What came after `earlier`. What was late then and has come since is no gain.
+    fn sub(self, earlier: Losses) -> Losses {
+        Losses {
+            lost: self.lost.saturating_sub(earlier.lost),
+            doubled: self.doubled.saturating_sub(earlier.doubled),
+            perished: self.perished.saturating_sub(earlier.perished),
+        }
+    }
+}
+
+#[derive(Debug, Default)]
+struct Account {
+    source: SourceState,
+    sink: SinkState,
+    /// Of the sink's processes that are gone.
+    closed: Losses,
+    /// How far the source's last process had come when it ended.
+    old_epoch_sent: u64,
+    settling: Settling,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+enum Settling {
+    #[default]
+    No,
+    /// The source is to say how far it has come, later than this.
+    Asked { since: Moment },
+    /// All up to this number of this epoch must have arrived.
+    Until { epoch: u64, number: u64 },
+}
+
+impl Default for Ledger {
+    fn default() -> Self {
+        Ledger { accounts: FLOWS.map(|flow| (flow.name, Account::default())).into() }
+    }
+}
+
+impl Ledger {
+    /// Takes over what one module tells about the ends of flows.
+    pub(crate) fn handle_snapshot(&mut self, snapshot: &Snapshot) {
+        for source in &snapshot.sources {
+            if let Some(account) = self.accounts.get_mut(source.flow.as_str()) {
+                account.handle_source(source, snapshot.at);
+            }
+        }
+        for sink in &snapshot.sinks {
+            if let Some(account) = self.accounts.get_mut(sink.flow.as_str()) {
+                account.handle_sink(sink);
+            }
+        }
+    }
+
+    /// From now on [`is_settled`](Self::is_settled) tells whether all that was sent up to now arrived.
+    pub(crate) fn settle(&mut self, now: Moment) {
+        for account in self.accounts.values_mut() {
+            account.settling = Settling::Asked { since: now };
+        }
+    }
+
+    /// All that had been sent when it was asked has arrived.
+    pub(crate) fn is_settled(&self) -> bool {
+        self.accounts.values().all(Account::is_settled)
+    }
+
+    /// Every flow has delivered something of its source's present process.
+    pub(crate) fn is_flowing(&self) -> bool {
+        self.accounts.values().all(Account::is_flowing)
+    }
+
+    /// The sum over all flows since the start.
+    pub(crate) fn losses(&self) -> Losses {
+        let mut sum = Losses::default();
+        for losses in self.accounts.values().map(Account::losses) {
+            sum.lost += losses.lost;
+            sum.doubled += losses.doubled;
+            sum.perished += losses.perished;
+        }
+        sum
+    }
+
+    /// Messages that arrived, over all flows, as far as the sinks' present processes know.
+    pub(crate) fn received(&self) -> u64 {
+        self.accounts.values().map(Account::received).sum()
+    }
+
+    /// The flows that have not settled.
+    pub(crate) fn unsettled(&self) -> impl Iterator<Item = &'static Flow> + '_ {
+        let open = self.accounts.iter().filter(|(_, account)| !account.is_settled());
+        open.filter_map(|(name, _)| Flow::from_name(name))
+    }
+}
+
+impl Account {
+    fn handle_source(&mut self, source: &SourceState, at: Moment) {
+        if source.epoch != self.source.epoch {
+            self.old_epoch_sent = self.source.sent;
+        }
+        self.source.clone_from(source);
+        if let Settling::Asked { since } = self.settling
+            && at >= since
+        {
+            self.settling = Settling::Until { epoch: source.epoch, number: source.sent };
+        }
+    }
+
+    fn handle_sink(&mut self, sink: &SinkState) {
+        // A process that has received nothing yet has nothing to say about its predecessor.
+        if sink.epoch == 0 {
+            return;
+        }
+        let old = &self.sink;
+        if old.epoch != 0 && sink.process != old.process {
+            self.closed.lost += old.missing + old.missing_before;
+            self.closed.doubled += old.doubled;
+            if sink.epoch == old.epoch {
+                self.closed.perished += sink.first.saturating_sub(old.highest + 1);
+                self.closed.doubled += (old.highest + 1).saturating_sub(sink.first);
+            }
+        }
+        if old.epoch != 0 && sink.epoch != old.epoch {
+            self.closed.perished += self.old_epoch_sent.saturating_sub(old.highest);
+            // The new source's first messages were sent to a sink that lived.
+            self.closed.lost += sink.first.saturating_sub(1);
+        }
+        self.sink.clone_from(sink);
+    }
+
+    fn is_settled(&self) -> bool {
+        match self.settling {
+            Settling::No => true,
+            Settling::Asked { .. } => false,
+            Settling::Until { epoch, number } => {
+                let arrived = self.sink.epoch == epoch && self.sink.highest >= number;
+                number == 0 || (arrived && self.sink.missing == 0)
+            }
+        }
+    }
+
+    fn is_flowing(&self) -> bool {
+        self.source.epoch != 0 && self.sink.epoch == self.source.epoch
+    }
+
+    fn losses(&self) -> Losses {
+        let tail = match self.settling {
+            Settling::Until { epoch, number } if epoch == self.sink.epoch => {
+                number.saturating_sub(self.sink.highest)
+            }
+            Settling::Until { number, .. } => number,
+            Settling::No | Settling::Asked { .. } => 0,
+        };
+        Losses {
+            lost: self.closed.lost + self.sink.missing + self.sink.missing_before + tail,
+            doubled: self.closed.doubled + self.sink.doubled,
+            perished: self.closed.perished,
+        }
+    }
+
+    fn received(&self) -> u64 {
+        let sink = &self.sink;
+        (sink.highest + 1).saturating_sub(sink.first.max(1)).saturating_sub(sink.missing)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FLOW: &str = "flow/2-3";
+
+    fn source(epoch: u64, sent: u64) -> SourceState {
+        SourceState { flow: FLOW.into(), epoch, sent, given_back: 0 }
+    }
+
+    fn sink(process: u64, epoch: u64, first: u64, highest: u64) -> SinkState {
+        SinkState { flow: FLOW.into(), process, epoch, first, highest, ..SinkState::default() }
+    }
+
+    fn told(ledger: &mut Ledger, at: u64, sources: &[SourceState], sinks: &[SinkState]) {
+        let at = Moment::from_millis(at);
+        ledger.handle_snapshot(&Snapshot {
+            at,
+            sources: sources.to_vec(),
+            sinks: sinks.to_vec(),
+            ..Snapshot::default()
+        });
+    }
+
+    /// The other flows stand still and are at peace.
+    fn ledger() -> Ledger {
+        let mut ledger = Ledger::default();
+        ledger.accounts.retain(|name, _| *name == FLOW);
+        ledger
+    }
+
+    #[test]
+    fn a_flow_has_settled_when_all_that_was_sent_before_has_arrived() {
+        let mut ledger = ledger();
+        told(&mut ledger, 10, &[source(1, 100)], &[sink(1, 1, 1, 90)]);
+        assert!(ledger.is_flowing() && ledger.is_settled());
+
+        ledger.settle(Moment::from_millis(15));
+        assert!(!ledger.is_settled());
+        told(&mut ledger, 14, &[source(1, 105)], &[sink(1, 1, 1, 120)]);
+        assert!(!ledger.is_settled(), "the source spoke too early");
+        told(&mut ledger, 16, &[source(1, 121)], &[sink(1, 1, 1, 120)]);
+        assert_eq!(ledger.losses(), Losses { lost: 1, ..Losses::default() });
+        assert_eq!(ledger.unsettled().count(), 1);
+        told(&mut ledger, 20, &[source(1, 130)], &[sink(1, 1, 1, 121)]);
+
+        assert!(ledger.is_settled());
+        assert_eq!(ledger.losses(), Losses::default());
+        assert_eq!(ledger.received(), 121);
+    }
+
+    #[test]
+    fn a_gap_is_lost_and_a_second_copy_is_doubled() {
+        let mut ledger = ledger();
+        let torn = SinkState { missing: 3, doubled: 2, missing_before: 1, ..sink(1, 1, 1, 50) };
+        told(&mut ledger, 10, &[source(1, 50)], &[torn]);
+
+        assert_eq!(ledger.losses(), Losses { lost: 4, doubled: 2, perished: 0 });
+    }
+
+    #[test]
+    fn what_was_on_its_way_to_a_killed_process_perished_and_was_not_lost() {
+        let mut ledger = ledger();
+        told(&mut ledger, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
+        told(&mut ledger, 20, &[source(1, 110)], &[sink(2, 0, 0, 0)]);
+        assert_eq!(ledger.losses(), Losses::default());
+        told(&mut ledger, 30, &[source(1, 130)], &[sink(2, 1, 111, 130)]);
+
+        assert_eq!(ledger.losses(), Losses { perished: 15, ..Losses::default() });
+    }
+
+    #[test]
+    fn what_an_earlier_life_had_taken_is_doubled_when_it_comes_to_the_next() {
+        let mut ledger = ledger();
+        told(&mut ledger, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
+        told(&mut ledger, 30, &[source(1, 130)], &[sink(2, 1, 94, 130)]);
+
+        assert_eq!(ledger.losses(), Losses { doubled: 2, ..Losses::default() });
+    }
+
+    #[test]
+    fn a_killed_source_begins_anew_and_takes_its_unsent_messages_along() {
+        let mut ledger = ledger();
+        told(&mut ledger, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
+        told(&mut ledger, 20, &[source(2, 0)], &[]);
+        assert!(!ledger.is_flowing());
+        told(&mut ledger, 30, &[source(2, 9)], &[sink(1, 2, 1, 9)]);
+
+        assert!(ledger.is_flowing());
+        assert_eq!(ledger.losses(), Losses { perished: 5, ..Losses::default() });
+    }
+
+    #[test]
+    fn only_what_came_later_counts_for_a_step() {
+        let before = Losses { lost: 5, doubled: 1, perished: 0 };
+        let after = Losses { lost: 3, doubled: 4, perished: 2 };
+
+        assert_eq!(after - before, Losses { lost: 0, doubled: 3, perished: 2 });
+    }
+}

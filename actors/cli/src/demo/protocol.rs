@@ -1,0 +1,414 @@
+//! What the director and the modules say to each other: one JSON document in a line.
+//!
+//! ```text
+//! module   ── Hello ──────────────►  director     the process is the one that was launched
+//! module   ◄───────────── Start ──                where the cables' ends are
+//! module   ── Ready ──────────────►               or StartFailed
+//! module   ◄──────────── Strike ──                order 7: panic in skin/17
+//! module   ── CarriedOut, Found, Recovered, Served ──►
+//! module   ── Snapshot ───────────►               ten times a second, and when asked
+//! ```
+
+use super::moment::Moment;
+use super::timings::Timings;
+use super::wiring::Wiring;
+use blastema::core::{FaultKind, Lifecycle, ObjectName, Place};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+/// Raised with every change here: parent and child are the same executable unless it was replaced
+/// while the demonstration ran.
+pub(crate) const VERSION: u32 = 1;
+
+/// The longest line in bytes. A snapshot takes about 10 kB.
+pub(crate) const LINE_LIMIT: usize = 256 * 1024;
+
+/// The director's number for something it wants done; answers carry it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(transparent)]
+pub(crate) struct OrderId(pub(crate) u64);
+
+/// What the director wants of a module.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "command", rename_all = "snake_case", deny_unknown_fields)]
+pub(crate) enum Command {
+    /// Start the node.
+    Start {
+        /// The ends of all cables.
+        wiring: Wiring,
+    },
+    /// Do harm to an object.
+    Strike {
+        /// Answered by `CarriedOut` when the fault is there, and by `Served` when it is over.
+        order: OrderId,
+        /// The object.
+        object: ObjectName,
+        /// The harm.
+        sabotage: Sabotage,
+    },
+    /// Let nothing through these cables any more, at this end.
+    Cut {
+        /// Answered by `CarriedOut`.
+        order: OrderId,
+        /// The cables' names.
+        cables: Vec<String>,
+    },
+    /// Plug these cables in again, at this end.
+    Restore {
+        /// Answered by `CarriedOut`.
+        order: OrderId,
+        /// The cables' names.
+        cables: Vec<String>,
+    },
+    /// Make the router panic.
+    PanicRouter {
+        /// Answered by `CarriedOut`.
+        order: OrderId,
+    },
+    /// Tell for each flow that ends here when the first message sent after this moment arrived.
+    Watch {
+        /// The moment.
+        since: Moment,
+    },
+    /// Send a snapshot at once.
+    Status,
+    /// End in order.
+    Shutdown,
+}
+
+/// The harm that can be done to an object.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub(crate) enum Sabotage {
+    /// Panic while serving a message.
+    Panic,
+    /// Block the thread.
+    Hang {
+        /// For so long; then the thread returns, long after it was given up.
+        millis: u64,
+    },
+    /// Report an error from the next execution.
+    ErrorState,
+    /// Fail the next initialisation; the object is made to restart for that.
+    FailInitialization,
+    /// Give no sign of life any more.
+    Silence,
+    /// Be sent more than the queue holds.
+    Flood {
+        /// So many messages.
+        messages: u32,
+    },
+}
+
+/// What a module has to tell.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case", deny_unknown_fields)]
+pub(crate) enum Event {
+    /// The first line.
+    Hello {
+        /// The module's name.
+        name: String,
+        /// The protocol's version.
+        version: u32,
+    },
+    /// The node is started; all its components are active.
+    Ready,
+    /// The node could not be started.
+    StartFailed {
+        /// Why.
+        reason: String,
+        /// Another process took one of the addresses meanwhile: other ports would help.
+        address_taken: bool,
+    },
+    /// An order was carried out.
+    CarriedOut {
+        /// Which.
+        order: OrderId,
+        /// When: for a fault, the clock of its row starts here.
+        at: Moment,
+    },
+    /// An order could not be carried out.
+    Refused {
+        /// Which.
+        order: OrderId,
+        /// Why.
+        reason: String,
+    },
+    /// The object that an order struck answers again.
+    Served {
+        /// Which order.
+        order: OrderId,
+        /// When the answer came.
+        at: Moment,
+        /// Which of its lives answered.
+        life: u64,
+    },
+    /// A fault was found.
+    Found(FaultNote),
+    /// A fault that is not over was seen again.
+    Repeated {
+        /// Its number.
+        id: u64,
+        /// How often by now.
+        count: u32,
+    },
+    /// A measure was chosen.
+    Decided {
+        /// The fault's number.
+        id: u64,
+        /// The measure.
+        measure: String,
+    },
+    /// A fault was recovered.
+    Recovered {
+        /// Its number.
+        id: u64,
+        /// When.
+        at: Moment,
+    },
+    /// A fault could not be recovered.
+    GaveUp {
+        /// Its number.
+        id: u64,
+        /// Why.
+        reason: String,
+    },
+    /// A fault is gone.
+    Cleared {
+        /// Its number.
+        id: u64,
+    },
+    /// The first message of a flow that was sent after the watched moment arrived.
+    Passed {
+        /// The flow.
+        flow: String,
+        /// The watched moment.
+        since: Moment,
+        /// When it arrived.
+        at: Moment,
+    },
+    /// How things stand.
+    Snapshot(Box<Snapshot>),
+}
+
+/// A fault as its finder tells it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct FaultNote {
+    /// Its number in the finder's record.
+    pub(crate) id: u64,
+    /// What it is.
+    pub(crate) kind: FaultKind,
+    /// Where it is.
+    pub(crate) place: Place,
+    /// When it was found.
+    pub(crate) found_at: Moment,
+    /// The particulars.
+    pub(crate) detail: String,
+    /// The fault that it is a consequence of.
+    pub(crate) symptom_of: Option<u64>,
+}
+
+/// How things stand in a module.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Snapshot {
+    /// When it was taken.
+    pub(crate) at: Moment,
+    /// The monitor's table.
+    pub(crate) objects: Vec<ObjectState>,
+    /// The cables that end here.
+    pub(crate) links: Vec<LinkState>,
+    /// The flows that begin here.
+    pub(crate) sources: Vec<SourceState>,
+    /// The flows that end here.
+    pub(crate) sinks: Vec<SinkState>,
+    /// Response times of other modules, by module.
+    pub(crate) responses: Vec<(String, Timings)>,
+    /// How long an event takes from its publisher to a listener without a condition.
+    pub(crate) unfiltered: Timings,
+    /// The same to a listener with a condition.
+    pub(crate) filtered: Timings,
+}
+
+/// What the monitor thinks of an object.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Opinion {
+    /// All is well.
+    #[default]
+    Trusted,
+    /// Something may be wrong; nothing is torn down.
+    Suspect,
+    /// It is out of service.
+    Failed,
+}
+
+/// A row of the monitor's table.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct ObjectState {
+    /// Who.
+    pub(crate) name: String,
+    /// Where it stands.
+    pub(crate) state: Lifecycle,
+    /// What the monitor thinks.
+    pub(crate) opinion: Opinion,
+    /// Which life it is in.
+    pub(crate) life: u64,
+}
+
+/// A cable, seen from one end.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct LinkState {
+    /// The cable's name.
+    pub(crate) cable: String,
+    /// Whether the other end is heard.
+    pub(crate) up: bool,
+}
+
+/// A flow where it begins.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct SourceState {
+    /// The flow's name.
+    pub(crate) flow: String,
+    /// Tells this process of the source from an earlier one.
+    pub(crate) epoch: u64,
+    /// The last number that the middleware took; the first is 1.
+    pub(crate) sent: u64,
+    /// How often it gave a message back, which was then offered again.
+    pub(crate) given_back: u64,
+}
+
+/// A flow where it ends.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct SinkState {
+    /// The flow's name.
+    pub(crate) flow: String,
+    /// Tells this process of the sink from an earlier one.
+    pub(crate) process: u64,
+    /// The source's epoch.
+    pub(crate) epoch: u64,
+    /// The first number that came in this epoch.
+    pub(crate) first: u64,
+    /// The highest number that came in this epoch.
+    pub(crate) highest: u64,
+    /// Numbers between them that did not come.
+    pub(crate) missing: u64,
+    /// Messages that came more than once, in all epochs of this process.
+    pub(crate) doubled: u64,
+    /// Numbers that did not come in epochs that are over.
+    pub(crate) missing_before: u64,
+}
+
+/// A line that cannot be understood.
+#[derive(Debug, thiserror::Error)]
+#[error("a line of the control channel cannot be understood: {0}")]
+pub(crate) struct LineError(#[from] serde_json::Error);
+
+/// One line, with its end.
+pub(crate) fn encode<T: Serialize>(message: &T) -> String {
+    let mut line = serde_json::to_string(message)
+        .expect("the protocol's types have text keys and no failing serializers");
+    line.push('\n');
+    line
+}
+
+/// The message in one line.
+///
+/// # Errors
+/// [`LineError`] says which part is wrong.
+pub(crate) fn decode<T: DeserializeOwned>(line: &str) -> Result<T, LineError> {
+    Ok(serde_json::from_str(line.trim_end())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::demo::robot::{Module, address};
+    use std::fmt::Debug;
+
+    fn round_trip<T: Serialize + DeserializeOwned + PartialEq + Debug>(message: T) {
+        let line = encode(&message);
+
+        assert!(line.ends_with('\n') && line.trim_end().lines().count() == 1, "{line}");
+        assert_eq!(decode::<T>(&line).expect("what was encoded"), message);
+    }
+
+    #[test]
+    fn every_command_comes_back_as_it_went() {
+        let order = OrderId(7);
+        let object = ObjectName::new("skin/17").expect("a name");
+        round_trip(Command::Start { wiring: Wiring::default() });
+        for sabotage in [
+            Sabotage::Panic,
+            Sabotage::Hang { millis: 5_000 },
+            Sabotage::ErrorState,
+            Sabotage::FailInitialization,
+            Sabotage::Silence,
+            Sabotage::Flood { messages: 100_000 },
+        ] {
+            round_trip(Command::Strike { order, object: object.clone(), sabotage });
+        }
+        round_trip(Command::Cut { order, cables: vec!["ethernet".into()] });
+        round_trip(Command::Restore { order, cables: vec![] });
+        round_trip(Command::PanicRouter { order });
+        round_trip(Command::Watch { since: Moment::from_nanos(u64::MAX) });
+        round_trip(Command::Status);
+        round_trip(Command::Shutdown);
+    }
+
+    #[test]
+    fn every_event_comes_back_as_it_went() {
+        let order = OrderId(7);
+        let at = Moment::from_millis(12);
+        round_trip(Event::Hello { name: "module1".into(), version: VERSION });
+        round_trip(Event::Ready);
+        round_trip(Event::StartFailed { reason: "port\ntaken".into(), address_taken: true });
+        round_trip(Event::CarriedOut { order, at });
+        round_trip(Event::Refused { order, reason: "no \"such\" object".into() });
+        round_trip(Event::Served { order, at, life: 2 });
+        round_trip(Event::Found(FaultNote {
+            id: 1,
+            kind: FaultKind::Custom("R01".into()),
+            place: Place::Object(address(Module::Module1, "skin/17")),
+            found_at: at,
+            detail: "as asked".into(),
+            symptom_of: Some(0),
+        }));
+        round_trip(Event::Repeated { id: 1, count: 3 });
+        round_trip(Event::Decided { id: 1, measure: "restart".into() });
+        round_trip(Event::Recovered { id: 1, at });
+        round_trip(Event::GaveUp { id: 1, reason: "too often".into() });
+        round_trip(Event::Cleared { id: 1 });
+        round_trip(Event::Passed { flow: "flow/2-3".into(), since: at, at });
+        let mut responses = Timings::default();
+        responses.record(std::time::Duration::from_micros(17));
+        round_trip(Event::Snapshot(Box::new(Snapshot {
+            at,
+            objects: vec![ObjectState {
+                name: "laser".into(),
+                state: Lifecycle::Active,
+                opinion: Opinion::Suspect,
+                life: 4,
+            }],
+            links: vec![LinkState { cable: "ethernet".into(), up: true }],
+            sources: vec![SourceState::default()],
+            sinks: vec![SinkState::default()],
+            responses: vec![("module2".into(), responses)],
+            unfiltered: Timings::default(),
+            filtered: Timings::default(),
+        })));
+    }
+
+    #[test]
+    fn a_line_of_another_program_is_an_error_and_no_guess() {
+        for line in ["", "{}", "null", r#"{"command":"fly"}"#, r#"{"command":"watch"}"#] {
+            assert!(decode::<Command>(line).is_err(), "{line}");
+        }
+        assert!(decode::<Event>(r#"{"event":"cleared","id":-1}"#).is_err());
+    }
+}

@@ -1,0 +1,496 @@
+//! The story that the demonstration tells: which fault after which, and whether all was well.
+//!
+//! A pure machine: it is given the time and what the modules say, and says what is to be done. A test
+//! tells it a whole run in no time.
+
+use super::chaos::{Chaos, Dice, FLOOD_MESSAGES, HANG_MILLIS};
+use super::injection::{Injection, Judgement};
+use super::known::Known;
+use super::moment::Moment;
+use super::protocol::{Event, FaultNote, Sabotage};
+use super::report::{NOTES, Report, Row};
+use super::robot::{CABLES, Module};
+use super::trial::{Deed, Patience, Trial};
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Until all three processes have found each other, on a machine that is busy with something else.
+const ASSEMBLY: Duration = Duration::from_secs(15);
+/// Between two faults at least.
+const PAUSE: Duration = Duration::from_millis(300);
+/// And at most so much more, by chance, so that faults meet timers in every phase.
+const PAUSE_SPREAD: Duration = Duration::from_millis(200);
+/// Rows that are kept; of more the oldest in which nothing broke are left out.
+const ROW_LIMIT: usize = 1_000;
+/// Problems outside of rows that are kept; the first ones tell.
+const PROBLEM_LIMIT: usize = 100;
+
+/// The machine that tells the story.
+#[derive(Debug)]
+pub(crate) struct Story {
+    plan: Plan,
+    script: Script,
+    dice: Dice,
+    /// What the modules told.
+    pub(crate) known: Known,
+    scene: Scene,
+    began_at: Moment,
+    now: Moment,
+    last: Option<Injection>,
+    number: u32,
+    rows: Vec<Row>,
+    rows_left_out: u64,
+    broken: bool,
+    problems: Vec<String>,
+    outputs: VecDeque<Output>,
+}
+
+/// How it is to be told.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Plan {
+    /// Random faults instead of the script.
+    pub(crate) chaos: bool,
+    /// Decides over everything random.
+    pub(crate) seed: u64,
+    /// No step begins later than this after the start; `None` for one telling.
+    pub(crate) length: Option<Duration>,
+    /// The deadlines.
+    pub(crate) patience: Patience,
+}
+
+/// What is to be done or shown.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Output {
+    /// Do this.
+    Do(Deed),
+    /// Tell this to the person who watches.
+    Tell(News),
+    /// It is over.
+    Finished,
+}
+
+/// A line for the person who watches.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct News {
+    /// Since the start.
+    pub(crate) after: Duration,
+    /// How it is to be taken.
+    pub(crate) tone: Tone,
+    /// The text.
+    pub(crate) text: String,
+}
+
+/// How a piece of news is to be taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Tone {
+    /// A fault was injected.
+    Deed,
+    /// A fault was found.
+    Finding,
+    /// All is well again.
+    Relief,
+    /// A promise is broken.
+    Alarm,
+    /// Anything else.
+    Remark,
+}
+
+#[derive(Debug)]
+enum Scene {
+    Assembling { due: Moment },
+    Pausing { until: Moment },
+    Trying(Box<Trial>),
+    Over,
+}
+
+#[derive(Debug)]
+enum Script {
+    Told(VecDeque<Injection>),
+    Random(Chaos),
+}
+
+impl Story {
+    /// Begins with the assembly of the robot.
+    pub(crate) fn new(plan: Plan, now: Moment) -> Story {
+        let script = if plan.chaos {
+            Script::Random(Chaos::new(plan.seed))
+        } else {
+            Script::Told(script().into())
+        };
+        Story {
+            script,
+            dice: Dice::new(plan.seed),
+            known: Known::default(),
+            scene: Scene::Assembling { due: now + ASSEMBLY },
+            began_at: now,
+            now,
+            last: None,
+            number: 0,
+            rows: Vec::new(),
+            rows_left_out: 0,
+            broken: false,
+            problems: Vec::new(),
+            outputs: VecDeque::new(),
+            plan,
+        }
+    }
+
+    /// A module said something.
+    pub(crate) fn handle_event(&mut self, from: Module, event: &Event, now: Moment) {
+        self.now = now;
+        self.known.handle_event(from, event);
+        self.tell(from, event);
+        match (&mut self.scene, event) {
+            (Scene::Trying(trial), Event::Found(note)) => {
+                let late = self.last.as_ref().map(|last| last.judge(note));
+                let belated = matches!(late, Some(Judgement::Named | Judgement::Companion));
+                if !belated || trial.injection().judge(note) != Judgement::Foreign {
+                    trial.handle_event(from, event, &mut self.known, now);
+                }
+            }
+            (Scene::Trying(trial), event) => {
+                trial.handle_event(from, event, &mut self.known, now);
+            }
+            (Scene::Pausing { .. }, Event::Found(note)) => self.judge_between(from, note),
+            _ => {}
+        }
+        self.advance();
+    }
+
+    /// A process was killed, as ordered.
+    pub(crate) fn handle_killed(&mut self, at: Moment, now: Moment) {
+        self.now = now;
+        if let Scene::Trying(trial) = &mut self.scene {
+            trial.handle_killed(at, now);
+        }
+        self.advance();
+    }
+
+    /// A process has ended; `unasked` tells how, unless it had been killed as ordered.
+    pub(crate) fn handle_exit(&mut self, module: Module, unasked: Option<&str>, now: Moment) {
+        self.now = now;
+        self.known.handle_exit(module);
+        if let Some(how) = unasked {
+            match &mut self.scene {
+                Scene::Trying(trial) => trial.handle_exit(module, how),
+                _ => self.complain(format!("{module} ended by itself: {how}")),
+            }
+            self.say(Tone::Alarm, format!("{module} ended by itself: {how}"));
+        }
+        self.advance();
+    }
+
+    /// Acts on what is due.
+    pub(crate) fn handle_timeout(&mut self, now: Moment) {
+        self.now = now;
+        if let Scene::Trying(trial) = &mut self.scene {
+            trial.handle_timeout(&mut self.known, now);
+        }
+        self.advance();
+    }
+
+    /// What is to be done or shown next.
+    pub(crate) fn poll_output(&mut self) -> Option<Output> {
+        if let Scene::Trying(trial) = &mut self.scene
+            && let Some(deed) = trial.poll_deed()
+        {
+            return Some(Output::Do(deed));
+        }
+        self.outputs.pop_front()
+    }
+
+    /// When it wants to be woken.
+    pub(crate) fn poll_timeout(&self) -> Option<Moment> {
+        match &self.scene {
+            Scene::Assembling { due } => Some(*due),
+            Scene::Pausing { until } => Some(*until),
+            Scene::Trying(trial) => trial.poll_timeout(),
+            Scene::Over => None,
+        }
+    }
+
+    /// What is being done, for the picture.
+    pub(crate) fn caption(&self) -> String {
+        match &self.scene {
+            Scene::Assembling { .. } => "the robot comes together".into(),
+            Scene::Pausing { .. } => "all is well".into(),
+            Scene::Trying(trial) => format!("{}: {}", self.number, trial.injection()),
+            Scene::Over => "the end".into(),
+        }
+    }
+
+    /// How many faults there will be, if that is known.
+    pub(crate) fn steps(&self) -> Option<usize> {
+        match (&self.script, self.plan.length) {
+            (Script::Told(rest), None) => {
+                Some(rest.len() + usize::try_from(self.number).unwrap_or_default())
+            }
+            _ => None,
+        }
+    }
+
+    /// When it began.
+    pub(crate) fn began_at(&self) -> Moment {
+        self.began_at
+    }
+
+    /// What came of it so far.
+    pub(crate) fn report(&self) -> Report {
+        let mut report = Report {
+            promises_kept: !self.broken && self.number > 0,
+            seed: self.plan.seed,
+            chaos: self.plan.chaos,
+            took: self.now - self.began_at,
+            rows: self.rows.clone(),
+            rows_left_out: self.rows_left_out,
+            problems: self.problems.clone(),
+            messages: self.known.ledger.losses(),
+            received: self.known.ledger.received(),
+            given_back: 0,
+            responses: Vec::new(),
+            events: Vec::new(),
+            notes: NOTES.into(),
+        };
+        report.take_measured(&self.known.measured());
+        report
+    }
+
+    fn advance(&mut self) {
+        match &self.scene {
+            Scene::Assembling { due } => {
+                if self.known.is_together(|_| true) {
+                    let text = "the robot is together: three processes, four cables";
+                    self.say(Tone::Remark, text.into());
+                    self.pause();
+                } else if self.now >= *due {
+                    let missing = self.known.missing(|_| true);
+                    self.complain(format!("the robot did not come together: {missing}"));
+                    self.finish();
+                }
+            }
+            Scene::Pausing { until } if self.now >= *until => self.begin_next(),
+            Scene::Trying(trial) if trial.is_over() => self.end_trial(),
+            Scene::Pausing { .. } | Scene::Trying(_) | Scene::Over => {}
+        }
+    }
+
+    fn pause(&mut self) {
+        let until = self.now + PAUSE + self.dice.pause(PAUSE_SPREAD);
+        self.scene = Scene::Pausing { until };
+    }
+
+    fn begin_next(&mut self) {
+        let Some(injection) = self.next_injection() else {
+            self.finish();
+            return;
+        };
+        self.number += 1;
+        self.say(Tone::Deed, format!("{injection}"));
+        let patience = self.plan.patience;
+        let trial = Trial::new(injection, self.number, patience, &self.known, self.now);
+        self.scene = Scene::Trying(Box::new(trial));
+    }
+
+    fn next_injection(&mut self) -> Option<Injection> {
+        let is_time_up = self.plan.length.is_some_and(|length| self.now - self.began_at >= length);
+        match &mut self.script {
+            // A cut that a later step repairs must be repaired.
+            Script::Told(rest)
+                if is_time_up && !matches!(self.last, Some(Injection::Cut { .. })) =>
+            {
+                rest.clear();
+                None
+            }
+            Script::Told(rest) => {
+                if rest.is_empty() && self.plan.length.is_some() {
+                    *rest = script().into();
+                }
+                rest.pop_front()
+            }
+            Script::Random(_) if is_time_up => None,
+            Script::Random(chaos) => Some(chaos.next()),
+        }
+    }
+
+    fn end_trial(&mut self) {
+        let Scene::Trying(trial) = std::mem::replace(&mut self.scene, Scene::Over) else { return };
+        let row = trial.row(&self.known);
+        for problem in &row.problems {
+            self.broken = true;
+            let text = format!("{}: {problem}", row.fault);
+            self.outputs.push_back(Output::Tell(News {
+                after: self.now - self.began_at,
+                tone: Tone::Alarm,
+                text,
+            }));
+        }
+        if row.problems.is_empty() {
+            let span = row.recovered_after.map(|span| format!(" after {span:.1?}"));
+            self.say(Tone::Relief, format!("recovered{}", span.unwrap_or_default()));
+        }
+        if self.rows.len() == ROW_LIMIT {
+            let good = self.rows.iter().position(|row| row.problems.is_empty());
+            self.rows.remove(good.unwrap_or_default());
+            self.rows_left_out += 1;
+        }
+        self.rows.push(row);
+        self.last = Some(trial.injection().clone());
+        self.pause();
+    }
+
+    fn finish(&mut self) {
+        self.scene = Scene::Over;
+        self.outputs.push_back(Output::Finished);
+    }
+
+    fn judge_between(&mut self, from: Module, note: &FaultNote) {
+        let belongs = |last: &Injection| last.judge(note) != Judgement::Foreign;
+        if note.symptom_of.is_none() && !self.last.as_ref().is_some_and(belongs) {
+            let FaultNote { kind, place, detail, .. } = note;
+            self.complain(format!(
+                "{from} named {kind} in {place}, where nothing was done: {detail}"
+            ));
+        }
+    }
+
+    fn complain(&mut self, problem: String) {
+        self.broken = true;
+        if self.problems.len() < PROBLEM_LIMIT {
+            self.say(Tone::Alarm, problem.clone());
+            self.problems.push(problem);
+        }
+    }
+
+    fn tell(&mut self, from: Module, event: &Event) {
+        match event {
+            Event::Ready => self.say(Tone::Remark, format!("{from} is ready")),
+            Event::Found(FaultNote { kind, place, symptom_of, .. }) => {
+                let symptom = if symptom_of.is_some() { ", a symptom" } else { "" };
+                let code = kind.code();
+                let text = format!("{from} found {code} {kind} in {place}{symptom}");
+                self.say(Tone::Finding, text);
+            }
+            Event::Decided { measure, .. } => {
+                self.say(Tone::Remark, format!("{from} decided: {measure}"));
+            }
+            Event::GaveUp { reason, .. } => {
+                self.say(Tone::Alarm, format!("{from} gave up: {reason}"));
+            }
+            _ => {}
+        }
+    }
+
+    fn say(&mut self, tone: Tone, text: String) {
+        let after = self.now - self.began_at;
+        self.outputs.push_back(Output::Tell(News { after, tone, text }));
+    }
+}
+
+/// The ten faults, in their order.
+fn script() -> Vec<Injection> {
+    let object = |module, object: &str, sabotage| Injection::Object {
+        module,
+        object: object.into(),
+        sabotage,
+    };
+    vec![
+        object(Module::Module1, "skin/17", Sabotage::Panic),
+        object(Module::Module2, "laser", Sabotage::Hang { millis: HANG_MILLIS }),
+        object(Module::Module3, "motors", Sabotage::ErrorState),
+        object(Module::Module1, "planner", Sabotage::FailInitialization),
+        object(Module::Module3, "odometry", Sabotage::Silence),
+        Injection::Cut { cable: CABLES[0], returns: false },
+        Injection::Blackout { far: CABLES[0].far },
+        Injection::Router { module: Module::Module1 },
+        Injection::Kill { module: Module::Module3 },
+        object(Module::Module2, "operator", Sabotage::Flood { messages: FLOOD_MESSAGES }),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::demo::fake::{FakeRobot, Flaw};
+
+    fn tell(plan: Plan, flaw: Flaw) -> Report {
+        FakeRobot::new(flaw).perform(Story::new(plan, Moment::default()))
+    }
+
+    #[test]
+    fn a_robot_that_recovers_keeps_every_promise_in_less_than_thirty_seconds() {
+        let report = tell(Plan::default(), Flaw::None);
+
+        let problems: Vec<_> = report.rows.iter().flat_map(|row| &row.problems).collect();
+        assert!(report.promises_kept, "{problems:?} {:?}", report.problems);
+        assert!(report.took < Duration::from_secs(25), "{:?}", report.took);
+        let faults: Vec<_> = report.rows.iter().map(|row| row.fault).collect();
+        let told: Vec<_> = script().iter().map(Injection::title).collect();
+        assert_eq!(faults, told);
+        for row in &report.rows {
+            assert!(row.named.is_some(), "{row:?}");
+            assert!(row.detected_after.is_some_and(|span| span > Duration::ZERO), "{row:?}");
+            assert!(row.recovered_after.is_some_and(|span| span > Duration::ZERO), "{row:?}");
+        }
+        assert_eq!(report.messages.lost + report.messages.doubled, 0);
+        assert!(report.messages.perished > 0, "the kill took some along");
+    }
+
+    #[test]
+    fn what_the_robot_does_wrong_breaks_the_row_in_which_it_happens() {
+        let check = |flaw, fault: &str, problem: &str| {
+            let report = tell(Plan::default(), flaw);
+            assert!(!report.promises_kept, "{flaw:?}");
+            assert_eq!(report.rows.len(), 10, "{flaw:?}: the story goes on");
+            for row in &report.rows {
+                let hit = row.problems.iter().any(|text| text.contains(problem));
+                assert_eq!(hit, row.fault == fault, "{flaw:?}: {row:?}");
+            }
+        };
+        check(Flaw::NotFound, "hang", "was not found");
+        check(Flaw::NotReported, "error state", "not reported");
+        check(Flaw::NotBack, "silent object", "service is not back");
+        check(Flaw::WrongCulprit, "hang", "module2 named hang in module2:operator");
+        check(Flaw::LosesOne, "cable cut", "1 reliable messages were lost");
+        check(Flaw::DoublesOne, "panic in the router", "1 reliable messages were doubled");
+        check(Flaw::DiesOfPanic, "panic", "module1 ended by itself");
+        check(Flaw::Refuses, "flood", "module2 refused: no such object");
+    }
+
+    #[test]
+    fn a_fault_that_nobody_made_is_a_broken_promise() {
+        let report = tell(Plan::default(), Flaw::FalseAlarm);
+
+        assert!(!report.promises_kept);
+        assert!(report.problems[0].contains("where nothing was done"), "{:?}", report.problems);
+    }
+
+    #[test]
+    fn a_robot_that_never_comes_together_ends_the_story_and_says_what_is_missing() {
+        let report = tell(Plan::default(), Flaw::NeverTogether);
+
+        assert!(!report.promises_kept && report.rows.is_empty());
+        assert!(report.problems[0].contains("module3 is not ready"), "{:?}", report.problems);
+    }
+
+    #[test]
+    fn chaos_goes_on_until_the_time_is_up_and_is_the_same_for_the_same_seed() {
+        let minute = Some(Duration::from_secs(60));
+        let plan = Plan { chaos: true, seed: 5, length: minute, ..Plan::default() };
+        let report = tell(plan, Flaw::None);
+
+        assert!(report.promises_kept, "{:?}", report.rows);
+        assert!(report.took >= Duration::from_secs(60), "{:?}", report.took);
+        assert!(report.rows.len() > 20);
+        assert_eq!(tell(plan, Flaw::None), report);
+    }
+
+    #[test]
+    fn a_longer_story_is_told_again_and_no_cut_is_left_behind() {
+        let plan = Plan { length: Some(Duration::from_secs(24)), ..Plan::default() };
+        let report = tell(plan, Flaw::None);
+
+        assert!(report.promises_kept);
+        assert!(report.rows.len() > 10);
+        assert_ne!(report.rows.last().map(|row| row.fault), Some("cable cut"));
+    }
+}

@@ -1,0 +1,436 @@
+//! One fault, from its injection to the moment at which all is as before.
+//!
+//! ```text
+//! Striking ─► Watching ─────────────────► Settling ─► Tidying ─► Over
+//! the fault   found? repaired, if it      all that    what was
+//! is there    must be; service back?      was sent    cut is
+//!                                         has come    up again
+//! ```
+//!
+//! A phase that does not end within its deadline is a problem, which breaks the row, and the next
+//! phase begins: one broken promise does not hide the next.
+
+use super::injection::{Injection, Judgement, Return};
+use super::known::Known;
+use super::ledger::Losses;
+use super::moment::Moment;
+use super::protocol::{Command, Event, FaultNote, OrderId};
+use super::report::{Named, Row};
+use super::robot::{Cable, Flow, Module};
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+/// How long each phase may take before it counts as broken. Ten times what a healthy robot takes, on a
+/// machine that is busy with something else.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Patience {
+    /// Until an order is carried out.
+    pub(crate) strike: Duration,
+    /// From the fault to the return of service; a process must be started within it.
+    pub(crate) recovery: Duration,
+    /// Until what was sent has arrived.
+    pub(crate) settling: Duration,
+    /// How long a cut that must be repaired is left alone.
+    pub(crate) before_repair: Duration,
+    /// How long a step takes at least, so that a person sees it.
+    pub(crate) least: Duration,
+}
+
+impl Default for Patience {
+    fn default() -> Self {
+        Patience {
+            strike: Duration::from_secs(2),
+            recovery: Duration::from_secs(6),
+            settling: Duration::from_secs(3),
+            before_repair: Duration::from_millis(800),
+            least: Duration::from_millis(1_200),
+        }
+    }
+}
+
+/// What a trial wants done.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Deed {
+    /// Say this to a module.
+    Send(Module, Command),
+    /// Kill a module's process with signal 9.
+    Kill(Module),
+}
+
+/// The trial of one fault.
+#[derive(Debug)]
+pub(crate) struct Trial {
+    injection: Injection,
+    number: u32,
+    patience: Patience,
+    phase: Phase,
+    begun_at: Moment,
+    due: Option<Moment>,
+    deeds: VecDeque<Deed>,
+    waiting: Vec<Module>,
+    struck: Option<Struck>,
+    repair: Repair,
+    named: BTreeMap<(Module, u64), FaultNote>,
+    reported: bool,
+    served_at: Option<Moment>,
+    passed: BTreeMap<&'static str, Moment>,
+    before: Losses,
+    problems: Vec<String>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    Striking,
+    Watching,
+    Settling,
+    Tidying,
+    Over,
+}
+
+/// When the fault began: at the first end of a cable, and when it was whole.
+#[derive(Clone, Copy, Debug)]
+struct Struck {
+    first: Moment,
+    last: Moment,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Repair {
+    NotNeeded,
+    Needed,
+    Ordered,
+    Done { at: Moment },
+}
+
+impl Trial {
+    /// Begins with the injection at once.
+    pub(crate) fn new(
+        injection: Injection,
+        number: u32,
+        patience: Patience,
+        known: &Known,
+        now: Moment,
+    ) -> Trial {
+        let repairs = injection.repair(OrderId(0)).is_empty();
+        let mut trial = Trial {
+            number,
+            patience,
+            phase: Phase::Striking,
+            begun_at: now,
+            due: Some(now + patience.strike),
+            deeds: VecDeque::new(),
+            waiting: Vec::new(),
+            struck: None,
+            repair: if repairs { Repair::NotNeeded } else { Repair::Needed },
+            named: BTreeMap::new(),
+            reported: false,
+            served_at: None,
+            passed: BTreeMap::new(),
+            before: known.ledger.losses(),
+            problems: Vec::new(),
+            injection,
+        };
+        if let Injection::Kill { module } = trial.injection {
+            trial.deeds.push_back(Deed::Kill(module));
+        }
+        trial.order(trial.injection.strike(trial.strike_order()));
+        trial
+    }
+
+    /// What is tried.
+    pub(crate) fn injection(&self) -> &Injection {
+        &self.injection
+    }
+
+    /// Something came from a module; `known` has it already.
+    pub(crate) fn handle_event(
+        &mut self,
+        from: Module,
+        event: &Event,
+        known: &mut Known,
+        now: Moment,
+    ) {
+        match event {
+            Event::CarriedOut { order, at } => self.handle_carried_out(from, *order, *at, now),
+            Event::Refused { order, reason } if self.is_mine(*order) => {
+                self.problems.push(format!("{from} refused: {reason}"));
+                self.waiting.retain(|module| *module != from);
+                self.enter(Phase::Settling, known, now);
+            }
+            Event::Found(note) => self.handle_found(from, note),
+            Event::Recovered { id, .. } if self.named.contains_key(&(from, *id)) => {
+                self.reported = true;
+            }
+            Event::GaveUp { id, reason } => {
+                self.problems.push(format!("{from} gave fault {id} up: {reason}"));
+            }
+            Event::Served { order, at, .. } if *order == self.strike_order() => {
+                self.served_at.get_or_insert(*at);
+            }
+            Event::Passed { flow, since, at } if Some(*since) == self.watched_since() => {
+                if let Some(flow) = Flow::from_name(flow) {
+                    self.passed.entry(flow.name).or_insert(*at);
+                }
+            }
+            // A new process knows nothing of what the old one was asked.
+            Event::Ready => self.watch_in(&[from]),
+            _ => {}
+        }
+        self.advance(known, now);
+    }
+
+    /// The process was killed, as ordered.
+    pub(crate) fn handle_killed(&mut self, at: Moment, now: Moment) {
+        if self.phase == Phase::Striking {
+            self.struck = Some(Struck { first: at, last: at });
+            self.phase = Phase::Watching;
+            self.due = Some(now + self.patience.recovery);
+            self.watch_in(&Module::ALL);
+        }
+    }
+
+    /// A process ended that nobody had killed.
+    pub(crate) fn handle_exit(&mut self, module: Module, how: &str) {
+        self.problems.push(format!("{module} ended by itself: {how}"));
+    }
+
+    /// What is to be done next.
+    pub(crate) fn poll_deed(&mut self) -> Option<Deed> {
+        self.deeds.pop_front()
+    }
+
+    /// When time alone changes something.
+    pub(crate) fn poll_timeout(&self) -> Option<Moment> {
+        let repair = match (self.phase, self.repair, self.struck) {
+            (Phase::Watching, Repair::Needed, Some(struck)) => {
+                Some(struck.last + self.patience.before_repair)
+            }
+            _ => None,
+        };
+        self.due.into_iter().chain(repair).min()
+    }
+
+    /// Acts on what is due.
+    pub(crate) fn handle_timeout(&mut self, known: &mut Known, now: Moment) {
+        self.advance(known, now);
+        if self.due.is_none_or(|due| due > now) {
+            return;
+        }
+        match self.phase {
+            Phase::Striking => {
+                self.problems.push("the fault could not be injected in time".into());
+                self.enter(Phase::Settling, known, now);
+            }
+            Phase::Watching => {
+                self.problems.extend(self.what_is_missing(known));
+                self.enter(Phase::Settling, known, now);
+            }
+            Phase::Settling => {
+                let names: Vec<_> = known.ledger.unsettled().map(|flow| flow.name).collect();
+                if !names.is_empty() {
+                    self.problems.push(format!("messages did not arrive on {}", names.join(", ")));
+                }
+                self.enter(Phase::Tidying, known, now);
+            }
+            Phase::Tidying => {
+                if !self.is_tidy(known) {
+                    let missing = known.missing(|cable| self.expects(cable));
+                    self.problems.push(format!("not as before: {missing}"));
+                }
+                self.phase = Phase::Over;
+                self.due = None;
+            }
+            Phase::Over => {}
+        }
+        self.advance(known, now);
+    }
+
+    /// It is over; [`row`](Self::row) is final.
+    pub(crate) fn is_over(&self) -> bool {
+        self.phase == Phase::Over
+    }
+
+    /// What came of it so far.
+    pub(crate) fn row(&self, known: &Known) -> Row {
+        let Losses { lost, doubled, perished } = known.ledger.losses() - self.before;
+        let mut problems = self.problems.clone();
+        if lost > 0 {
+            problems.push(format!("{lost} reliable messages were lost"));
+        }
+        if doubled > 0 {
+            problems.push(format!("{doubled} reliable messages were doubled"));
+        }
+        let first_named = self.named.values().min_by_key(|note| note.found_at);
+        let struck = self.struck.map(|struck| struck.first);
+        let since = |start: Option<Moment>, end: Option<Moment>| Some(end? - start?);
+        Row {
+            number: self.number,
+            fault: self.injection.title(),
+            place: self.injection.place(),
+            named: first_named.map(Named::from),
+            detected_after: since(struck, first_named.map(|note| note.found_at)),
+            recovered_after: since(self.recovery_starts(), self.back_at(known)),
+            from_repair: self.repair != Repair::NotNeeded,
+            lost,
+            doubled,
+            perished,
+            problems,
+        }
+    }
+
+    fn strike_order(&self) -> OrderId {
+        OrderId(u64::from(self.number) * 4)
+    }
+
+    fn repair_order(&self) -> OrderId {
+        OrderId(u64::from(self.number) * 4 + 1)
+    }
+
+    fn tidy_order(&self) -> OrderId {
+        OrderId(u64::from(self.number) * 4 + 2)
+    }
+
+    fn is_mine(&self, order: OrderId) -> bool {
+        [self.strike_order(), self.repair_order(), self.tidy_order()].contains(&order)
+    }
+
+    fn order(&mut self, commands: Vec<(Module, Command)>) {
+        self.waiting = commands.iter().map(|(module, _)| *module).collect();
+        self.deeds
+            .extend(commands.into_iter().map(|(module, command)| Deed::Send(module, command)));
+    }
+
+    fn handle_carried_out(&mut self, from: Module, order: OrderId, at: Moment, now: Moment) {
+        if !self.is_mine(order) || !self.waiting.contains(&from) {
+            return;
+        }
+        self.waiting.retain(|module| *module != from);
+        if order == self.strike_order() {
+            let struck = self.struck.get_or_insert(Struck { first: at, last: at });
+            struck.first = struck.first.min(at);
+            struck.last = struck.last.max(at);
+            if self.waiting.is_empty() {
+                self.phase = Phase::Watching;
+                self.due = Some(now + self.patience.recovery);
+                self.watch_in(&Module::ALL);
+            }
+        } else if order == self.repair_order() && self.waiting.is_empty() {
+            self.repair = Repair::Done { at };
+            self.due = Some(now + self.patience.recovery);
+            self.watch_in(&Module::ALL);
+        }
+    }
+
+    fn handle_found(&mut self, from: Module, note: &FaultNote) {
+        match self.injection.judge(note) {
+            Judgement::Named => {
+                self.named.entry((from, note.id)).or_insert_with(|| note.clone());
+            }
+            Judgement::Companion => {}
+            Judgement::Foreign => self
+                .problems
+                .push(format!("{from} named {} in {}: {}", note.kind, note.place, note.detail)),
+        }
+    }
+
+    fn advance(&mut self, known: &mut Known, now: Moment) {
+        if self.phase == Phase::Watching {
+            self.repair_when_due(now);
+            if self.what_is_missing(known).is_empty() {
+                self.enter(Phase::Settling, known, now);
+            }
+        }
+        if self.phase == Phase::Settling && known.ledger.is_settled() {
+            self.enter(Phase::Tidying, known, now);
+        }
+        let seen = now - self.begun_at >= self.patience.least;
+        if self.phase == Phase::Tidying && seen && self.is_tidy(known) {
+            self.phase = Phase::Over;
+            self.due = None;
+        }
+    }
+
+    fn repair_when_due(&mut self, now: Moment) {
+        let Some(struck) = self.struck else { return };
+        if self.repair == Repair::Needed && now >= struck.last + self.patience.before_repair {
+            self.repair = Repair::Ordered;
+            self.order(self.injection.repair(self.repair_order()));
+        }
+    }
+
+    fn enter(&mut self, phase: Phase, known: &mut Known, now: Moment) {
+        self.phase = phase;
+        self.due = Some(now + self.patience.settling.max(self.patience.least));
+        match phase {
+            Phase::Settling => {
+                known.ledger.settle(now);
+                let status = Module::ALL.map(|module| Deed::Send(module, Command::Status));
+                self.deeds.extend(status);
+            }
+            Phase::Tidying => self.order(self.injection.clean_up(self.tidy_order())),
+            Phase::Striking | Phase::Watching | Phase::Over => {}
+        }
+    }
+
+    /// Tells modules to look out for the first message sent since the recovery could begin.
+    fn watch_in(&mut self, modules: &[Module]) {
+        if let Some(since) = self.watched_since() {
+            let watch = |module: &Module| Deed::Send(*module, Command::Watch { since });
+            self.deeds.extend(modules.iter().map(watch));
+        }
+    }
+
+    fn watched_since(&self) -> Option<Moment> {
+        match (self.phase, self.repair) {
+            (Phase::Watching, Repair::NotNeeded) => Some(self.struck?.last),
+            (Phase::Watching, Repair::Done { at }) => Some(at),
+            _ => None,
+        }
+    }
+
+    fn recovery_starts(&self) -> Option<Moment> {
+        match self.repair {
+            Repair::NotNeeded => self.struck.map(|struck| struck.first),
+            Repair::Done { at } => Some(at),
+            Repair::Needed | Repair::Ordered => None,
+        }
+    }
+
+    fn back_at(&self, known: &Known) -> Option<Moment> {
+        let traffic = || {
+            let arrivals = self.injection.flows().into_iter();
+            let arrivals = arrivals.map(|flow| self.passed.get(flow.name).copied());
+            arrivals.collect::<Option<Vec<_>>>()?.into_iter().max()
+        };
+        match self.injection.comes_back_by() {
+            Return::Service => self.served_at,
+            Return::Traffic => traffic(),
+            Return::Rejoining => traffic().filter(|_| known.are_ready()),
+        }
+    }
+
+    fn what_is_missing(&self, known: &Known) -> Vec<String> {
+        let mut missing = Vec::new();
+        if self.named.is_empty() {
+            missing.push("the fault was not found".to_owned());
+        } else if self.injection.wants_report() && !self.reported {
+            missing.push("its recovery was not reported".to_owned());
+        }
+        if self.back_at(known).is_none() {
+            missing.push("service is not back".to_owned());
+        }
+        missing
+    }
+
+    /// Whether a cable should be up when the step is over.
+    fn expects(&self, cable: &Cable) -> bool {
+        match &self.injection {
+            Injection::Cut { cable: cut, returns } => *returns || cut != cable,
+            _ => true,
+        }
+    }
+
+    fn is_tidy(&self, known: &Known) -> bool {
+        self.waiting.is_empty() && known.is_together(|cable| self.expects(cable))
+    }
+}

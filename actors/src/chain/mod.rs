@@ -1,0 +1,9 @@
+//! The fault chain: thin actors over the machines of `blastema_core::detection` and `recovery`.
+//!
+//! Each of them runs under the guardian. After a panic of its own, a body keeps its addresses and makes
+//! its machine anew from the plain facts of the old one, in `restarting`; the input that struck it is
+//! lost, and everything that was under way is sent again.
+
+pub(crate) mod detector;
+pub(crate) mod monitor;
+pub(crate) mod notifier;

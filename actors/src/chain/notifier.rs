@@ -1,0 +1,159 @@
+//! The notifier's body.
+
+use crate::drive::{Body, Wake};
+use crate::platform;
+use actix::fut::wrap_future;
+use actix::prelude::*;
+use blastema_contract::Confirmed;
+use blastema_contract::notifier::{AddPort, FaultCleared, FaultFound, ReadPorts, RemovePort};
+use blastema_contract::recoverer::{Recover, StandDown};
+use blastema_core::detection::{self, Notice, NotifierLimits, NotifierOutput, Port};
+use std::collections::BTreeMap;
+use tracing::error;
+
+/// Tells the recoverers, here and on other nodes.
+pub(crate) struct Notifier {
+    machine: detection::Notifier,
+    wake: Wake,
+    /// Where the machine's ports lead.
+    doors: BTreeMap<Port, Door>,
+}
+
+struct Door {
+    recover: Recipient<Recover>,
+    stand_down: Option<Recipient<StandDown>>,
+}
+
+impl Notifier {
+    /// A notifier without ports.
+    pub(crate) fn new(limits: NotifierLimits) -> Self {
+        let machine = detection::Notifier::new(limits);
+        Notifier { machine, wake: Wake::default(), doors: BTreeMap::new() }
+    }
+
+    fn hand_over(&mut self, port: Port, number: u64, notice: Notice, context: &mut Context<Self>) {
+        // A port that was removed in the meantime has nothing under way any more.
+        let Some(door) = self.doors.get(&port) else { return };
+        match (notice, &door.stand_down) {
+            (Notice::Found(fault), _) => {
+                await_confirmation(port, number, door.recover.send(Recover { fault }), context);
+            }
+            (Notice::Cleared { id, place }, Some(stand_down)) => {
+                let sent = stand_down.send(StandDown { id, place });
+                await_confirmation(port, number, sent, context);
+            }
+            (Notice::Cleared { .. }, None) => {
+                self.machine.handle_confirmed(&port, number, platform::now());
+            }
+        }
+    }
+}
+
+fn await_confirmation(
+    port: Port,
+    number: u64,
+    sent: impl Future<Output = Result<Confirmed, MailboxError>> + 'static,
+    context: &mut Context<Notifier>,
+) {
+    context.spawn(wrap_future::<_, Notifier>(sent).map(move |answer, notifier, context| {
+        let now = platform::now();
+        match answer {
+            Ok(Confirmed) => notifier.machine.handle_confirmed(&port, number, now),
+            Err(_) => notifier.machine.handle_failed(&port, number, now),
+        }
+        notifier.drive(context);
+    }));
+}
+
+impl Body for Notifier {
+    type Machine = detection::Notifier;
+
+    fn machine(&mut self) -> &mut detection::Notifier {
+        &mut self.machine
+    }
+
+    fn wake(&mut self) -> &mut Wake {
+        &mut self.wake
+    }
+
+    fn carry_out(&mut self, output: NotifierOutput, context: &mut Context<Self>) {
+        match output {
+            NotifierOutput::HandOver { port, number, notice } => {
+                self.hand_over(port, number, notice, context);
+            }
+            NotifierOutput::GivenUp { port, notice, tries } => {
+                error!(%port, ?notice, tries, "a recoverer never confirmed what the notifier told it");
+            }
+        }
+    }
+}
+
+impl Actor for Notifier {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.drive(context);
+    }
+}
+
+impl Supervised for Notifier {
+    fn restarting(&mut self, _: &mut Context<Self>) {
+        self.machine = self.machine.clone().reborn(platform::now());
+        self.wake = Wake::default();
+    }
+}
+
+impl Handler<FaultFound> for Notifier {
+    type Result = Confirmed;
+
+    fn handle(&mut self, message: FaultFound, context: &mut Context<Self>) -> Confirmed {
+        let FaultFound { fault } = message;
+        self.machine.handle_notice(Notice::Found(fault), platform::now());
+        self.drive(context);
+        Confirmed
+    }
+}
+
+impl Handler<FaultCleared> for Notifier {
+    type Result = Confirmed;
+
+    fn handle(&mut self, message: FaultCleared, context: &mut Context<Self>) -> Confirmed {
+        let FaultCleared { id, place } = message;
+        self.machine.handle_notice(Notice::Cleared { id, place }, platform::now());
+        self.drive(context);
+        Confirmed
+    }
+}
+
+impl Handler<AddPort> for Notifier {
+    type Result = ();
+
+    fn handle(&mut self, message: AddPort, context: &mut Context<Self>) {
+        let AddPort { port, recover, stand_down } = message;
+        if self.machine.add_port(port.clone(), platform::now()) {
+            self.doors.insert(port, Door { recover, stand_down });
+        } else {
+            error!(%port, "no more ports are taken: faults are not told there");
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<RemovePort> for Notifier {
+    type Result = ();
+
+    fn handle(&mut self, message: RemovePort, context: &mut Context<Self>) {
+        let RemovePort { port } = message;
+        self.machine.remove_port(&port);
+        self.doors.remove(&port);
+        self.drive(context);
+    }
+}
+
+impl Handler<ReadPorts> for Notifier {
+    type Result = MessageResult<ReadPorts>;
+
+    fn handle(&mut self, _: ReadPorts, _: &mut Context<Self>) -> Self::Result {
+        MessageResult(self.machine.read_ports())
+    }
+}

@@ -1,0 +1,50 @@
+//! What others may say to, and ask of, the detector.
+
+use crate::Confirmed;
+use actix::{Message, Recipient};
+use blastema_core::detection::{Observation, Outcome, Record, Turn};
+use blastema_core::{Fault, FaultId, Instant};
+
+/// The monitor hands over what it saw, and repeats it until it is confirmed.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "Confirmed")]
+pub struct Observed {
+    /// Tells a repetition from the next observation; rises.
+    pub number: u64,
+    /// What was seen.
+    pub observation: Observation,
+}
+
+/// The recoverer tells what becomes of a fault.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct FaultOutcome {
+    /// Which fault.
+    pub id: FaultId,
+    /// When it was so, on this node's clock.
+    pub at: Instant,
+    /// What became of it.
+    pub what: Outcome,
+}
+
+/// Asks for the record of faults, roots before their symptoms.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "Record")]
+pub struct ReadRecord;
+
+/// From now on, every [`FaultEvent`] goes to this listener too, until its mailbox closes.
+#[derive(Clone, Message)]
+#[rtype(result = "()")]
+pub struct Subscribe(pub Recipient<FaultEvent>);
+
+/// One step in the history of a fault.
+#[derive(Clone, Debug, PartialEq, Message)]
+#[rtype(result = "()")]
+pub struct FaultEvent {
+    /// The fault, as it now stands.
+    pub fault: Fault,
+    /// When it was so.
+    pub at: Instant,
+    /// What happened.
+    pub turn: Turn,
+}

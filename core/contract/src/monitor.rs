@@ -1,0 +1,75 @@
+//! What others may say to, and ask of, the monitor.
+//!
+//! ```text
+//! node ──Enrol, Dismiss──►┐
+//! link, router ──LinkReported, NodeReported──► Monitor ──Observed──► Detector
+//! supervisor ──IsolationReported──►┘     ▲
+//! anyone ──ReadTable─────────────────────┘
+//! ```
+//! What guards, components and the watch thread tell it stands in [`reports`](crate::reports).
+
+use crate::Confirmed;
+use crate::reports::AreYouAlive;
+use actix::{Message, Recipient};
+use blastema_core::detection::{EnrolError, Enrolment, LinkCondition, NodeCondition, Row};
+use blastema_core::{Incarnation, NodeName, ObjectName};
+use std::sync::Arc;
+
+/// Watches an object from now on. Sent again for a known object, it changes how that is watched.
+#[derive(Clone, Message)]
+#[rtype(result = "Result<Confirmed, EnrolError>")]
+pub struct Enrol {
+    /// Who, and how.
+    pub enrolment: Enrolment,
+    /// Where it answers the monitor's questions, on its control lane; needed for `Watch::Pull`.
+    pub inquiries: Option<Recipient<AreYouAlive>>,
+}
+
+/// Forgets an object; what it still says is not listened to.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Dismiss {
+    /// Who.
+    pub object: ObjectName,
+}
+
+/// Asks for the table of everything that is watched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "Vec<Row>")]
+pub struct ReadTable;
+
+/// An object's sending and receiving was forbidden, or allowed again.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct IsolationReported {
+    /// Who.
+    pub object: ObjectName,
+    /// Whether it is isolated now.
+    pub isolated: bool,
+}
+
+/// A link changed, told by the link or its router.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct LinkReported {
+    /// Who sees it.
+    pub node: NodeName,
+    /// The link's name in that node's configuration.
+    pub link: Arc<str>,
+    /// Who is at its other end, once known.
+    pub neighbour: Option<NodeName>,
+    /// How it is now.
+    pub condition: LinkCondition,
+}
+
+/// Another node changed, told by the router.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct NodeReported {
+    /// Which.
+    pub node: NodeName,
+    /// Its incarnation, as last heard.
+    pub incarnation: Incarnation,
+    /// How it is now.
+    pub condition: NodeCondition,
+}

@@ -1,0 +1,24 @@
+//! What the notifier hands over to a recoverer.
+
+use crate::Confirmed;
+use actix::Message;
+use blastema_core::{Fault, FaultId, Place};
+
+/// A fault was found: do about it what the plan says. Repeated until it is confirmed; a recoverer
+/// that already has it confirms again and does nothing.
+#[derive(Clone, Debug, Message)]
+#[rtype(result = "Confirmed")]
+pub struct Recover {
+    /// The fault.
+    pub fault: Fault,
+}
+
+/// A fault has gone by itself: what is not yet under way for it need not begin.
+#[derive(Clone, Debug, Message)]
+#[rtype(result = "Confirmed")]
+pub struct StandDown {
+    /// The fault's number in its finder's record.
+    pub id: FaultId,
+    /// Where it was.
+    pub place: Place,
+}

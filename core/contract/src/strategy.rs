@@ -1,0 +1,19 @@
+//! Between the recoverer and the strategies that carry its decisions out.
+
+use actix::Message;
+use blastema_core::Place;
+use blastema_core::recovery::{Done, Failed, Order};
+
+/// Carry one measure out. Answered when it has worked or failed; a strategy that dies, or is silent
+/// for longer than the plan gives it, has failed.
+#[derive(Clone, Debug, Message)]
+#[rtype(result = "Result<Done, Failed>")]
+pub struct CarryOut(pub Order);
+
+/// To the router: find another way for what goes over this link, or to this node.
+#[derive(Clone, Debug, Message)]
+#[rtype(result = "Result<Done, Failed>")]
+pub struct Reroute {
+    /// What is not to be used any more.
+    pub place: Place,
+}

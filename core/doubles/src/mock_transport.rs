@@ -1,0 +1,308 @@
+//! An actor in the place of a medium.
+
+use crate::network::SimulatedNetwork;
+use crate::probe::patient;
+use crate::record::Record;
+use actix::prelude::*;
+use blastema_contract::transport::{
+    Attach, Close, MediumAddress, ReadCounters, Received, Transmit, Transport, TransportCounters,
+    TransportReport,
+};
+use bytes::Bytes;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::timeout;
+
+/// The largest frame of a mock: that of UDP on loopback, near enough.
+const MTU: usize = 64 * 1024;
+
+/// A medium that the test plays: it sees what is sent, and says what arrives and what happens.
+///
+/// # Examples
+/// ```
+/// use blastema_contract::transport::{MediumAddress, Transmit};
+/// use blastema_doubles::{MockTransport, paused};
+///
+/// paused(async {
+///     let medium = MockTransport::start("here");
+///     let to = MediumAddress::Memory("there".into());
+///     medium.transport().transmit.do_send(Transmit { to, frame: "hello".into() });
+///     assert_eq!(medium.expect_sent().await.frame, "hello");
+/// });
+/// ```
+#[derive(Clone)]
+pub struct MockTransport {
+    name: Arc<str>,
+    address: Addr<Medium>,
+    sent: Record<Transmit>,
+}
+
+impl MockTransport {
+    /// A medium on the present arbiter, open at this name, with nobody at its other end.
+    pub fn start(name: &str) -> Self {
+        MockTransport::on(name, None)
+    }
+
+    /// Two media, open at `left` and `right`, connected with each other by a network that can be
+    /// made bad and cut.
+    pub fn pair(seed: u64) -> (Self, Self, SimulatedNetwork) {
+        let network = SimulatedNetwork::new(seed);
+        (network.end("left"), network.end("right"), network)
+    }
+
+    pub(crate) fn on(name: &str, network: Option<SimulatedNetwork>) -> Self {
+        let (name, sent): (Arc<str>, _) = (name.into(), Record::default());
+        let local = MediumAddress::Memory(name.clone());
+        let medium = Medium {
+            name: name.clone(),
+            network: network.clone(),
+            attach: None,
+            state: TransportReport::Opened { local, mtu: MTU },
+            sent: sent.clone(),
+            counters: TransportCounters::default(),
+        };
+        let address = medium.start();
+        if let Some(network) = network {
+            network.enter(&name, address.clone().recipient());
+        }
+        MockTransport { name, address, sent }
+    }
+
+    /// The transport, as a link knows it.
+    pub fn transport(&self) -> Transport {
+        self.address.clone().into()
+    }
+
+    /// The address at which it is open.
+    pub fn local(&self) -> MediumAddress {
+        MediumAddress::Memory(self.name.clone())
+    }
+
+    /// Lets a frame arrive at whoever is attached.
+    pub fn receive(&self, from: MediumAddress, frame: impl Into<Bytes>) {
+        self.address.do_send(Injection(Received { from, frame: frame.into() }));
+    }
+
+    /// Lets the medium report something. `Opened` and `Closed` are what it also tells anyone who
+    /// attaches later, as every transport does.
+    pub fn report(&self, report: TransportReport) {
+        self.address.do_send(Report(report));
+    }
+
+    /// The next frame that was sent.
+    ///
+    /// # Panics
+    /// When none comes within [`PATIENCE`](crate::PATIENCE).
+    pub async fn expect_sent(&self) -> Transmit {
+        patient(self.sent.next(), "Transmit").await
+    }
+
+    /// Makes sure that nothing is sent during this time, nor was anything before.
+    ///
+    /// # Panics
+    /// When something is.
+    pub async fn expect_nothing_sent_for(&self, span: Duration) {
+        let sent = timeout(span, self.sent.next()).await;
+        assert!(sent.is_err(), "{:?} was sent where nothing should", sent.ok());
+    }
+
+    /// Everything that was sent and not yet taken.
+    pub fn sent(&self) -> Vec<Transmit> {
+        self.sent.drain()
+    }
+}
+
+/// The mock's actor.
+struct Medium {
+    name: Arc<str>,
+    network: Option<SimulatedNetwork>,
+    attach: Option<Attach>,
+    state: TransportReport,
+    sent: Record<Transmit>,
+    counters: TransportCounters,
+}
+
+/// A frame comes over the simulated network.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(crate) struct Arrival {
+    pub(crate) from: Arc<str>,
+    pub(crate) frame: Bytes,
+}
+
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Injection(Received);
+
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Report(TransportReport);
+
+impl Medium {
+    fn deliver(&mut self, received: Received) {
+        match &self.attach {
+            Some(attach) => {
+                self.counters.received += 1;
+                attach.frames.do_send(received);
+            }
+            None => self.counters.dropped += 1,
+        }
+    }
+
+    fn report(&self, report: TransportReport) {
+        if let Some(attach) = &self.attach {
+            attach.reports.do_send(report);
+        }
+    }
+
+    /// Comes back when the next frame on this way is due.
+    fn await_turn(&self, to: Arc<str>, after: Option<Duration>, context: &mut Context<Self>) {
+        let (Some(after), Some(network)) = (after, self.network.clone()) else { return };
+        context.run_later(after, move |medium, context| {
+            let after = network.turn(&medium.name, &to);
+            medium.await_turn(to, after, context);
+        });
+    }
+}
+
+impl Actor for Medium {
+    type Context = Context<Self>;
+}
+
+impl Handler<Transmit> for Medium {
+    type Result = ();
+
+    fn handle(&mut self, message: Transmit, context: &mut Context<Self>) {
+        self.sent.push(message.clone());
+        let Transmit { to, frame } = message;
+        let open = matches!(self.state, TransportReport::Opened { .. });
+        match (&self.network, to) {
+            (Some(network), MediumAddress::Memory(to)) if open => {
+                self.counters.sent += 1;
+                let after = network.transmit(&self.name, &to, frame);
+                self.await_turn(to, after, context);
+            }
+            (None, _) if open => self.counters.sent += 1,
+            _ => self.counters.dropped += 1,
+        }
+    }
+}
+
+impl Handler<Arrival> for Medium {
+    type Result = ();
+
+    fn handle(&mut self, message: Arrival, _: &mut Context<Self>) {
+        let Arrival { from, frame } = message;
+        self.deliver(Received { from: MediumAddress::Memory(from), frame });
+    }
+}
+
+impl Handler<Injection> for Medium {
+    type Result = ();
+
+    fn handle(&mut self, Injection(received): Injection, _: &mut Context<Self>) {
+        self.deliver(received);
+    }
+}
+
+impl Handler<Report> for Medium {
+    type Result = ();
+
+    fn handle(&mut self, Report(report): Report, _: &mut Context<Self>) {
+        if !matches!(report, TransportReport::PeerLost { .. }) {
+            self.state = report.clone();
+        }
+        self.report(report);
+    }
+}
+
+impl Handler<Attach> for Medium {
+    type Result = ();
+
+    fn handle(&mut self, attach: Attach, _: &mut Context<Self>) {
+        self.attach = Some(attach);
+        self.report(self.state.clone());
+    }
+}
+
+impl Handler<Close> for Medium {
+    type Result = ();
+
+    fn handle(&mut self, _: Close, context: &mut Context<Self>) {
+        if let Some(network) = &self.network {
+            network.leave(&self.name);
+        }
+        self.report(TransportReport::Closed { reason: "closed as asked".into() });
+        context.stop();
+    }
+}
+
+impl Handler<ReadCounters> for Medium {
+    type Result = MessageResult<ReadCounters>;
+
+    fn handle(&mut self, _: ReadCounters, _: &mut Context<Self>) -> Self::Result {
+        MessageResult(self.counters)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Probe, paused};
+
+    fn attach(medium: &MockTransport) -> (Probe<Received>, Probe<TransportReport>) {
+        let (frames, reports) = (Probe::start(), Probe::start());
+        let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+        medium.transport().attach.do_send(attach);
+        (frames, reports)
+    }
+
+    #[test]
+    fn a_mock_shows_what_is_sent_and_says_what_the_test_says() {
+        paused(async {
+            let medium = MockTransport::start("here");
+            let there = MediumAddress::Memory("there".into());
+            let (frames, reports) = attach(&medium);
+
+            assert!(matches!(reports.expect().await, TransportReport::Opened { .. }));
+            medium.receive(there.clone(), "in");
+            assert_eq!(frames.expect().await, Received { from: there.clone(), frame: "in".into() });
+            let out = Transmit { to: there.clone(), frame: "out".into() };
+            medium.transport().transmit.do_send(out.clone());
+            assert_eq!(medium.expect_sent().await, out);
+            medium.expect_nothing_sent_for(Duration::from_secs(9)).await;
+            medium.report(TransportReport::PeerLost { peer: there.clone() });
+            assert_eq!(reports.expect().await, TransportReport::PeerLost { peer: there });
+        });
+    }
+
+    #[test]
+    fn whoever_attaches_later_is_told_the_present_state() {
+        paused(async {
+            let medium = MockTransport::start("here");
+            medium.report(TransportReport::Closed { reason: "unplugged".into() });
+
+            let (_, reports) = attach(&medium);
+
+            let closed = TransportReport::Closed { reason: "unplugged".into() };
+            assert_eq!(reports.expect().await, closed);
+        });
+    }
+
+    #[test]
+    fn a_pair_carries_frames_both_ways() {
+        paused(async {
+            let (left, right, _network) = MockTransport::pair(1);
+            let ((at_left, _), (at_right, _)) = (attach(&left), attach(&right));
+
+            let forth = Transmit { to: right.local(), frame: "forth".into() };
+            left.transport().transmit.do_send(forth);
+            let back = Transmit { to: left.local(), frame: "back".into() };
+            right.transport().transmit.do_send(back);
+
+            let (from, frame) = (left.local(), Bytes::from("forth"));
+            assert_eq!(at_right.expect().await, Received { from, frame });
+            assert_eq!(at_left.expect().await.frame, "back");
+        });
+    }
+}

@@ -1,0 +1,190 @@
+//! An actor in the place of any receiver of a message.
+
+use crate::record::Record;
+use actix::prelude::*;
+use std::any::type_name;
+use std::future::Future;
+use std::time::Duration;
+use tokio::time::timeout;
+
+/// How long a probe waits for a message before the test has failed. Under a paused clock this is no
+/// time at all; with sockets it is long enough for a machine that is busy with other tests.
+pub const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Receives messages of one type in somebody's place, records them, and replies.
+///
+/// # Examples
+/// ```
+/// use blastema_contract::reports::Heartbeat;
+/// use blastema_core::{Incarnation, ObjectName};
+/// use blastema_doubles::{Probe, paused};
+///
+/// paused(async {
+///     let monitor = Probe::<Heartbeat>::start();
+///     let source = ObjectName::new("laser").unwrap();
+///     monitor.recipient().do_send(Heartbeat { source, incarnation: Incarnation::FIRST });
+///     assert_eq!(monitor.expect().await.source.as_str(), "laser");
+/// });
+/// ```
+pub struct Probe<M>
+where
+    M: Message + Send + 'static,
+    M::Result: Send,
+{
+    record: Record<M>,
+    recipient: Recipient<M>,
+}
+
+impl<M> Probe<M>
+where
+    M: Message + Send + 'static,
+    M::Result: Send,
+{
+    /// A probe on the present arbiter that answers with the default: nothing, zero, `None`.
+    pub fn start() -> Self
+    where
+        M::Result: Default,
+    {
+        Probe::replying(|_| M::Result::default())
+    }
+
+    /// A probe on the present arbiter that answers as the closure says.
+    pub fn replying(script: impl FnMut(&M) -> M::Result + 'static) -> Self {
+        let record = Record::default();
+        let recorder = Recorder { record: record.clone(), script: Box::new(script) };
+        Probe { record, recipient: recorder.start().recipient() }
+    }
+
+    /// Where to send what is to be recorded.
+    pub fn recipient(&self) -> Recipient<M> {
+        self.recipient.clone()
+    }
+
+    /// The next message.
+    ///
+    /// # Panics
+    /// When none comes within [`PATIENCE`].
+    pub async fn expect(&self) -> M {
+        patient(self.record.next(), type_name::<M>()).await
+    }
+
+    /// The next message for which `wanted` holds; those before it are thrown away.
+    ///
+    /// # Panics
+    /// When none comes within [`PATIENCE`].
+    pub async fn wait(&self, mut wanted: impl FnMut(&M) -> bool) -> M {
+        let found = async {
+            loop {
+                let message = self.record.next().await;
+                if wanted(&message) {
+                    return message;
+                }
+            }
+        };
+        patient(found, type_name::<M>()).await
+    }
+
+    /// Makes sure that no message comes during this time, nor was there one before.
+    ///
+    /// # Panics
+    /// When there is one.
+    pub async fn expect_none_for(&self, span: Duration) {
+        let come = timeout(span, self.record.next()).await;
+        assert!(come.is_err(), "a {} came where none should", type_name::<M>());
+    }
+
+    /// Everything recorded and not yet taken.
+    pub fn drain(&self) -> Vec<M> {
+        self.record.drain()
+    }
+
+    /// How many messages were recorded and not yet taken.
+    pub fn recorded(&self) -> usize {
+        self.record.len()
+    }
+}
+
+/// Waits as long as a test should.
+pub(crate) async fn patient<T>(wait: impl Future<Output = T>, what: &str) -> T {
+    match timeout(PATIENCE, wait).await {
+        Ok(found) => found,
+        Err(_) => panic!("no {what} came within {PATIENCE:?}"),
+    }
+}
+
+/// The probe's actor.
+struct Recorder<M: Message> {
+    record: Record<M>,
+    script: Box<dyn FnMut(&M) -> M::Result>,
+}
+
+impl<M: Message + 'static> Actor for Recorder<M> {
+    type Context = Context<Self>;
+}
+
+impl<M: Message + Send + 'static> Handler<M> for Recorder<M> {
+    type Result = MessageResult<M>;
+
+    fn handle(&mut self, message: M, _: &mut Context<Self>) -> MessageResult<M> {
+        let reply = (self.script)(&message);
+        self.record.push(message);
+        MessageResult(reply)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{now, paused};
+    use blastema_core::Instant;
+
+    #[derive(Debug, PartialEq, Message)]
+    #[rtype(result = "u32")]
+    struct Double(u32);
+
+    #[test]
+    fn a_probe_records_in_order_and_replies_as_told() {
+        paused(async {
+            let probe = Probe::<Double>::replying(|Double(n)| 2 * n);
+
+            assert_eq!(probe.recipient().send(Double(4)).await.unwrap(), 8);
+            assert_eq!(probe.recipient().send(Double(5)).await.unwrap(), 10);
+
+            assert_eq!(probe.recorded(), 2);
+            assert_eq!(probe.expect().await, Double(4));
+            assert_eq!(probe.drain(), [Double(5)]);
+        });
+    }
+
+    #[test]
+    fn waiting_skips_what_is_not_wanted() {
+        paused(async {
+            let probe = Probe::<Double>::start();
+            (0..9).for_each(|n| probe.recipient().do_send(Double(n)));
+
+            assert_eq!(probe.wait(|Double(n)| *n == 7).await, Double(7));
+            assert_eq!(probe.expect().await, Double(8));
+            probe.expect_none_for(Duration::from_secs(60)).await;
+            assert_eq!(now(), Instant::from_millis(60_000));
+        });
+    }
+
+    #[test]
+    #[should_panic(expected = "came where none should")]
+    fn a_message_where_none_should_be_fails_the_test() {
+        paused(async {
+            let probe = Probe::<Double>::start();
+            probe.recipient().do_send(Double(1));
+
+            probe.expect_none_for(Duration::from_secs(1)).await;
+        });
+    }
+
+    #[test]
+    #[should_panic(expected = "Double came within")]
+    fn a_message_that_never_comes_fails_the_test() {
+        paused(async {
+            let _ = Probe::<Double>::start().expect().await;
+        });
+    }
+}

@@ -1,0 +1,228 @@
+//! The record of faults, and which of them stand.
+
+use super::{End, Entry, Record};
+use crate::{Fault, FaultId, FaultKind, Instant, Place};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The record of faults: found, decided, ended, with the instants; and the latches.
+///
+/// A fault is latched from when it is found until it is recovered or has gone by itself. While it is,
+/// the same kind at the same place is the same fault. One that was given up stays latched: it still
+/// stands.
+///
+/// The record is bounded. To make room, the oldest fault that has ended goes first; where none has, the
+/// oldest of all, with its latch, so that it would be found anew.
+#[derive(Clone, Debug)]
+pub struct Chronicle {
+    entries: BTreeMap<FaultId, Entry>,
+    latches: BTreeMap<(Place, FaultKind), FaultId>,
+    capacity: usize,
+    dropped: u64,
+}
+
+impl Chronicle {
+    /// An empty record with room for so many faults; at least one.
+    pub fn new(capacity: usize) -> Self {
+        Chronicle {
+            entries: BTreeMap::new(),
+            latches: BTreeMap::new(),
+            capacity: capacity.max(1),
+            dropped: 0,
+        }
+    }
+
+    /// Takes a fault that was found, and latches it. Answers which one had to make room for it.
+    pub fn open(&mut self, fault: Fault) -> Option<FaultId> {
+        let full = self.entries.len() >= self.capacity;
+        let dropped = if full { self.make_room() } else { None };
+        let (seat, kind, id) = (seat(&fault.place), fault.kind.clone(), fault.id);
+        self.latches.insert((seat, kind), id);
+        self.entries.insert(id, Entry { fault, decided: None, ended: None });
+        dropped
+    }
+
+    /// The fault of this kind that stands at this place.
+    pub fn standing(&self, place: &Place, kind: &FaultKind) -> Option<FaultId> {
+        self.latches.get(&(seat(place), kind.clone())).copied()
+    }
+
+    /// Every fault that stands at this place, in the order of their kinds.
+    pub fn standing_at(&self, place: &Place) -> impl Iterator<Item = &Fault> {
+        let seat = seat(place);
+        // The first kind of the list: all latches of the place follow.
+        let first = (seat.clone(), FaultKind::Panic);
+        self.latches
+            .range(first..)
+            .take_while(move |((other, _), _)| *other == seat)
+            .filter_map(|(_, id)| Some(&self.entries.get(id)?.fault))
+    }
+
+    /// Every fault that stands.
+    pub fn all_standing(&self) -> impl Iterator<Item = &Fault> {
+        self.latches.values().filter_map(|id| Some(&self.entries.get(id)?.fault))
+    }
+
+    /// Whether this fault still stands, given up or not.
+    pub fn stands(&self, id: FaultId) -> bool {
+        self.entries.get(&id).is_some_and(|entry| {
+            self.latches.get(&(seat(&entry.fault.place), entry.fault.kind.clone())) == Some(&id)
+        })
+    }
+
+    /// One fault.
+    pub fn entry(&self, id: FaultId) -> Option<&Entry> {
+        self.entries.get(&id)
+    }
+
+    /// One fault, to write down what becomes of it. Its place and kind must not be changed.
+    pub(super) fn entry_mut(&mut self, id: FaultId) -> Option<&mut Entry> {
+        self.entries.get_mut(&id)
+    }
+
+    /// Writes down how a fault ended. Unless it was given up, its latch is lifted.
+    pub(super) fn end(&mut self, id: FaultId, at: Instant, end: End) {
+        let Some(entry) = self.entries.get_mut(&id) else { return };
+        if !matches!(end, End::GaveUp { .. }) {
+            let latch = (seat(&entry.fault.place), entry.fault.kind.clone());
+            if self.latches.get(&latch) == Some(&id) {
+                self.latches.remove(&latch);
+            }
+        }
+        entry.ended = Some((at, end));
+    }
+
+    /// Follows a symptom up to its root.
+    pub fn root(&self, id: FaultId) -> FaultId {
+        let (mut root, mut passed) = (id, BTreeSet::new());
+        while passed.insert(root)
+            && let Some(above) = self.entries.get(&root).and_then(|entry| entry.fault.symptom_of)
+            && self.entries.contains_key(&above)
+        {
+            root = above;
+        }
+        root
+    }
+
+    /// The record as it is read: each root in the order in which they were found, each followed by its
+    /// symptoms.
+    pub fn read(&self) -> Record {
+        let mut entries: Vec<(FaultId, &Entry)> =
+            self.entries.iter().map(|(&id, entry)| (self.root(id), entry)).collect();
+        entries.sort_by_key(|&(root, entry)| (root, entry.fault.id != root, entry.fault.id));
+        let entries = entries.into_iter().map(|(_, entry)| entry.clone()).collect();
+        Record { entries, dropped: self.dropped }
+    }
+
+    fn make_room(&mut self) -> Option<FaultId> {
+        let ended =
+            |entry: &&Entry| matches!(entry.ended, Some((_, End::Recovered | End::Cleared)));
+        let oldest = self.entries.values().find(ended).or(self.entries.values().next());
+        let id = oldest?.fault.id;
+        self.latches.retain(|_, latched| *latched != id);
+        self.entries.remove(&id);
+        self.dropped += 1;
+        Some(id)
+    }
+}
+
+/// A place as latches know it: a link is the same whether or not its neighbour is known yet.
+fn seat(place: &Place) -> Place {
+    match place.clone() {
+        Place::Link { node, link, .. } => Place::Link { node, link, neighbour: None },
+        other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Incarnation, NodeName};
+
+    fn node(name: &str) -> NodeName {
+        NodeName::new(name).expect("a name")
+    }
+
+    fn cable(neighbour: Option<&str>) -> Place {
+        Place::Link { node: node("a"), link: "cable".into(), neighbour: neighbour.map(node) }
+    }
+
+    fn fault(id: u64, place: Place, kind: FaultKind, symptom_of: Option<u64>) -> Fault {
+        Fault {
+            id: FaultId(id),
+            severity: kind.severity(),
+            kind,
+            place,
+            incarnation: Incarnation::FIRST,
+            detail: String::new(),
+            found_at: Instant::from_millis(id),
+            symptom_of: symptom_of.map(FaultId),
+            count: 1,
+        }
+    }
+
+    fn ids(record: &Record) -> Vec<u64> {
+        record.entries.iter().map(|entry| entry.fault.id.0).collect()
+    }
+
+    #[test]
+    fn a_link_is_the_same_place_before_and_after_its_neighbour_is_known() {
+        let mut chronicle = Chronicle::new(8);
+
+        chronicle.open(fault(1, cable(None), FaultKind::LinkDown, None));
+
+        let found = chronicle.standing(&cable(Some("b")), &FaultKind::LinkDown);
+        assert_eq!(found, Some(FaultId(1)));
+        assert_eq!(chronicle.standing_at(&cable(Some("b"))).count(), 1);
+    }
+
+    #[test]
+    fn a_fault_stands_until_it_is_recovered_or_cleared_and_also_when_it_is_given_up() {
+        let mut chronicle = Chronicle::new(8);
+        chronicle.open(fault(1, cable(None), FaultKind::LinkDown, None));
+
+        chronicle.end(FaultId(1), Instant::from_millis(5), End::GaveUp { reason: "no way".into() });
+        assert!(chronicle.stands(FaultId(1)));
+
+        chronicle.end(FaultId(1), Instant::from_millis(9), End::Cleared);
+        assert!(!chronicle.stands(FaultId(1)));
+        assert_eq!(chronicle.all_standing().count(), 0);
+    }
+
+    #[test]
+    fn each_root_is_read_before_its_symptoms_and_symptoms_follow_their_root() {
+        let mut chronicle = Chronicle::new(8);
+        let place = |name| Place::Node(node(name));
+        chronicle.open(fault(1, place("symptom"), FaultKind::Silence, Some(3)));
+        chronicle.open(fault(2, place("other"), FaultKind::Silence, None));
+        chronicle.open(fault(3, place("root"), FaultKind::Panic, None));
+        chronicle.open(fault(4, place("deeper"), FaultKind::Silence, Some(1)));
+
+        assert_eq!(ids(&chronicle.read()), [2, 3, 1, 4]);
+        assert_eq!(chronicle.root(FaultId(4)), FaultId(3));
+    }
+
+    #[test]
+    fn symptoms_that_name_each_other_end_the_search_for_their_root() {
+        let mut chronicle = Chronicle::new(8);
+        chronicle.open(fault(1, cable(None), FaultKind::Silence, Some(2)));
+        chronicle.open(fault(2, cable(None), FaultKind::Hang, Some(1)));
+
+        assert_eq!(chronicle.read().entries.len(), 2);
+    }
+
+    #[test]
+    fn the_oldest_that_has_ended_makes_room_and_is_counted() {
+        let mut chronicle = Chronicle::new(2);
+        chronicle.open(fault(1, Place::Node(node("a")), FaultKind::NodeLost, None));
+        chronicle.open(fault(2, Place::Node(node("b")), FaultKind::NodeLost, None));
+        chronicle.end(FaultId(2), Instant::from_millis(5), End::Recovered);
+
+        chronicle.open(fault(3, Place::Node(node("c")), FaultKind::NodeLost, None));
+        assert_eq!(ids(&chronicle.read()), [1, 3]);
+
+        chronicle.open(fault(4, Place::Node(node("d")), FaultKind::NodeLost, None));
+        assert_eq!(ids(&chronicle.read()), [3, 4]);
+        assert_eq!(chronicle.read().dropped, 2);
+        assert_eq!(chronicle.standing(&Place::Node(node("a")), &FaultKind::NodeLost), None);
+    }
+}

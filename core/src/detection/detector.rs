@@ -1,0 +1,652 @@
+//! What is wrong, where, and why: the judge of the fault chain.
+
+use super::symptoms::{Dependencies, is_down};
+use super::{
+    Chronicle, End, Exit, Finding, Handed, Handover, HandoverLimits, LinkCondition, NodeCondition,
+    Notice, Observation, Outcome, Record, Turn,
+};
+use crate::{
+    Fault, FaultId, FaultKind, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectName,
+    Place,
+};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+
+/// Follows the life of every object, compares what is seen with the list of faults, and keeps the
+/// record.
+///
+/// * **Lifecycle.** A machine per object takes the ways of [`Lifecycle::TRANSITIONS`]. A way that does
+///   not exist is a fault of its own; the report is believed all the same.
+/// * **One fault, one report.** A fault is latched by place and kind; seen again, it is counted. A new
+///   life that becomes active ends the faults of the lives before it.
+/// * **Roots and symptoms.** What an object suffers while something it depends on is down, or behind a
+///   hang of another, is a symptom, also if its root is found only shortly afterwards.
+/// * **Nothing is forgotten.** A fault on which no recoverer decides is handed over again, and in the end
+///   given up loudly.
+///
+/// Where the guard has already restarted a component, the fault is found and recovered in one: it is
+/// recorded and told, and handed to nobody.
+#[derive(Clone, Debug)]
+pub struct Detector {
+    limits: DetectorLimits,
+    objects: BTreeMap<ObjectName, Seen>,
+    needs: Dependencies,
+    /// Who stands still behind which hang.
+    behind: BTreeMap<ObjectName, FaultId>,
+    chronicle: Chronicle,
+    /// Faults that may turn out to be symptoms.
+    explicable: BTreeSet<FaultId>,
+    /// Faults that the notifier knows of, and does not know to be over.
+    handed: BTreeSet<FaultId>,
+    reminders: Reminders,
+    handover: Handover<Notice>,
+    told: VecDeque<DetectorOutput>,
+    last_number: u64,
+    last_id: u64,
+    stale: u64,
+}
+
+/// The bounds of a [`Detector`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DetectorLimits {
+    /// How many faults the record holds. More remembers longer; an entry takes some hundred bytes.
+    pub record: usize,
+    /// How long after a symptom its root may be found. Longer explains more, and wrongly at times.
+    pub hindsight: Duration,
+    /// How long a recoverer may take to decide before it is reminded. Longer leaves a fault that was
+    /// lost on the way lying; shorter repeats more to a busy recoverer.
+    pub decision: Duration,
+    /// How often a recoverer is reminded before the fault is given up.
+    pub reminders: u32,
+    /// The hand-over to the notifier.
+    pub handover: HandoverLimits,
+}
+
+impl Default for DetectorLimits {
+    fn default() -> Self {
+        DetectorLimits {
+            // A day with a fault every minute and a half.
+            record: 1024,
+            // The slowest built-in watch (a link's, over wireless) finds its fault within two seconds.
+            hindsight: Duration::from_secs(2),
+            // A recoverer decides in microseconds; a second is an outage of the recoverer itself.
+            decision: Duration::from_secs(1),
+            reminders: 3,
+            handover: HandoverLimits::default(),
+        }
+    }
+}
+
+/// What a [`Detector`] wants done.
+#[derive(Clone, Debug, PartialEq)]
+pub enum DetectorOutput {
+    /// Hand this to the notifier, and bring its confirmation to [`Detector::handle_confirmed`].
+    HandOver {
+        /// The number under which it is confirmed.
+        number: u64,
+        /// What the notifier must know.
+        notice: Notice,
+    },
+    /// The notifier never confirmed this: tell a person.
+    GivenUp {
+        /// What it should have known.
+        notice: Notice,
+        /// How often it was sent.
+        tries: u32,
+    },
+    /// Tell everybody who has subscribed.
+    Tell {
+        /// The fault, as it now stands.
+        fault: Fault,
+        /// When it was so.
+        at: Instant,
+        /// What happened.
+        turn: Turn,
+    },
+}
+
+/// The lifecycle machine of one object.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    incarnation: Incarnation,
+    state: Lifecycle,
+}
+
+/// When to remind of which fault on which nobody has decided: one reminder per fault.
+#[derive(Clone, Debug, Default)]
+struct Reminders {
+    agenda: BTreeSet<(Instant, FaultId)>,
+    by_fault: BTreeMap<FaultId, Reminder>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Reminder {
+    due: Instant,
+    sent: u32,
+}
+
+impl Reminders {
+    fn set(&mut self, id: FaultId, reminder: Reminder) {
+        self.cancel(id);
+        self.agenda.insert((reminder.due, id));
+        self.by_fault.insert(id, reminder);
+    }
+
+    fn cancel(&mut self, id: FaultId) {
+        if let Some(reminder) = self.by_fault.remove(&id) {
+            self.agenda.remove(&(reminder.due, id));
+        }
+    }
+
+    fn pop_due(&mut self, now: Instant) -> Option<(FaultId, Reminder)> {
+        let &(due, id) = self.agenda.first()?;
+        if due > now {
+            return None;
+        }
+        self.agenda.pop_first();
+        Some((id, self.by_fault.remove(&id)?))
+    }
+}
+
+/// Where and when something was seen.
+struct Scene {
+    place: Place,
+    incarnation: Incarnation,
+    at: Instant,
+}
+
+/// What a fault may be a symptom of.
+enum Cause {
+    /// It is its own cause, whatever else is down.
+    Itself,
+    /// Whatever is down that it depends on.
+    Above,
+    /// This one.
+    Known(FaultId),
+}
+
+impl Detector {
+    /// A detector of `node` that begins at `now` with an empty record.
+    pub fn new(node: NodeName, limits: DetectorLimits, now: Instant) -> Self {
+        Detector {
+            limits,
+            objects: BTreeMap::new(),
+            needs: Dependencies::new(node),
+            behind: BTreeMap::new(),
+            chronicle: Chronicle::new(limits.record),
+            explicable: BTreeSet::new(),
+            handed: BTreeSet::new(),
+            reminders: Reminders::default(),
+            handover: Handover::new(limits.handover, now.as_nanos()),
+            told: VecDeque::new(),
+            last_number: 0,
+            last_id: 0,
+            stale: 0,
+        }
+    }
+
+    /// The monitor hands over what it saw. A repetition of the last one changes nothing; in any case
+    /// it may be confirmed afterwards.
+    pub fn handle_observed(&mut self, number: u64, observation: Observation, now: Instant) {
+        if number <= self.last_number {
+            return;
+        }
+        self.last_number = number;
+        let Observation { place, incarnation, finding, seen_at } = observation;
+        let scene = Scene { place, incarnation, at: seen_at };
+        match scene.place.clone() {
+            Place::Object(address) => self.judge_object(&address.object, scene, finding),
+            Place::Link { .. } => self.judge_link(scene, finding),
+            Place::Node(_) => self.judge_node(scene, finding),
+        }
+        self.handover.handle_timeout(now);
+    }
+
+    /// The recoverer tells what becomes of a fault.
+    pub fn handle_outcome(&mut self, id: FaultId, at: Instant, outcome: Outcome) {
+        let Some(entry) = self.chronicle.entry_mut(id) else { return };
+        if matches!(entry.ended, Some((_, End::Recovered | End::Cleared))) {
+            return;
+        }
+        self.reminders.cancel(id);
+        match outcome {
+            Outcome::Decided { measure } => {
+                entry.decided = Some((at, measure.clone()));
+                let fault = entry.fault.clone();
+                self.told.push_back(DetectorOutput::Tell {
+                    fault,
+                    at,
+                    turn: Turn::Decided { measure },
+                });
+            }
+            Outcome::Recovered => {
+                self.handed.remove(&id);
+                self.end(id, at, End::Recovered);
+            }
+            Outcome::GaveUp { reason } => self.end(id, at, End::GaveUp { reason }),
+        }
+    }
+
+    /// The notifier has confirmed a notice.
+    pub fn handle_confirmed(&mut self, number: u64, now: Instant) {
+        self.handover.handle_confirmed(number, now);
+    }
+
+    /// A notice is known not to have reached the notifier.
+    pub fn handle_failed(&mut self, number: u64, now: Instant) {
+        self.handover.handle_failed(number, now);
+    }
+
+    /// The record, roots before their symptoms.
+    pub fn read_record(&self) -> Record {
+        self.chronicle.read()
+    }
+
+    /// Where an object stands in its life, as the detector has followed it.
+    pub fn state_of(&self, object: &ObjectName) -> Option<(Incarnation, Lifecycle)> {
+        self.objects.get(object).map(|seen| (seen.incarnation, seen.state))
+    }
+
+    /// How often something was seen of a life that is over.
+    pub fn stale(&self) -> u64 {
+        self.stale
+    }
+
+    /// A detector that knows the same plain facts, for a body that was struck in the middle of an input.
+    #[must_use]
+    pub fn reborn(self, now: Instant) -> Self {
+        Detector { handover: self.handover.reborn(now), ..self }
+    }
+
+    fn judge_object(&mut self, object: &ObjectName, scene: Scene, finding: Finding) {
+        if let Finding::Dismissed = finding {
+            self.objects.remove(object);
+            self.needs.forget(object);
+            self.behind.remove(object);
+            return self.end_all_at(&scene, |_| true, &End::Cleared);
+        }
+        let fresh = Seen { incarnation: scene.incarnation, state: Lifecycle::Created };
+        let seen = self.objects.entry(object.clone()).or_insert(fresh);
+        if scene.incarnation < seen.incarnation {
+            self.stale += 1;
+            return;
+        }
+        if scene.incarnation > seen.incarnation {
+            *seen = fresh;
+            self.behind.remove(object);
+        }
+        match finding {
+            Finding::Enrolled { depends_on } => self.needs.declare(object.clone(), depends_on),
+            Finding::Exited { exit, restarted_as } => {
+                self.judge_exit(object, &scene, exit, restarted_as);
+            }
+            Finding::State { state, reason } => self.judge_state(object, &scene, state, reason),
+            Finding::Declared { kind, detail } => {
+                self.find(&scene, kind, detail, Cause::Above);
+            }
+            Finding::Silent { age } => {
+                let detail = format!("no sign of life for {} ms", age.as_millis());
+                let cause = self.cause_of_standstill(object, &scene);
+                self.find(&scene, FaultKind::Silence, detail, cause);
+            }
+            Finding::Spoke => self.end_kind(&scene, &FaultKind::Silence),
+            Finding::Hangs { during, age, victims } => {
+                let detail = format!(
+                    "{during} has kept its arbiter for {} ms; {} others stand still behind it",
+                    age.as_millis(),
+                    victims.iter().filter(|&victim| victim != object).count()
+                );
+                let id = self.find(&scene, FaultKind::Hang, detail, Cause::Itself);
+                let known = |victim: &&ObjectName| self.objects.contains_key(*victim);
+                let known: Vec<_> = victims.iter().filter(|&v| v != object).filter(known).collect();
+                for victim in known {
+                    self.behind.insert(victim.clone(), id);
+                }
+                self.explain_by(id, scene.at);
+            }
+            Finding::Waits { during, age } => {
+                let detail = format!("{during} has been waiting for {} ms", age.as_millis());
+                self.find(&scene, FaultKind::Hang, detail, Cause::Above);
+            }
+            Finding::Stuck { oldest, queued } => {
+                let detail = format!(
+                    "it answers, but has taken none of {queued} messages; the oldest is {} ms old",
+                    oldest.as_millis()
+                );
+                self.find(&scene, FaultKind::Hang, detail, Cause::Above);
+            }
+            Finding::Overloaded { oldest, queued } => {
+                self.end_kind(&scene, &FaultKind::Hang);
+                let oldest = oldest.as_millis();
+                let detail = format!("{queued} messages wait; the oldest is {oldest} ms old");
+                self.find(&scene, FaultKind::Overload, detail, Cause::Above);
+            }
+            Finding::Flows => {
+                self.end_kind(&scene, &FaultKind::Hang);
+                self.end_kind(&scene, &FaultKind::Overload);
+            }
+            Finding::Resumed => {
+                self.behind.remove(object);
+                self.end_kind(&scene, &FaultKind::Hang);
+            }
+            Finding::Lost { culprit } => {
+                let cause = self.behind.get(object).map_or(Cause::Above, |&id| Cause::Known(id));
+                let detail = format!("it stands still behind {culprit}, which does not return");
+                self.find(&scene, FaultKind::Hang, detail, cause);
+            }
+            Finding::Dismissed | Finding::Link(_) | Finding::Node(_) => {}
+        }
+    }
+
+    fn judge_exit(
+        &mut self,
+        object: &ObjectName,
+        scene: &Scene,
+        exit: Exit,
+        restarted_as: Option<Incarnation>,
+    ) {
+        let seen = self.objects.get_mut(object).expect("the caller has put it there");
+        let before = seen.state;
+        seen.state = match exit {
+            Exit::Stopped => Lifecycle::Finalized,
+            _ => Lifecycle::Fatal,
+        };
+        // A life that was already over ends in some way or other; that is no second fault.
+        let over = matches!(before, Lifecycle::Fatal | Lifecycle::Finalized);
+        let (kind, detail) = match exit {
+            Exit::Panicked { text, at, during } => {
+                (FaultKind::Panic, format!("{text}, at {at}, in {during}"))
+            }
+            Exit::Returned if !over => {
+                (FaultKind::UnexpectedExit, format!("it ended itself while {before}"))
+            }
+            Exit::Aborted if !over => {
+                (FaultKind::UnexpectedExit, format!("its arbiter went away while it was {before}"))
+            }
+            Exit::Returned | Exit::Aborted | Exit::Stopped => return,
+        };
+        let Some(next) = restarted_as else {
+            self.find(scene, kind, detail, Cause::Itself);
+            return;
+        };
+        *seen = Seen { incarnation: next, state: Lifecycle::Created };
+        let id = self.record(scene, kind, detail, Cause::Itself);
+        self.end(id, scene.at, End::Recovered);
+    }
+
+    fn judge_state(
+        &mut self,
+        object: &ObjectName,
+        scene: &Scene,
+        state: Lifecycle,
+        reason: Option<String>,
+    ) {
+        let seen = self.objects.get_mut(object).expect("the caller has put it there");
+        let before = std::mem::replace(&mut seen.state, state);
+        if before == state {
+            return;
+        }
+        if !before.may_become(state) {
+            let detail = format!("it went from {before} to {state}, and no such way exists");
+            self.find(scene, FaultKind::CheckFailed, detail, Cause::Itself);
+        }
+        let reason = reason.unwrap_or_else(|| "it gave no reason".into());
+        match state {
+            Lifecycle::Error => {
+                self.find(scene, FaultKind::ErrorState, reason, Cause::Above);
+            }
+            Lifecycle::Fatal if before == Lifecycle::Created => {
+                self.find(scene, FaultKind::InitializationFailed, reason, Cause::Above);
+            }
+            Lifecycle::Fatal => {
+                self.find(scene, FaultKind::Fatal, reason, Cause::Above);
+            }
+            Lifecycle::Active => {
+                let life = scene.incarnation;
+                let is_over =
+                    |fault: &Fault| fault.incarnation < life || fault.kind == FaultKind::ErrorState;
+                self.end_all_at(scene, is_over, &End::Recovered);
+            }
+            Lifecycle::Created | Lifecycle::Initialized | Lifecycle::Finalized => {}
+        }
+    }
+
+    fn judge_link(&mut self, scene: Scene, finding: Finding) {
+        let Finding::Link(condition) = finding else { return };
+        match condition {
+            LinkCondition::Up => {
+                self.end_kind(&scene, &FaultKind::LinkDown);
+                self.end_kind(&scene, &FaultKind::LinkDegraded);
+            }
+            LinkCondition::Degraded { reason } => {
+                self.end_kind(&scene, &FaultKind::LinkDown);
+                self.find(&scene, FaultKind::LinkDegraded, reason, Cause::Above);
+            }
+            LinkCondition::Down { reason } => {
+                self.end_kind(&scene, &FaultKind::LinkDegraded);
+                self.find(&scene, FaultKind::LinkDown, reason, Cause::Above);
+            }
+        }
+    }
+
+    fn judge_node(&mut self, scene: Scene, finding: Finding) {
+        let Finding::Node(condition) = finding else { return };
+        match condition {
+            NodeCondition::Reachable => self.end_kind(&scene, &FaultKind::NodeLost),
+            NodeCondition::Lost { reason } => {
+                self.find(&scene, FaultKind::NodeLost, reason, Cause::Itself);
+            }
+            NodeCondition::Restarted => {
+                let known = self.chronicle.standing(&scene.place, &FaultKind::NodeLost);
+                let id = known.unwrap_or_else(|| {
+                    let detail = "its process died and began again".into();
+                    self.record(&scene, FaultKind::NodeLost, detail, Cause::Itself)
+                });
+                self.end_by_itself(id, scene.at, End::Recovered);
+            }
+        }
+    }
+
+    /// Somebody who stands still does so behind a hang, or because of what else is wrong with itself,
+    /// or because of what it depends on.
+    fn cause_of_standstill(&self, object: &ObjectName, scene: &Scene) -> Cause {
+        let hang = self.behind.get(object).copied().filter(|&id| self.chronicle.stands(id));
+        let own = || {
+            let here = self.chronicle.standing_at(&scene.place);
+            here.filter(|fault| is_down(fault) && fault.kind != FaultKind::Silence)
+                .map(|fault| fault.id)
+                .min()
+        };
+        hang.or_else(own).map_or(Cause::Above, Cause::Known)
+    }
+
+    /// A fault was seen: it is counted if it stands already, else recorded and handed over.
+    fn find(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
+        if let Some(id) = self.chronicle.standing(&scene.place, &kind)
+            && self.repeat(id, scene)
+        {
+            return id;
+        }
+        let id = self.record(scene, kind, detail, cause);
+        let due = scene.at + self.limits.decision;
+        self.reminders.set(id, Reminder { due, sent: 0 });
+        self.handed.insert(id);
+        let fault = self.chronicle.entry(id).expect("it was just recorded").fault.clone();
+        self.hand_over(Notice::Found(fault), scene.at);
+        self.explain_by(id, scene.at);
+        id
+    }
+
+    /// Counts a fault once more; no, if what stands was given up in an earlier life.
+    fn repeat(&mut self, id: FaultId, scene: &Scene) -> bool {
+        let Some(entry) = self.chronicle.entry_mut(id) else { return false };
+        let newer = scene.incarnation > entry.fault.incarnation;
+        if newer && matches!(entry.ended, Some((_, End::GaveUp { .. }))) {
+            return false;
+        }
+        entry.fault.count = entry.fault.count.saturating_add(1);
+        entry.fault.incarnation = entry.fault.incarnation.max(scene.incarnation);
+        if entry.fault.count.is_power_of_two() {
+            let fault = entry.fault.clone();
+            let tell = DetectorOutput::Tell { fault, at: scene.at, turn: Turn::Repeated };
+            self.told.push_back(tell);
+        }
+        true
+    }
+
+    /// Puts a fault into the record and tells it.
+    fn record(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
+        self.last_id += 1;
+        let id = FaultId(self.last_id);
+        let symptom_of = match cause {
+            Cause::Itself => None,
+            Cause::Known(cause) => Some(self.chronicle.root(cause)),
+            Cause::Above => {
+                self.explicable.insert(id);
+                self.needs.root_above(&scene.place, &self.chronicle)
+            }
+        };
+        let fault = Fault {
+            id,
+            severity: kind.severity(),
+            kind,
+            place: scene.place.clone(),
+            incarnation: scene.incarnation,
+            detail,
+            found_at: scene.at,
+            symptom_of,
+            count: 1,
+        };
+        if let Some(dropped) = self.chronicle.open(fault.clone()) {
+            self.explicable.remove(&dropped);
+            self.handed.remove(&dropped);
+            self.reminders.cancel(dropped);
+        }
+        self.told.push_back(DetectorOutput::Tell { fault, at: scene.at, turn: Turn::Found });
+        id
+    }
+
+    /// A root was found: what was found shortly before, and is explained by it, becomes its symptom.
+    fn explain_by(&mut self, id: FaultId, at: Instant) {
+        let Some(entry) = self.chronicle.entry(id) else { return };
+        if !is_down(&entry.fault) {
+            return;
+        }
+        let place = entry.fault.place.clone();
+        let root = self.chronicle.root(id);
+        let since = at - (Instant::ORIGIN + self.limits.hindsight);
+        let is_behind = |fault: &Fault| match &fault.place {
+            Place::Object(address) => self.behind.get(&address.object) == Some(&id),
+            _ => false,
+        };
+        let explained: Vec<FaultId> = self
+            .chronicle
+            .all_standing()
+            .filter(|fault| {
+                fault.symptom_of.is_none()
+                    && fault.id != root
+                    && fault.id != id
+                    && fault.found_at - Instant::ORIGIN >= since
+                    && self.explicable.contains(&fault.id)
+                    && (is_behind(fault) || self.needs.needs_of(&fault.place).contains(&place))
+            })
+            .map(|fault| fault.id)
+            .collect();
+        for symptom in explained {
+            let entry = self.chronicle.entry_mut(symptom).expect("it was just found there");
+            entry.fault.symptom_of = Some(root);
+            let fault = entry.fault.clone();
+            self.told.push_back(DetectorOutput::Tell { fault, at, turn: Turn::Explained });
+        }
+    }
+
+    /// The fault of this kind at this place, if there is one, has gone by itself.
+    fn end_kind(&mut self, scene: &Scene, kind: &FaultKind) {
+        if let Some(id) = self.chronicle.standing(&scene.place, kind) {
+            self.end_by_itself(id, scene.at, End::Cleared);
+        }
+    }
+
+    fn end_all_at(&mut self, scene: &Scene, is_over: impl Fn(&Fault) -> bool, end: &End) {
+        let standing = self.chronicle.standing_at(&scene.place);
+        let over: Vec<FaultId> = standing.filter(|f| is_over(f)).map(|fault| fault.id).collect();
+        for id in over {
+            self.end_by_itself(id, scene.at, end.clone());
+        }
+    }
+
+    /// A fault is over, and those who were told of it do not know yet.
+    fn end_by_itself(&mut self, id: FaultId, at: Instant, end: End) {
+        self.end(id, at, end);
+        let Some(entry) = self.chronicle.entry(id) else { return };
+        let place = entry.fault.place.clone();
+        let waits = |notice: &Notice| notice.id() == id;
+        if self.handed.remove(&id) && self.handover.withdraw(waits).is_none() {
+            self.hand_over(Notice::Cleared { id, place }, at);
+        }
+    }
+
+    fn end(&mut self, id: FaultId, at: Instant, end: End) {
+        self.reminders.cancel(id);
+        if !matches!(end, End::GaveUp { .. }) {
+            self.explicable.remove(&id);
+        }
+        self.chronicle.end(id, at, end.clone());
+        if let Some(entry) = self.chronicle.entry(id) {
+            let fault = entry.fault.clone();
+            let turn = match end {
+                End::Recovered => Turn::Recovered,
+                End::Cleared => Turn::Cleared,
+                End::GaveUp { reason } => Turn::GaveUp { reason },
+            };
+            self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+        }
+    }
+
+    fn hand_over(&mut self, notice: Notice, now: Instant) {
+        self.handover.hand(notice.rank(), notice, now);
+    }
+
+    /// Nobody has decided about this fault. That is as it should be for a symptom whose root stands.
+    fn remind(&mut self, id: FaultId, reminder: Reminder, now: Instant) {
+        let Some(entry) = self.chronicle.entry(id) else { return };
+        let fault = entry.fault.clone();
+        let next = Reminder { due: now + self.limits.decision, ..reminder };
+        if fault.symptom_of.is_some_and(|root| self.chronicle.stands(root)) {
+            self.reminders.set(id, next);
+        } else if reminder.sent < self.limits.reminders {
+            self.reminders.set(id, Reminder { sent: reminder.sent + 1, ..next });
+            self.handover.withdraw(|notice| notice.id() == id);
+            self.hand_over(Notice::Found(fault), now);
+        } else {
+            let reason = "no recoverer has decided about it".into();
+            self.end(id, now, End::GaveUp { reason });
+        }
+    }
+}
+
+impl Machine for Detector {
+    type Output = DetectorOutput;
+
+    fn poll_output(&mut self) -> Option<DetectorOutput> {
+        if let Some(told) = self.told.pop_front() {
+            return Some(told);
+        }
+        self.handover.poll_output().map(|handed| match handed {
+            Handed::Deliver { number, item } => DetectorOutput::HandOver { number, notice: item },
+            Handed::GivenUp { item, tries } => DetectorOutput::GivenUp { notice: item, tries },
+        })
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let reminder = self.reminders.agenda.first().map(|&(due, _)| due);
+        [self.handover.poll_timeout(), reminder].into_iter().flatten().min()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.handover.handle_timeout(now);
+        while let Some((id, reminder)) = self.reminders.pop_due(now) {
+            self.remind(id, reminder, now);
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! How an object wants to be watched.
+
+use crate::{Incarnation, ObjectAddress, ObjectName};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// What the monitor must know of an object to watch it.
+///
+/// ```
+/// use blastema_core::detection::{Enrolment, Watch};
+/// use blastema_core::ObjectName;
+/// use std::time::Duration;
+///
+/// let enrolment = Enrolment::new(ObjectName::new("laser")?)
+///     .watch(Watch::push(Duration::from_millis(100), 3))
+///     .depends_on(["module1:power".parse()?]);
+/// assert_eq!(enrolment.depends_on.len(), 1);
+/// # Ok::<(), blastema_core::NameError>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Enrolment {
+    /// Who.
+    pub object: ObjectName,
+    /// What kind of object it is.
+    pub kind: ObjectKind,
+    /// Which of its lives is about to begin, or lives already.
+    pub incarnation: Incarnation,
+    /// How its signs of life come.
+    pub watch: Watch,
+    /// The objects, here or elsewhere, without which it cannot work: what it suffers while one of
+    /// them is down is taken for a symptom.
+    pub depends_on: Arc<[ObjectAddress]>,
+}
+
+impl Enrolment {
+    /// A component in its first life that depends on nothing and is watched by its guard alone.
+    pub fn new(object: ObjectName) -> Self {
+        Enrolment {
+            object,
+            kind: ObjectKind::Component,
+            incarnation: Incarnation::FIRST,
+            watch: Watch::Guard,
+            depends_on: Arc::new([]),
+        }
+    }
+
+    /// Sets what kind of object it is.
+    #[must_use]
+    pub fn kind(mut self, kind: ObjectKind) -> Self {
+        self.kind = kind;
+        self
+    }
+
+    /// Sets which of its lives this is.
+    #[must_use]
+    pub fn incarnation(mut self, incarnation: Incarnation) -> Self {
+        self.incarnation = incarnation;
+        self
+    }
+
+    /// Sets how its signs of life come.
+    #[must_use]
+    pub fn watch(mut self, watch: Watch) -> Self {
+        self.watch = watch;
+        self
+    }
+
+    /// Sets what it cannot work without.
+    #[must_use]
+    pub fn depends_on(mut self, objects: impl IntoIterator<Item = ObjectAddress>) -> Self {
+        self.depends_on = objects.into_iter().collect();
+        self
+    }
+}
+
+/// What kind of thing a row of the monitor's table is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ObjectKind {
+    /// An object of the application.
+    Component,
+    /// An object of the middleware itself.
+    Middleware,
+    /// A link to a neighbour.
+    Link,
+    /// Another node.
+    Node,
+}
+
+/// How an object's signs of life come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Watch {
+    /// Its guard tells how it ends, and the watch thread sees it hang. It says nothing of its own.
+    Guard,
+    /// It says "I am alive" by itself.
+    Push(Push),
+    /// It is asked "are you alive?".
+    Pull(Pull),
+}
+
+impl Watch {
+    /// A sign of life every `interval`; `tolerance` of them in a row may be lost.
+    pub fn push(interval: Duration, tolerance: u32) -> Self {
+        Watch::Push(Push { interval, tolerance, ..Push::default() })
+    }
+
+    /// A question every `interval`, to be answered `within` that time.
+    pub fn pull(interval: Duration, within: Duration) -> Self {
+        Watch::Pull(Pull { interval, within, ..Pull::default() })
+    }
+}
+
+/// The push model: an object says by itself that it is alive.
+///
+/// ```text
+///  beat            suspect                       failed
+///   │───────┬────────│────────┬──────────────┬─────│──────►
+///   0    interval   1½      2 (n)          3 (n)   tolerance + ½ intervals
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Push {
+    /// How often a sign of life comes. Shorter finds silence sooner and costs more messages.
+    pub interval: Duration,
+    /// How many signs in a row may fail to come; at least 1. More gives fewer false alarms, and finds
+    /// a real one later.
+    pub tolerance: u32,
+    /// How long a new life may take until its first sign. Longer suits slow devices; a life that never
+    /// begins is noticed that much later.
+    pub start_up: Duration,
+}
+
+impl Default for Push {
+    fn default() -> Self {
+        // The paper's interval; three lost in a row are tolerated and half an interval of lateness
+        // (ITU-T G.8013); a component that loads a map takes a second or two to begin.
+        let (interval, start_up) = (Duration::from_millis(100), Duration::from_secs(5));
+        Push { interval, tolerance: 3, start_up }
+    }
+}
+
+/// The pull model: an object is asked whether it is alive, on its control lane, so that a flooded
+/// one still answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pull {
+    /// How often it is asked. There is never more than one open question.
+    pub interval: Duration,
+    /// Within which time it must answer; when it has passed, the object is suspect.
+    pub within: Duration,
+    /// After how many times [`within`](Pull::within) the suspect has failed; at least 1.
+    pub tolerance: u32,
+    /// How long a message may wait in its queue before that is an overload, or a hang when nothing
+    /// moves at all. A component that declares a long operation is exempt while it lasts.
+    pub patience: Duration,
+}
+
+impl Default for Pull {
+    fn default() -> Self {
+        // An answer on the control lane takes microseconds; one that takes as long as two intervals
+        // of the paper's is no matter of load. A robot's data is worth nothing after a second.
+        Pull {
+            interval: Duration::from_millis(100),
+            within: Duration::from_millis(100),
+            tolerance: 2,
+            patience: Duration::from_secs(1),
+        }
+    }
+}

@@ -1,0 +1,44 @@
+//! The observing half of the fault chain: who lives, what is wrong, who is told.
+//!
+//! ```text
+//! heartbeats ─► Watchdog ┐
+//! answers ────► Inquiry  ├─ Monitor ══► Detector ══► Notifier ══► recoverers
+//! exits, states, links ──┘   sees        judges       tells
+//! ```
+//! `══►` is a [`Handover`]: repeated until it is confirmed, given up loudly. The monitor keeps the table
+//! and judges nothing but silence. The detector keeps the lifecycle of each object, compares with the
+//! list of faults, tells roots from symptoms and keeps the record. The notifier limits storms. None of
+//! them decides what is done about a fault, and none of them restarts anything.
+//!
+//! **A body that panics.** A machine that was struck in the middle of an input may hold half of it. Each
+//! of the three therefore has `reborn`, which makes a new machine from the plain facts of the old one:
+//! what is enrolled, which life it is in, what is recorded, and what is not yet confirmed. What was
+//! concluded from the passing of time (opinions, open questions) begins anew. The input that killed the
+//! body is lost, and nothing else.
+
+mod checks;
+mod chronicle;
+mod detector;
+mod enrolment;
+mod handover;
+mod inquiry;
+mod monitor;
+mod notifier;
+mod observation;
+mod outcome;
+mod symptoms;
+mod table;
+mod watchdog;
+
+pub use checks::{CheckFailed, Freshness, Invariant, Range, Rate};
+pub use chronicle::Chronicle;
+pub use detector::{Detector, DetectorLimits, DetectorOutput};
+pub use enrolment::{Enrolment, ObjectKind, Pull, Push, Watch};
+pub use handover::{Handed, Handover, HandoverLimits};
+pub use inquiry::{Inquiry, InquiryOutput};
+pub use monitor::{EnrolError, Monitor, MonitorLimits, MonitorOutput};
+pub use notifier::{Notifier, NotifierLimits, NotifierOutput, Port, PortRow};
+pub use observation::{Exit, Finding, LinkCondition, NodeCondition, Observation, Progress};
+pub use outcome::{End, Entry, Notice, Outcome, Record, Turn};
+pub use table::{Current, Opinion, QueueSeen, Row};
+pub use watchdog::{Verdict, Watchdog};

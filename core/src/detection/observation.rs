@@ -1,0 +1,167 @@
+//! What the monitor saw, before anybody has judged it.
+
+use crate::{FaultKind, Incarnation, Instant, Lifecycle, ObjectAddress, ObjectName, Place};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// One thing that the monitor saw and hands to the detector.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Observation {
+    /// Where.
+    pub place: Place,
+    /// In which of its lives; zero for a link.
+    pub incarnation: Incarnation,
+    /// What.
+    pub finding: Finding,
+    /// When.
+    pub seen_at: Instant,
+}
+
+/// What was seen. Whether it is a fault is for the detector to say.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Finding {
+    /// The object is now known, and needs these to do its work.
+    Enrolled {
+        /// The objects, here or elsewhere, without which it cannot work.
+        depends_on: Arc<[ObjectAddress]>,
+    },
+    /// The object is no longer to be looked at.
+    Dismissed,
+    /// A life ended.
+    Exited {
+        /// How.
+        exit: Exit,
+        /// The guard carried out its standing order: this life has begun in the old one's place.
+        restarted_as: Option<Incarnation>,
+    },
+    /// A life came to another state.
+    State {
+        /// Where it now stands.
+        state: Lifecycle,
+        /// For `Error` and `Fatal`: why, as the component said it.
+        reason: Option<String>,
+    },
+    /// The object itself declared a fault.
+    Declared {
+        /// Which.
+        kind: FaultKind,
+        /// The particulars.
+        detail: String,
+    },
+    /// It gave no sign of life, or no answer, for longer than is tolerated.
+    Silent {
+        /// For how long.
+        age: Duration,
+    },
+    /// It was silent and gives signs of life again.
+    Spoke,
+    /// Its handler keeps its arbiter from turning.
+    Hangs {
+        /// The contract or hook in service.
+        during: &'static str,
+        /// For how long at least.
+        age: Duration,
+        /// Who stands still behind it.
+        victims: Arc<[ObjectName]>,
+    },
+    /// Its handler awaits something for longer than it may; its arbiter turns.
+    Waits {
+        /// The contract or hook in service.
+        during: &'static str,
+        /// For how long at least.
+        age: Duration,
+    },
+    /// It stood still, and its arbiter turns again.
+    Resumed,
+    /// It stands still behind this culprit for good and must be re-created elsewhere.
+    Lost {
+        /// Whose handler keeps their arbiter.
+        culprit: ObjectName,
+    },
+    /// It answers, but has taken no message for so long although messages wait.
+    Stuck {
+        /// How long the oldest message has waited.
+        oldest: Duration,
+        /// How many wait.
+        queued: usize,
+    },
+    /// It works, but its messages wait longer than they should.
+    Overloaded {
+        /// How long the oldest message has waited.
+        oldest: Duration,
+        /// How many wait.
+        queued: usize,
+    },
+    /// It was stuck or overloaded and has caught up.
+    Flows,
+    /// A link changed.
+    Link(LinkCondition),
+    /// A node changed.
+    Node(NodeCondition),
+}
+
+/// How a life ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// It ended itself.
+    Returned,
+    /// It panicked.
+    Panicked {
+        /// The panic's text.
+        text: String,
+        /// File and line, as `src/laser.rs:42`.
+        at: String,
+        /// What it was serving: the contract's name, or the hook's.
+        during: &'static str,
+    },
+    /// Its future was dropped before it ended: its arbiter went away.
+    Aborted,
+    /// It was told to.
+    Stopped,
+}
+
+/// An object's answer to the question whether it is alive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Progress {
+    /// Which life answers.
+    pub incarnation: Incarnation,
+    /// Where it stands.
+    pub state: Lifecycle,
+    /// How many messages wait in its queue.
+    pub queued: usize,
+    /// How long the oldest of them has waited.
+    pub oldest: Duration,
+    /// It has declared that its present handler takes long.
+    pub long_operation: bool,
+}
+
+/// How a link is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum LinkCondition {
+    /// It carries.
+    Up,
+    /// It carries, but late or with loss.
+    Degraded {
+        /// What was measured, and against which limit.
+        reason: String,
+    },
+    /// It carries nothing.
+    Down {
+        /// How that was noticed.
+        reason: String,
+    },
+}
+
+/// How another node is, as this one sees it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NodeCondition {
+    /// At least one path leads there.
+    Reachable,
+    /// No path leads there any more.
+    Lost {
+        /// How that was noticed.
+        reason: String,
+    },
+    /// It was heard under a new incarnation: its process died and began again.
+    Restarted,
+}

@@ -1,0 +1,95 @@
+//! The monitor's table, as it is read.
+
+use super::ObjectKind;
+use crate::{Incarnation, Lifecycle, Place};
+use std::fmt;
+use std::time::Duration;
+
+/// What is known of one object, link or node, each fact with its age.
+///
+/// A row is a picture of the moment in which it was read. Nothing in it is an instant, so that it can
+/// be sent to another node, and nothing old in it looks current: see [`last_sign`](Row::last_sign).
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Row {
+    /// What the row is about.
+    pub place: Place,
+    /// What kind of thing that is.
+    pub kind: ObjectKind,
+    /// Which of its lives everything else in the row is about; zero for a link.
+    pub incarnation: Incarnation,
+    /// Where it stands in its life, as last reported; `None` for links, nodes and what has reported
+    /// nothing yet.
+    pub state: Option<Lifecycle>,
+    /// What the monitor thinks of it.
+    pub opinion: Opinion,
+    /// How long ago it last gave a sign of life of whatever sort; `None` for never in this life.
+    pub last_sign: Option<Duration>,
+    /// How many lives it has begun since it was enrolled, without the first.
+    pub restarts: u32,
+    /// How often it was suspect in this life.
+    pub suspicions: u32,
+    /// Its queue, when it was last asked.
+    pub queue: Option<QueueSeen>,
+    /// What it was seen to be doing for too long.
+    pub current: Option<Current>,
+    /// Its sending and receiving is forbidden.
+    pub isolated: bool,
+    /// The last reason that was given for an error, an end, or a link's or node's condition.
+    pub note: Option<String>,
+}
+
+/// What the monitor thinks of an object.
+///
+/// | opinion | meaning | what follows |
+/// | --- | --- | --- |
+/// | unheard | never heard in this life, and its start-up time is not over | nothing |
+/// | trusted | its signs of life come | nothing |
+/// | suspect | a sign is overdue, or it stands behind somebody else's hang | it is counted and shown |
+/// | failed | it was overdue for longer than is tolerated, or its end was reported | a fault |
+/// | at rest | its life ended as it should | nothing |
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Opinion {
+    /// Never heard in this life.
+    Unheard,
+    /// It gives signs of life.
+    Trusted,
+    /// Something is overdue; nothing is torn down yet.
+    Suspect,
+    /// It is dead, or as good as dead.
+    Failed,
+    /// It was stopped; nothing is expected of it.
+    AtRest,
+}
+
+impl fmt::Display for Opinion {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Opinion::Unheard => "unheard",
+            Opinion::Trusted => "trusted",
+            Opinion::Suspect => "suspect",
+            Opinion::Failed => "failed",
+            Opinion::AtRest => "at rest",
+        })
+    }
+}
+
+/// A queue, as it was at the last answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct QueueSeen {
+    /// How many messages waited.
+    pub queued: usize,
+    /// How long the oldest had waited by then.
+    pub oldest: Duration,
+    /// How long ago the answer came.
+    pub age: Duration,
+}
+
+/// A handler that was seen to take long.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Current {
+    /// The contract or hook in service.
+    pub during: &'static str,
+    /// For how long it has been, at least.
+    pub age: Duration,
+}

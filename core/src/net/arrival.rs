@@ -1,0 +1,140 @@
+//! When the next hello should be here: the estimator of Chen's failure detector NFD-E.
+
+use crate::Instant;
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Estimates when the next of a series of numbered signs of life arrives.
+///
+/// The series is sent once per interval; nothing is known of the sender's clock. The estimate is the
+/// mean of `arrival - interval * number` over the last arrivals, plus the next number's interval
+/// (Chen, Toueg, Aguilera, IEEE ToC 51(5), 2002, section 5.3). Unlike a timer that every arrival
+/// restarts, it does not carry the delay of the last message into the next deadline.
+#[derive(Clone, Debug)]
+pub(crate) struct Arrivals {
+    interval: Duration,
+    /// `arrival - interval * number`, in nanoseconds.
+    offsets: VecDeque<i128>,
+    sum: i128,
+    /// The highest number so far, counted on past its wire format's overflow.
+    highest: u64,
+    /// A bit for each of the last 64 numbers, the highest number's at bit 0: it arrived.
+    seen: u64,
+    /// How many of those bits mean anything.
+    span: u32,
+}
+
+/// What an arrival was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Arrival {
+    /// The newest so far.
+    New,
+    /// Late or doubled: it says nothing about now.
+    Old,
+}
+
+impl Arrivals {
+    /// Chen et al. find 30 arrivals enough; more only makes it slower to follow a drifting clock.
+    const WINDOW: usize = 32;
+
+    pub(crate) fn new(interval: Duration, number: u32, now: Instant) -> Self {
+        let mut arrivals = Arrivals {
+            interval,
+            offsets: VecDeque::with_capacity(Self::WINDOW),
+            sum: 0,
+            highest: u64::from(number),
+            seen: 1,
+            span: 1,
+        };
+        arrivals.learn(now);
+        arrivals
+    }
+
+    pub(crate) fn interval(&self) -> Duration {
+        self.interval
+    }
+
+    /// The highest number so far, as on the wire.
+    pub(crate) fn highest(&self) -> u32 {
+        self.highest as u32
+    }
+
+    pub(crate) fn handle(&mut self, number: u32, now: Instant) -> Arrival {
+        // Serial-number arithmetic (RFC 1982): the nearer way round decides.
+        let step = number.wrapping_sub(self.highest()).cast_signed();
+        if step <= 0 {
+            let back = step.unsigned_abs();
+            if back < 64 {
+                self.seen |= 1 << back;
+            }
+            return Arrival::Old;
+        }
+        let step = step.unsigned_abs();
+        self.seen = self.seen.checked_shl(step).unwrap_or(0) | 1;
+        self.span = self.span.saturating_add(step).min(64);
+        self.highest += u64::from(step);
+        self.learn(now);
+        Arrival::New
+    }
+
+    fn learn(&mut self, now: Instant) {
+        if self.offsets.len() == Self::WINDOW {
+            self.sum -= self.offsets.pop_front().unwrap_or(0);
+        }
+        let offset = i128::from(now.as_nanos()) - self.nanos(self.highest);
+        self.offsets.push_back(offset);
+        self.sum += offset;
+    }
+
+    fn nanos(&self, number: u64) -> i128 {
+        i128::from(number) * self.interval.as_nanos().cast_signed()
+    }
+
+    /// When the next one should be here.
+    pub(crate) fn expected(&self) -> Instant {
+        let mean = self.sum / self.offsets.len().max(1) as i128;
+        let nanos = (mean + self.nanos(self.highest + 1)).max(0);
+        Instant::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX))
+    }
+
+    /// How many of a thousand did not arrive, over the last 64; `None` while too few are known.
+    pub(crate) fn loss_permille(&self) -> Option<u16> {
+        // With fewer than 16, one loss would already look like a bad link.
+        (self.span >= 16).then(|| {
+            let lost = self.span.saturating_sub(self.seen.count_ones());
+            (lost * 1000 / self.span) as u16
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const INTERVAL: Duration = Duration::from_millis(10);
+
+    #[test]
+    fn the_next_arrival_is_expected_one_interval_after_the_mean() {
+        let mut arrivals = Arrivals::new(INTERVAL, 100, Instant::from_millis(1000));
+        assert_eq!(arrivals.expected(), Instant::from_millis(1010));
+
+        arrivals.handle(101, Instant::from_millis(1014));
+
+        assert_eq!(arrivals.expected(), Instant::from_millis(1022));
+    }
+
+    #[test]
+    fn a_late_or_doubled_one_changes_no_estimate_but_counts_as_arrived() {
+        let mut arrivals = Arrivals::new(INTERVAL, u32::MAX, Instant::from_millis(1000));
+        for number in 1..40u32 {
+            arrivals.handle(number, Instant::from_millis(1010 + 10 * u64::from(number)));
+        }
+        let expected = arrivals.expected();
+        assert_eq!(arrivals.loss_permille(), Some(24), "number 0, after the overflow, is missing");
+
+        assert_eq!(arrivals.handle(0, Instant::from_millis(1500)), Arrival::Old);
+
+        assert_eq!(arrivals.expected(), expected);
+        assert_eq!(arrivals.loss_permille(), Some(0));
+    }
+}

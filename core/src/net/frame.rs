@@ -1,0 +1,199 @@
+//! The frame: what one link gives one transport.
+//!
+//! ```text
+//!      0        1
+//! ┌────────┬────────┬──────────────────────────────┐
+//! │ 1011 v │  kind  │ hello, routing or data       │   v = version of the protocol, 1
+//! └────────┴────────┴──────────────────────────────┘
+//!
+//! hello, kind 0, 36 bytes and the name:
+//!      2         10         14           18               26      30      34    35
+//! ┌────────┬───────────┬──────────┬─────────────┬──────────────┬───────┬──────┬───┬──────┐
+//! │ 1011 v │incarnation│ sequence │ interval µs │ echoed       │echoed │held  │ n │ name │
+//! │   0    │     8     │    4     │     4       │ incarnation 8│ seq. 4│ µs 4 │ 1 │  n   │
+//! └────────┴───────────┴──────────┴─────────────┴──────────────┴───────┴──────┴───┴──────┘
+//! ```
+//!
+//! The echo says which hello of the neighbour arrived last and how long ago: the neighbour learns
+//! that it is heard, and the round trip without any clock in common. Numbers are big-endian.
+//! A frame ends where the transport says that it ends; integrity is the transport's business.
+
+use super::wire::{Reader, WireError, Write};
+use crate::{Incarnation, NodeName};
+use bytes::{BufMut, Bytes, BytesMut};
+
+/// The protocol's version: the low half of the first byte.
+pub const VERSION: u8 = 1;
+/// The high half of the first byte.
+const MAGIC: u8 = 0xb0;
+/// The bytes that a frame puts before what it carries.
+pub const FRAME_HEADER: usize = 2;
+
+const HELLO: u8 = 0;
+const ROUTING: u8 = 1;
+const DATA: u8 = 2;
+
+/// What one link says to the link at the other end.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Frame {
+    /// I live, and I hear you.
+    Hello(Hello),
+    /// For the neighbour's router itself: what it should know of the network.
+    Routing(Bytes),
+    /// A packet on its way.
+    Data(Bytes),
+}
+
+/// A link's sign of life.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Hello {
+    /// Who says it.
+    pub node: NodeName,
+    /// In which of its lives.
+    pub incarnation: Incarnation,
+    /// The number of the interval in which it was sent, counted from the link's start.
+    pub sequence: u32,
+    /// How long an interval is, in microseconds.
+    pub interval_us: u32,
+    /// What it last heard of the one that it speaks to; `None` if nothing yet.
+    pub echo: Option<Echo>,
+}
+
+/// What a node last heard of its neighbour.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Echo {
+    /// The neighbour's incarnation. Never 0.
+    pub incarnation: Incarnation,
+    /// The number of its last hello.
+    pub sequence: u32,
+    /// How long ago it came, in microseconds; saturates.
+    pub held_us: u32,
+}
+
+impl Frame {
+    /// The frame's bytes.
+    pub fn encode(&self) -> Bytes {
+        match self {
+            Frame::Hello(hello) => hello.encode(),
+            Frame::Routing(bytes) => wrap(ROUTING, bytes),
+            Frame::Data(bytes) => wrap(DATA, bytes),
+        }
+    }
+
+    /// Reads a frame.
+    ///
+    /// # Errors
+    /// [`WireError`] for anything that [`encode`](Frame::encode) does not write.
+    pub fn decode(bytes: Bytes) -> Result<Frame, WireError> {
+        let mut reader = Reader::new(bytes);
+        let first = reader.u8()?;
+        if first & 0xf0 != MAGIC {
+            return Err(WireError::Foreign { first });
+        }
+        let theirs = first & 0x0f;
+        if theirs != VERSION {
+            return Err(WireError::Version { theirs, ours: VERSION });
+        }
+        match reader.u8()? {
+            HELLO => Hello::decode(reader).map(Frame::Hello),
+            ROUTING => Ok(Frame::Routing(reader.rest())),
+            DATA => Ok(Frame::Data(reader.rest())),
+            _ => Err(WireError::Malformed { what: "a frame's kind" }),
+        }
+    }
+}
+
+fn wrap(kind: u8, payload: &[u8]) -> Bytes {
+    let mut bytes = BytesMut::with_capacity(FRAME_HEADER + payload.len());
+    bytes.put_u8(MAGIC | VERSION);
+    bytes.put_u8(kind);
+    bytes.put_slice(payload);
+    bytes.freeze()
+}
+
+impl Hello {
+    fn encode(&self) -> Bytes {
+        let nothing = Echo { incarnation: Incarnation(0), sequence: 0, held_us: 0 };
+        let echo = self.echo.unwrap_or(nothing);
+        let mut bytes = BytesMut::with_capacity(35 + self.node.as_str().len());
+        bytes.put_u8(MAGIC | VERSION);
+        bytes.put_u8(HELLO);
+        bytes.put_u64(self.incarnation.0);
+        bytes.put_u32(self.sequence);
+        bytes.put_u32(self.interval_us);
+        bytes.put_u64(echo.incarnation.0);
+        bytes.put_u32(echo.sequence);
+        bytes.put_u32(echo.held_us);
+        bytes.sized(self.node.as_str().as_bytes());
+        bytes.freeze()
+    }
+
+    fn decode(mut reader: Reader) -> Result<Hello, WireError> {
+        let incarnation = Incarnation(reader.u64()?);
+        let sequence = reader.u32()?;
+        let interval_us = reader.u32()?;
+        let echo = Echo {
+            incarnation: Incarnation(reader.u64()?),
+            sequence: reader.u32()?,
+            held_us: reader.u32()?,
+        };
+        let node = reader.parsed("a node's name")?;
+        reader.end("a hello")?;
+        if incarnation == Incarnation(0) {
+            return Err(WireError::Malformed { what: "an incarnation" });
+        }
+        let echo = (echo.incarnation != Incarnation(0)).then_some(echo);
+        Ok(Hello { node, incarnation, sequence, interval_us, echo })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn hello() -> Hello {
+        Hello {
+            node: NodeName::new("m1").unwrap(),
+            incarnation: Incarnation(0x0102),
+            sequence: 3,
+            interval_us: 50_000,
+            echo: Some(Echo { incarnation: Incarnation(0x0a), sequence: 9, held_us: 0x100 }),
+        }
+    }
+
+    #[test]
+    fn the_bytes_of_a_frame_are_these_for_ever() {
+        let golden: &[u8] = &[
+            0xb1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 0, 0, 0, 3, 0, 0, 0xc3, 0x50, 0, 0, 0, 0, 0, 0, 0,
+            0x0a, 0, 0, 0, 9, 0, 0, 1, 0, 2, b'm', b'1',
+        ];
+        assert_eq!(&Frame::Hello(hello()).encode()[..], golden);
+        assert_eq!(&Frame::Data(Bytes::from_static(b"xy")).encode()[..], b"\xb1\x02xy");
+        assert_eq!(&Frame::Routing(Bytes::from_static(b"z")).encode()[..], b"\xb1\x01z");
+    }
+
+    #[test]
+    fn a_frame_comes_back_as_it_was() {
+        let nothing_heard = Hello { echo: None, ..hello() };
+        for frame in [Frame::Hello(hello()), Frame::Hello(nothing_heard), Frame::Data(Bytes::new())]
+        {
+            assert_eq!(Frame::decode(frame.encode()), Ok(frame));
+        }
+    }
+
+    #[test]
+    fn what_is_no_frame_is_refused_with_the_reason() {
+        let check = |bytes: &[u8], expected| {
+            assert_eq!(Frame::decode(Bytes::copy_from_slice(bytes)), Err(expected));
+        };
+        check(b"", WireError::Truncated);
+        check(b"GET / HTTP/1.1", WireError::Foreign { first: b'G' });
+        check(&[0xb2, 0], WireError::Version { theirs: 2, ours: 1 });
+        check(&[0xb1, 9], WireError::Malformed { what: "a frame's kind" });
+        let good = Frame::Hello(hello()).encode();
+        for cut in 1..good.len() {
+            check(&good[..cut], WireError::Truncated);
+        }
+        check(&[&good[..], b"!"].concat(), WireError::TooLarge { what: "a hello" });
+    }
+}

@@ -1,0 +1,43 @@
+//! The network below the objects, as pure machines: what travels from node to node, and how.
+//!
+//! ```text
+//! naming, message      what objects say to each other across nodes
+//!       session        end to end with one peer node: exactly once, in order, over any path
+//!       router         which neighbour is next; which one if that fails
+//!       link           one use of one transport towards one neighbour: is it alive, how good
+//! ═══ transport ═══    (not here: it owns a medium and knows only frames)
+//! ```
+//!
+//! Each layer has one wire format of its own, written by hand, so that no byte depends on a library's
+//! release. A layer never looks into the payload of the one above. Nothing that arrives can panic:
+//! what is not understood is refused as a [`WireError`] and counted in [`Refusals`].
+//!
+//! The bytes before a small reliable message, from the first of the frame:
+//!
+//! ```text
+//! frame 2 │ packet 9 │ segment 6..10, 4 more with an acknowledgement │ length 1 │ message …
+//! ```
+//!
+//! What this module does not do: encryption, multicast, congestion control towards strangers. A robot's
+//! network is its own.
+
+mod arrival;
+mod topology;
+mod wire;
+
+pub mod advertisement;
+pub mod frame;
+pub mod link;
+pub mod node_id;
+pub mod packet;
+pub mod router;
+pub mod segment;
+pub mod session;
+
+pub use link::{Link, LinkConfig, LinkOutput, LinkState, Neighbour, Quality};
+pub use node_id::NodeId;
+pub use packet::Class;
+pub use router::{LinkNumber, Router, RouterConfig, RouterOutput};
+pub use session::{Session, SessionConfig, SessionOutput};
+pub use topology::Route;
+pub use wire::{Refusals, WireError};

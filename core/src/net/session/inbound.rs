@@ -1,0 +1,159 @@
+//! The receiving half of an ordered stream.
+
+use crate::Instant;
+use crate::net::segment::{Ack, RANGES_MAX};
+use crate::net::wire::{Reader, WireError};
+use bytes::{Bytes, BytesMut};
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// Puts parts in order and messages together, each once.
+#[derive(Debug)]
+pub(crate) struct Inbound {
+    next: u64,
+    /// Arrived ahead of their turn; all within the window.
+    ahead: BTreeMap<u64, Part>,
+    partial: Option<Partial>,
+    window: u32,
+    message_max: usize,
+    /// When an acknowledgement is owed at the latest.
+    owed: Option<Instant>,
+    /// Parts since the last acknowledgement.
+    unacknowledged: u32,
+}
+
+#[derive(Debug)]
+struct Part {
+    first: bool,
+    last: bool,
+    payload: Bytes,
+}
+
+#[derive(Debug)]
+struct Partial {
+    length: usize,
+    bytes: BytesMut,
+}
+
+/// What became of a part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Arrived {
+    /// It is the first of its number.
+    New,
+    /// It had arrived before.
+    Again,
+    /// It is beyond the window: a peer that keeps to the rules does not send it.
+    Beyond,
+}
+
+impl Inbound {
+    pub(crate) fn new(window: u32, message_max: usize) -> Self {
+        Inbound {
+            next: 0,
+            ahead: BTreeMap::new(),
+            partial: None,
+            window,
+            message_max,
+            owed: None,
+            unacknowledged: 0,
+        }
+    }
+
+    fn limit(&self) -> u64 {
+        self.next.saturating_add(self.window.into())
+    }
+
+    /// Is this part within the window, and not here yet?
+    pub(crate) fn expects(&self, sequence: u64) -> bool {
+        (self.next..self.limit()).contains(&sequence) && !self.ahead.contains_key(&sequence)
+    }
+
+    /// A part has arrived; `deliver` gets every message that it completes.
+    pub(crate) fn handle(
+        &mut self,
+        sequence: u64,
+        (first, last, payload): (bool, bool, Bytes),
+        (now, delay): (Instant, Duration),
+        deliver: &mut Vec<Bytes>,
+    ) -> Result<Arrived, WireError> {
+        if !self.expects(sequence) {
+            // The peer does not know what we have: tell it now.
+            self.owed = Some(now);
+            let beyond = sequence >= self.limit();
+            return Ok(if beyond { Arrived::Beyond } else { Arrived::Again });
+        }
+        let in_order = sequence == self.next && self.ahead.is_empty();
+        self.ahead.insert(sequence, Part { first, last, payload });
+        while let Some(part) = self.ahead.remove(&self.next) {
+            self.next += 1;
+            self.put_together(part, deliver)?;
+        }
+        self.unacknowledged += 1;
+        // Every second part at once (RFC 9000, 13.2.2); a gap at once, so that it is soon filled.
+        let due = if in_order && self.unacknowledged < 2 { now + delay } else { now };
+        self.owed = Some(self.owed.map_or(due, |owed| owed.min(due)));
+        Ok(Arrived::New)
+    }
+
+    fn put_together(&mut self, part: Part, deliver: &mut Vec<Bytes>) -> Result<(), WireError> {
+        let mut reader = Reader::new(part.payload);
+        if part.first {
+            if self.partial.is_some() {
+                return Err(WireError::Malformed { what: "a message that begins within another" });
+            }
+            if part.last {
+                while !reader.is_empty() {
+                    deliver.push(reader.sized(self.message_max, "a message")?);
+                }
+                return Ok(());
+            }
+            let length = reader.varint()?;
+            let length = usize::try_from(length).unwrap_or(usize::MAX);
+            if length > self.message_max {
+                return Err(WireError::TooLarge { what: "a message" });
+            }
+            // Room is taken as bytes arrive, not as they are promised.
+            self.partial = Some(Partial { length, bytes: BytesMut::new() });
+        }
+        let partial = self
+            .partial
+            .as_mut()
+            .ok_or(WireError::Malformed { what: "a message without a start" })?;
+        partial.bytes.extend_from_slice(&reader.rest());
+        if partial.bytes.len() > partial.length {
+            return Err(WireError::TooLarge { what: "a message" });
+        }
+        if part.last {
+            let Partial { length, bytes } = self.partial.take().expect("it was just extended");
+            if bytes.len() < length {
+                return Err(WireError::Truncated);
+            }
+            deliver.push(bytes.freeze());
+        }
+        Ok(())
+    }
+
+    /// When an acknowledgement is owed at the latest.
+    pub(crate) fn owed(&self) -> Option<Instant> {
+        self.owed
+    }
+
+    /// What has arrived; nothing is owed any more.
+    pub(crate) fn acknowledge(&mut self) -> Ack {
+        self.owed = None;
+        self.unacknowledged = 0;
+        let mut ranges: Vec<(u64, u64)> = Vec::new();
+        for &sequence in self.ahead.keys() {
+            if let Some((_, last)) = ranges.last_mut()
+                && *last + 1 == sequence
+            {
+                *last = sequence;
+            } else if ranges.len() < RANGES_MAX {
+                ranges.push((sequence, sequence));
+            } else {
+                break;
+            }
+        }
+        Ack { next: self.next, window: self.window, ranges }
+    }
+}

@@ -1,0 +1,226 @@
+//! The sending half of an ordered stream.
+
+use crate::Instant;
+use crate::net::segment::Ack;
+use crate::net::wire::{WireError, Write, varint_length};
+use bytes::{Bytes, BytesMut};
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+/// Messages that wait or are on their way, until the peer has acknowledged them.
+#[derive(Debug)]
+pub(crate) struct Outbound {
+    /// In order: those on their way, then those that wait.
+    messages: VecDeque<Held>,
+    /// How many of them have been cut into parts altogether.
+    cut: usize,
+    /// How many bytes of the next one have been cut.
+    cut_bytes: usize,
+    bytes: usize,
+    /// Parts on their way, by sequence number.
+    flight: BTreeMap<u64, Part>,
+    lost: usize,
+    next: u64,
+    /// The peer takes parts below this.
+    limit: u64,
+}
+
+#[derive(Debug)]
+struct Held {
+    message: Bytes,
+    /// The part that it ends in.
+    last: Option<u64>,
+}
+
+/// A part on its way.
+#[derive(Clone, Debug)]
+pub(crate) struct Part {
+    pub(crate) first: bool,
+    pub(crate) last: bool,
+    pub(crate) payload: Bytes,
+    sent: Instant,
+    /// Its place among all transmissions of the session.
+    order: u64,
+    again: bool,
+    lost: bool,
+}
+
+impl Part {
+    /// It has been sent before.
+    pub(crate) fn is_repeated(&self) -> bool {
+        self.again
+    }
+}
+
+/// What an acknowledgement brought.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(crate) struct Progress {
+    /// How many parts it acknowledged for the first time.
+    pub(crate) parts: usize,
+    /// A round trip, from a part that was sent only once (Karn's rule).
+    pub(crate) round_trip: Option<Duration>,
+    /// The latest transmission among them.
+    pub(crate) order: Option<u64>,
+}
+
+impl Outbound {
+    pub(crate) fn new(window: u32) -> Self {
+        Outbound {
+            messages: VecDeque::new(),
+            cut: 0,
+            cut_bytes: 0,
+            bytes: 0,
+            flight: BTreeMap::new(),
+            lost: 0,
+            next: 0,
+            limit: window.into(),
+        }
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    pub(crate) fn messages(&self) -> usize {
+        self.messages.len()
+    }
+
+    /// Everything was acknowledged.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.messages.is_empty()
+    }
+
+    /// Parts that are on their way and not believed lost.
+    pub(crate) fn flying(&self) -> usize {
+        self.flight.len() - self.lost
+    }
+
+    pub(crate) fn push(&mut self, message: Bytes) {
+        self.bytes += message.len();
+        self.messages.push_back(Held { message, last: None });
+    }
+
+    /// All messages that are not acknowledged, in order; nothing is left.
+    pub(crate) fn take_all(&mut self) -> impl Iterator<Item = Bytes> + use<> {
+        let messages = std::mem::take(&mut self.messages);
+        *self = Outbound::new(0);
+        messages.into_iter().map(|held| held.message)
+    }
+
+    /// The next part to send: what was lost first, then new ones, as large as `room` allows.
+    pub(crate) fn transmit(
+        &mut self,
+        room: usize,
+        order: u64,
+        now: Instant,
+    ) -> Option<(u64, Part)> {
+        if self.lost > 0
+            && let Some((sequence, part)) = self.flight.iter_mut().find(|(_, part)| part.lost)
+        {
+            self.lost -= 1;
+            *part = Part { sent: now, order, again: true, lost: false, ..part.clone() };
+            return Some((*sequence, part.clone()));
+        }
+        if self.next >= self.limit || self.cut == self.messages.len() {
+            return None;
+        }
+        let sequence = self.next;
+        let (first, last, payload) = self.cut_part(room, sequence);
+        let part = Part { first, last, payload, sent: now, order, again: false, lost: false };
+        self.next += 1;
+        self.flight.insert(sequence, part.clone());
+        Some((sequence, part))
+    }
+
+    /// As many whole messages as fit, or as much of a large one.
+    fn cut_part(&mut self, room: usize, sequence: u64) -> (bool, bool, Bytes) {
+        let front = &mut self.messages[self.cut];
+        let length = front.message.len();
+        let prefix = varint_length(length as u64);
+        if self.cut_bytes > 0 {
+            let end = length.min(self.cut_bytes + room);
+            let payload = front.message.slice(self.cut_bytes..end);
+            self.cut_bytes = end;
+            if end == length {
+                front.last = Some(sequence);
+                self.cut += 1;
+                self.cut_bytes = 0;
+            }
+            return (false, end == length, payload);
+        }
+        let mut payload = BytesMut::with_capacity(room.min(prefix + length));
+        if prefix + length > room {
+            let end = room - prefix;
+            payload.varint(length as u64);
+            payload.extend_from_slice(&front.message[..end]);
+            self.cut_bytes = end;
+            return (true, false, payload.freeze());
+        }
+        while let Some(held) = self.messages.get_mut(self.cut) {
+            let length = held.message.len();
+            if payload.len() + varint_length(length as u64) + length > room {
+                break;
+            }
+            payload.sized(&held.message);
+            held.last = Some(sequence);
+            self.cut += 1;
+        }
+        (true, true, payload.freeze())
+    }
+
+    /// The peer has told what arrived.
+    pub(crate) fn handle_ack(&mut self, ack: &Ack, now: Instant) -> Result<Progress, WireError> {
+        let beyond = ack.ranges.last().map_or(ack.next, |(_, last)| last.saturating_add(1));
+        if beyond.max(ack.next) > self.next {
+            return Err(WireError::Malformed { what: "an acknowledgement of what was never sent" });
+        }
+        // Windows only open: an acknowledgement that overtook another one must not close it.
+        self.limit = self.limit.max(ack.next.saturating_add(ack.window.into()));
+        let mut progress = Progress::default();
+        let below = ack.next.checked_sub(1).map(|last| (0, last));
+        for (first, last) in below.into_iter().chain(ack.ranges.iter().copied()) {
+            self.arrived(first, last, now, &mut progress);
+        }
+        while self.messages.front().is_some_and(|held| held.last.is_some_and(|n| n < ack.next)) {
+            let held = self.messages.pop_front().expect("there is a front");
+            self.bytes -= held.message.len();
+            self.cut -= 1;
+        }
+        Ok(progress)
+    }
+
+    fn arrived(&mut self, first: u64, last: u64, now: Instant, progress: &mut Progress) {
+        while let Some((&sequence, _)) = self.flight.range(first..=last).next() {
+            let part = self.flight.remove(&sequence).expect("it was found");
+            self.lost -= usize::from(part.lost);
+            progress.parts += 1;
+            if progress.order.is_none_or(|order| part.order > order) {
+                progress.order = Some(part.order);
+                progress.round_trip = (!part.again).then(|| now - part.sent);
+            }
+        }
+    }
+
+    /// Parts that were sent well before one that has arrived are lost. True if there are new ones.
+    pub(crate) fn find_lost(&mut self, arrived: u64) -> bool {
+        // Fewer than three later arrivals are taken for reordering (RFC 5681, RFC 9002).
+        const REORDERING: u64 = 3;
+        self.lose(|part| part.order + REORDERING <= arrived)
+    }
+
+    /// Nothing on its way is believed to arrive any more.
+    pub(crate) fn lose_all(&mut self) -> bool {
+        self.lose(|_| true)
+    }
+
+    fn lose(&mut self, is_lost: impl Fn(&Part) -> bool) -> bool {
+        let before = self.lost;
+        for part in self.flight.values_mut() {
+            if !part.lost && is_lost(part) {
+                part.lost = true;
+                self.lost += 1;
+            }
+        }
+        self.lost > before
+    }
+}

@@ -1,0 +1,80 @@
+//! How long an answer takes, and how long to wait for one (RFC 6298).
+
+use std::time::Duration;
+
+/// The estimator of one session.
+#[derive(Debug)]
+pub(crate) struct RoundTrip {
+    smoothed: Option<Duration>,
+    deviation: Duration,
+    /// Doublings since the last sign of progress.
+    backoff: u32,
+    shortest: Duration,
+    longest: Duration,
+}
+
+impl RoundTrip {
+    /// Before the first measurement: several round trips of any medium aboard a robot.
+    const INITIAL: Duration = Duration::from_millis(100);
+
+    pub(crate) fn new(shortest: Duration, longest: Duration) -> Self {
+        RoundTrip { smoothed: None, deviation: Duration::ZERO, backoff: 0, shortest, longest }
+    }
+
+    pub(crate) fn smoothed(&self) -> Option<Duration> {
+        self.smoothed
+    }
+
+    pub(crate) fn measure(&mut self, sample: Duration) {
+        match self.smoothed {
+            None => {
+                self.smoothed = Some(sample);
+                self.deviation = sample / 2;
+            }
+            Some(smoothed) => {
+                self.deviation = (self.deviation * 3 + smoothed.abs_diff(sample)) / 4;
+                self.smoothed = Some((smoothed * 7 + sample) / 8);
+            }
+        }
+    }
+
+    pub(crate) fn timeout(&self) -> Duration {
+        let base = self.smoothed.map_or(Self::INITIAL, |smoothed| smoothed + 4 * self.deviation);
+        let base = base.clamp(self.shortest, self.longest);
+        base.saturating_mul(1 << self.backoff).min(self.longest)
+    }
+
+    pub(crate) fn back_off(&mut self) {
+        // 1024 times the shortest timeout is beyond any longest.
+        self.backoff = (self.backoff + 1).min(10);
+    }
+
+    pub(crate) fn progress(&mut self) {
+        self.backoff = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    #[test]
+    fn the_timeout_follows_the_measured_round_trip_within_its_bounds() {
+        let mut trip = RoundTrip::new(20 * MS, 1000 * MS);
+        assert_eq!(trip.timeout(), 100 * MS);
+        trip.measure(40 * MS);
+        assert_eq!(trip.timeout(), 120 * MS, "40 + 4 * 20");
+        for _ in 0..100 {
+            trip.measure(MS);
+        }
+        assert_eq!(trip.timeout(), 20 * MS, "never below the shortest");
+        for _ in 0..40 {
+            trip.back_off();
+        }
+        assert_eq!(trip.timeout(), 1000 * MS, "never above the longest");
+        trip.progress();
+        assert_eq!(trip.timeout(), 20 * MS);
+    }
+}

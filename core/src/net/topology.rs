@@ -1,0 +1,183 @@
+//! The shortest paths through a network, and the alternates to them.
+
+use super::advertisement::Advertisement;
+use super::frame::FRAME_HEADER;
+use super::link::Neighbour;
+use super::node_id::NodeId;
+use super::packet::PACKET_HEADER;
+use super::router::LinkNumber;
+use crate::{Incarnation, Instant, NodeName};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
+
+/// The way to one node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Route {
+    /// Whereto.
+    pub node: NodeName,
+    /// In which of its lives.
+    pub incarnation: Incarnation,
+    /// The sum of the costs of the links on the shortest path.
+    pub cost: u32,
+    /// The link that the shortest path begins with.
+    pub next: LinkNumber,
+    /// The link to take when that one fails: its path does not lead back through this node.
+    pub alternate: Option<LinkNumber>,
+    /// The link that is taken now; `None` when none carries.
+    pub chosen: Option<LinkNumber>,
+    /// The largest frame that both paths carry, in bytes.
+    pub mtu: u16,
+}
+
+/// A link that carries, and what its neighbour still has to be told.
+#[derive(Debug)]
+pub(crate) struct Adjacent {
+    pub(crate) neighbour: Neighbour,
+    pub(crate) id: NodeId,
+    pub(crate) cost: u16,
+    pub(crate) mtu: u16,
+    pub(crate) suspect: bool,
+    /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
+    pub(crate) pending: BTreeMap<NodeId, Instant>,
+    pub(crate) compare_at: Instant,
+}
+
+/// The bytes of a segment that fits into a frame of this size.
+pub(crate) fn segment_limit(mtu: u16) -> usize {
+    usize::from(mtu).saturating_sub(FRAME_HEADER + PACKET_HEADER)
+}
+
+impl Route {
+    /// The next hop if it is well, else the alternate, else either if it carries; never to `from`.
+    pub(crate) fn choose(
+        &self,
+        links: &BTreeMap<LinkNumber, Adjacent>,
+        from: Option<NodeId>,
+    ) -> Option<LinkNumber> {
+        let ways = [Some(self.next), self.alternate];
+        let usable = |well: bool| {
+            ways.into_iter().flatten().find(|link| {
+                links.get(link).is_some_and(|adjacent| {
+                    Some(adjacent.id) != from && (!well || !adjacent.suspect)
+                })
+            })
+        };
+        usable(true).or_else(|| usable(false))
+    }
+}
+
+/// The network as one node knows it.
+pub(crate) struct Topology<'a> {
+    here: NodeId,
+    links: &'a BTreeMap<LinkNumber, Adjacent>,
+    known: BTreeMap<NodeId, &'a Advertisement>,
+}
+
+/// How far a node is from some other.
+#[derive(Clone, Copy)]
+struct Distance {
+    cost: u32,
+    mtu: u16,
+}
+
+impl<'a> Topology<'a> {
+    pub(crate) fn new(
+        here: NodeId,
+        links: &'a BTreeMap<LinkNumber, Adjacent>,
+        known: impl Iterator<Item = (NodeId, &'a Advertisement)>,
+    ) -> Self {
+        Topology { here, links, known: known.collect() }
+    }
+
+    pub(crate) fn routes(&self) -> BTreeMap<NodeId, Route> {
+        let from_here = self.distances(self.here);
+        let from_neighbours: BTreeMap<_, _> = self
+            .links
+            .values()
+            .map(|a| (a.id, ()))
+            .map(|(id, ())| (id, self.distances(id)))
+            .collect();
+        from_here
+            .iter()
+            .filter(|(id, _)| **id != self.here)
+            .filter_map(|(id, distance)| Some((*id, self.route(*id, *distance, &from_neighbours)?)))
+            .collect()
+    }
+
+    fn route(
+        &self,
+        to: NodeId,
+        from_here: Distance,
+        from_neighbours: &BTreeMap<NodeId, BTreeMap<NodeId, Distance>>,
+    ) -> Option<Route> {
+        let mut ways: Vec<_> = self
+            .links
+            .iter()
+            .filter_map(|(number, link)| {
+                let from_neighbour = &from_neighbours[&link.id];
+                let rest = from_neighbour.get(&to)?;
+                let cost = rest.cost.saturating_add(link.cost.into());
+                // It would not come back here (RFC 5286, inequality 1).
+                let back = from_neighbour.get(&self.here).map_or(0, |back| back.cost);
+                let free = rest.cost < back.saturating_add(from_here.cost);
+                Some((cost, *number, link, link.mtu.min(rest.mtu), free))
+            })
+            .collect();
+        ways.sort_by_key(|(cost, number, ..)| (*cost, *number));
+        let (cost, next, first, mtu, _) = *ways.first()?;
+        let alternate = ways[1..].iter().find(|(_, _, link, _, free)| link.id == first.id || *free);
+        let mtu = alternate.map_or(mtu, |alternate| alternate.3.min(mtu));
+        let alternate = alternate.map(|(_, number, ..)| *number);
+        let (node, incarnation) = self.identity(to)?;
+        let mut route = Route { node, incarnation, cost, next, alternate, chosen: None, mtu };
+        route.chosen = route.choose(self.links, None);
+        Some(route)
+    }
+
+    /// A node's name and newest known life: its own words, or what a link to it has heard.
+    fn identity(&self, id: NodeId) -> Option<(NodeName, Incarnation)> {
+        let told = self.known.get(&id).map(|a| (a.node.clone(), a.stamp.incarnation));
+        let heard = self
+            .links
+            .values()
+            .filter(|link| link.id == id)
+            .map(|link| (link.neighbour.node.clone(), link.neighbour.incarnation));
+        heard.chain(told).max_by_key(|(_, incarnation)| *incarnation)
+    }
+
+    /// Dijkstra's algorithm; ties are broken by the nodes' numbers.
+    fn distances(&self, from: NodeId) -> BTreeMap<NodeId, Distance> {
+        let mut found = BTreeMap::new();
+        let mut edge_of_search = BinaryHeap::from([Reverse((0, from, Reverse(u16::MAX)))]);
+        while let Some(Reverse((cost, id, Reverse(mtu)))) = edge_of_search.pop() {
+            if found.contains_key(&id) {
+                continue;
+            }
+            found.insert(id, Distance { cost, mtu });
+            for (to, step, limit) in self.edges(id) {
+                if !found.contains_key(&to) && self.agrees(to, id) {
+                    let cost: u32 = cost;
+                    let reached = (cost.saturating_add(step.into()), to, Reverse(mtu.min(limit)));
+                    edge_of_search.push(Reverse(reached));
+                }
+            }
+        }
+        found
+    }
+
+    fn edges(&self, id: NodeId) -> Vec<(NodeId, u16, u16)> {
+        if id == self.here {
+            return self.links.values().map(|link| (link.id, link.cost, link.mtu)).collect();
+        }
+        let known = self.known.get(&id).map_or(&[][..], |known| &known.edges);
+        known.iter().map(|edge| (edge.to, edge.cost, edge.mtu)).collect()
+    }
+
+    /// Does `id` also say that it has a link to `other`? Our own links were asked by their hellos.
+    fn agrees(&self, id: NodeId, other: NodeId) -> bool {
+        if id == self.here || other == self.here {
+            return self.links.values().any(|link| link.id == id || link.id == other);
+        }
+        self.known.get(&id).is_some_and(|known| known.edges.iter().any(|edge| edge.to == other))
+    }
+}

@@ -1,0 +1,32 @@
+//! The acting half of the fault chain: which measure, and which children it touches.
+//!
+//! ```text
+//!            Plan                    Rules
+//!             │                        │
+//! Fault ─► Recoverer ─Order─► strategy ─► Supervision ─► start, stop, abandon, reset, isolate
+//!          which measure               which children, in which order,
+//!          by fault kind               and whether it is still worth it
+//! ```
+//!
+//! One master per decision. The [`Recoverer`] climbs the [`Plan`]'s ladder of measures for a kind of
+//! fault, one rung after the other, and ends in safe rest. [`Supervision`] keeps the tree as in
+//! Erlang/OTP: start in order, stop in reverse, restart one, all, or the rest; more restarts than the
+//! intensity allows, and it ends and escalates. Neither of them detects anything.
+
+mod backoff;
+mod intensity;
+mod ladder;
+mod plan;
+mod recoverer;
+mod rules;
+mod supervision;
+
+pub use backoff::Backoff;
+pub use intensity::{RestartWindow, add_restart};
+pub use ladder::{Ladder, Measure, Step};
+pub use plan::{Plan, PlanError};
+pub use recoverer::{Done, Failed, Order, Recoverer, RecovererAction, RecovererLimits, Settled};
+pub use rules::{ChildRules, Restart, StandingOrder, Strategy, SupervisorRules};
+pub use supervision::{
+    Cause, ChildState, ChildStatus, GiveUpReason, Supervision, SupervisorAction, Ticket,
+};

@@ -1,0 +1,420 @@
+//! Which ladder of measures answers which kind of fault: fixed when the robot is designed.
+
+use super::{Ladder, Measure, Step};
+use crate::{FaultKind, NodeName, ObjectName, Place};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The robot's answer to every kind of fault, with exceptions for single components.
+///
+/// The default plan has an answer to every built-in kind. What it does about a fault at a place of
+/// another node is to observe it: that node's own recoverer has it in hand.
+///
+/// ```
+/// use blastema_core::recovery::{Ladder, Measure, Plan};
+/// use blastema_core::{FaultKind, ObjectName};
+///
+/// let laser = ObjectName::new("laser")?;
+/// let plan = Plan::default()
+///     .on(FaultKind::Custom("L01".into()), Ladder::first(Measure::Restart))
+///     .on_component(laser.clone(), FaultKind::Silence, Ladder::first(Measure::SafeStop));
+///
+/// assert!(plan.check([&laser], [], []).is_ok());
+/// # Ok::<(), blastema_core::NameError>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Plan {
+    kinds: BTreeMap<FaultKind, Ladder>,
+    components: BTreeMap<ObjectName, BTreeMap<FaultKind, Ladder>>,
+    abroad: BTreeMap<FaultKind, Ladder>,
+    observe: Ladder,
+    last_resort: Ladder,
+}
+
+/// What is wrong with a [`Plan`]. Each of them is the designer's to mend.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum PlanError {
+    /// The application's list of faults holds a kind that the plan does not answer. Add it with
+    /// [`Plan::on`].
+    #[error("the fault list holds {code:?}, but the plan has no answer to it{}", hint(.nearest))]
+    NoAnswer {
+        /// The fault's code.
+        code: String,
+        /// The code that the plan has and that is spelt most like it.
+        nearest: Option<String>,
+    },
+    /// The plan has an exception for a component that does not exist.
+    #[error("the plan has an answer to {kind} of {component}, but there is no such component{}", hint(.nearest))]
+    NoSuchComponent {
+        /// The component that the plan names.
+        component: ObjectName,
+        /// What it answers.
+        kind: FaultKind,
+        /// The component that is spelt most like it.
+        nearest: Option<String>,
+    },
+    /// The plan calls for a strategy that nobody handed over.
+    #[error("the plan answers {what} by {strategy:?}, but no strategy of that name was handed over{}", hint(.nearest))]
+    NoSuchStrategy {
+        /// What it answers.
+        what: String,
+        /// The strategy that it names.
+        strategy: String,
+        /// The strategy that is spelt most like it.
+        nearest: Option<String>,
+    },
+    /// A measure does not apply to that kind of fault.
+    #[error("the plan answers {what} by {measure}, which {why}")]
+    DoesNotApply {
+        /// What it answers.
+        what: String,
+        /// With what.
+        measure: Measure,
+        /// Why that cannot work.
+        why: &'static str,
+    },
+    /// A rung is never tried.
+    #[error(
+        "the plan answers {what} by {measure} with 0 attempts: give it at least 1, or leave it out"
+    )]
+    NoAttempt {
+        /// What it answers.
+        what: String,
+        /// With what.
+        measure: Measure,
+    },
+    /// Rungs behind an `Observe` can never be reached, because observing does not fail.
+    #[error(
+        "the plan answers {what} by {measure} behind observe, which never fails: let observe stand last"
+    )]
+    Unreachable {
+        /// What it answers.
+        what: String,
+        /// The rung behind.
+        measure: Measure,
+    },
+}
+
+fn hint(nearest: &Option<String>) -> String {
+    nearest.as_ref().map(|name| format!("; did you mean {name:?}?")).unwrap_or_default()
+}
+
+impl Default for Plan {
+    fn default() -> Self {
+        let restart = Ladder::first(Measure::Restart).times(3).then(Measure::SafeStop);
+        let observe = Ladder::first(Measure::Observe);
+        let reroute = Ladder::first(Measure::Reroute).then(Measure::Observe);
+        let answer = |kind: &FaultKind| match kind {
+            FaultKind::ErrorState => Ladder::first(Measure::Reset)
+                .then(Measure::Restart)
+                .times(3)
+                .then(Measure::SafeStop),
+            FaultKind::Overload | FaultKind::ContractMismatch => observe.clone(),
+            // The supervisor has already decided to hand it to its parent.
+            FaultKind::RestartStorm => observe.clone(),
+            // Without an alternative nothing helps but the link's, or the node's, return.
+            FaultKind::LinkDown | FaultKind::LinkDegraded | FaultKind::NodeLost => reroute.clone(),
+            _ => restart.clone(),
+        };
+        Plan {
+            kinds: FaultKind::BUILT_IN.iter().map(|kind| (kind.clone(), answer(kind))).collect(),
+            components: BTreeMap::new(),
+            abroad: BTreeMap::new(),
+            observe: observe.clone(),
+            last_resort: Ladder::first(Measure::SafeStop),
+        }
+    }
+}
+
+impl Plan {
+    /// Answers a kind of fault, wherever it is, by `ladder`.
+    #[must_use]
+    pub fn on(mut self, kind: FaultKind, ladder: Ladder) -> Self {
+        self.kinds.insert(kind, ladder);
+        self
+    }
+
+    /// Answers a kind of fault in one component by `ladder`.
+    #[must_use]
+    pub fn on_component(mut self, component: ObjectName, kind: FaultKind, ladder: Ladder) -> Self {
+        self.components.entry(component).or_default().insert(kind, ladder);
+        self
+    }
+
+    /// Answers a kind of fault that another node found in itself by `ladder`: to take its service
+    /// over, for example. Only a strategy of the application's own can do that.
+    #[must_use]
+    pub fn on_other_nodes(mut self, kind: FaultKind, ladder: Ladder) -> Self {
+        self.abroad.insert(kind, ladder);
+        self
+    }
+
+    /// The answer that the recoverer of `node` has to a kind of fault at a place.
+    pub fn answer(&self, node: &NodeName, kind: &FaultKind, place: &Place) -> &Ladder {
+        match place {
+            Place::Object(address) if address.node == *node => {
+                self.answer_for(kind, Some(&address.object))
+            }
+            Place::Link { node: here, .. } if here == node => self.answer_for(kind, None),
+            Place::Node(_) => self.answer_for(kind, None),
+            Place::Object(_) | Place::Link { .. } => self.abroad.get(kind).unwrap_or(&self.observe),
+        }
+    }
+
+    /// Whether the guard of `component` may carry out a restart after a panic by itself: only where
+    /// the plan's first measure is the built-in restart.
+    pub fn restarts_on_the_spot(&self, component: &ObjectName) -> bool {
+        let first = &self.answer_for(&FaultKind::Panic, Some(component)).steps()[0];
+        first.measure == Measure::Restart
+    }
+
+    /// Finds what is wrong with the plan before the robot starts: whether every fault kind of
+    /// every component, and every kind of the application's own list, has an answer that can be
+    /// carried out.
+    ///
+    /// # Errors
+    /// The first thing that is wrong.
+    pub fn check<'a>(
+        &self,
+        components: impl IntoIterator<Item = &'a ObjectName>,
+        own_kinds: impl IntoIterator<Item = &'a FaultKind>,
+        strategies: impl IntoIterator<Item = &'a str>,
+    ) -> Result<(), PlanError> {
+        let components: BTreeSet<&ObjectName> = components.into_iter().collect();
+        let strategies: BTreeSet<&str> = strategies.into_iter().collect();
+        for kind in own_kinds {
+            let answered = || self.components.values().any(|kinds| kinds.contains_key(kind));
+            if !self.kinds.contains_key(kind) && !answered() {
+                let code = kind.code();
+                let nearest = nearest(code, self.kinds.keys().map(FaultKind::code));
+                return Err(PlanError::NoAnswer { code: code.into(), nearest });
+            }
+        }
+        for (kind, ladder) in &self.kinds {
+            check_ladder(kind.to_string(), kind, ladder, &strategies)?;
+        }
+        for (kind, ladder) in &self.abroad {
+            check_ladder(format!("{kind} of other nodes"), kind, ladder, &strategies)?;
+            let local =
+                |step: &&Step| !matches!(step.measure, Measure::Observe | Measure::Custom(_));
+            if let Some(step) = ladder.steps().iter().find(local) {
+                let (what, measure) = (format!("{kind} of other nodes"), step.measure.clone());
+                let why = "can only be carried out by that node itself: use a strategy of your own";
+                return Err(PlanError::DoesNotApply { what, measure, why });
+            }
+        }
+        for (component, kinds) in &self.components {
+            for (kind, ladder) in kinds {
+                if !components.contains(component) {
+                    let nearest =
+                        nearest(component.as_str(), components.iter().map(|name| name.as_str()));
+                    let (component, kind) = (component.clone(), kind.clone());
+                    return Err(PlanError::NoSuchComponent { component, kind, nearest });
+                }
+                check_ladder(format!("{kind} of {component}"), kind, ladder, &strategies)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn answer_for(&self, kind: &FaultKind, object: Option<&ObjectName>) -> &Ladder {
+        let exception = || self.components.get(object?)?.get(kind);
+        exception().or_else(|| self.kinds.get(kind)).unwrap_or(&self.last_resort)
+    }
+}
+
+fn check_ladder(
+    what: String,
+    kind: &FaultKind,
+    ladder: &Ladder,
+    strategies: &BTreeSet<&str>,
+) -> Result<(), PlanError> {
+    let network =
+        matches!(kind, FaultKind::LinkDown | FaultKind::LinkDegraded | FaultKind::NodeLost);
+    let mut observed = false;
+    for step in ladder.steps() {
+        let measure = step.measure.clone();
+        if observed {
+            return Err(PlanError::Unreachable { what, measure });
+        }
+        if step.attempts == 0 {
+            return Err(PlanError::NoAttempt { what, measure });
+        }
+        match &measure {
+            Measure::Observe => observed = true,
+            Measure::Reset | Measure::Restart | Measure::Isolate if network => {
+                let why = "needs a component, and there is none in a link or another node";
+                return Err(PlanError::DoesNotApply { what, measure, why });
+            }
+            Measure::Reset if matches!(kind, FaultKind::Panic | FaultKind::UnexpectedExit) => {
+                let why = "needs a life, and that one has ended: use restart";
+                return Err(PlanError::DoesNotApply { what, measure, why });
+            }
+            Measure::Reset if *kind == FaultKind::Hang => {
+                let why = "asks a component that does not answer: use restart";
+                return Err(PlanError::DoesNotApply { what, measure, why });
+            }
+            Measure::Custom(name) if !strategies.contains(name.as_ref()) => {
+                let nearest = nearest(name, strategies.iter().copied());
+                return Err(PlanError::NoSuchStrategy {
+                    what,
+                    strategy: name.as_ref().into(),
+                    nearest,
+                });
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// The known name that is spelt most like `wrong`, unless none is like it at all.
+fn nearest<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> Option<String> {
+    let (distance, name) =
+        known.map(|name| (edits(wrong, name), name)).min_by_key(|&(distance, _)| distance)?;
+    // More than a third of the letters differ: that is another word, not a slip.
+    (distance <= 1 + wrong.len() / 3).then(|| name.into())
+}
+
+/// How many letters must be changed, added or removed (Levenshtein).
+fn edits(a: &str, b: &str) -> usize {
+    let mut row: Vec<usize> = (0..=b.chars().count()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, y) in b.chars().enumerate() {
+            let substituted = diagonal + usize::from(x != y);
+            diagonal = row[j + 1];
+            row[j + 1] = substituted.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.chars().count()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn name(text: &str) -> ObjectName {
+        ObjectName::new(text).expect("a good name")
+    }
+
+    fn message(plan: &Plan) -> String {
+        let own = [FaultKind::Custom("GRIP".into())];
+        let components = [name("laser"), name("planner")];
+        plan.check(&components, &own, ["homing"]).expect_err("a wrong plan").to_string()
+    }
+
+    fn good() -> Plan {
+        Plan::default()
+            .on(FaultKind::Custom("GRIP".into()), Ladder::first(Measure::Custom("homing".into())))
+    }
+
+    #[test]
+    fn the_default_plan_answers_every_built_in_kind_and_ends_in_rest_or_observes() {
+        let plan = Plan::default();
+
+        assert_eq!(plan.check([], [], []), Ok(()));
+        for kind in &FaultKind::BUILT_IN {
+            let ladder = &plan.kinds[kind];
+            let last = &ladder.steps().last().expect("a rung").measure;
+            assert!(matches!(last, Measure::SafeStop | Measure::Observe), "{kind}");
+        }
+    }
+
+    #[test]
+    fn an_unknown_kind_is_answered_by_safe_rest() {
+        let node: NodeName = "module1".parse().expect("a good name");
+        let plan = Plan::default();
+
+        let place = Place::Node(node.clone());
+        let ladder = plan.answer(&node, &FaultKind::Custom("X".into()), &place);
+
+        assert_eq!(ladder.steps()[0].measure, Measure::SafeStop);
+    }
+
+    #[test]
+    fn an_exception_of_a_component_goes_before_the_general_answer() {
+        let plan = Plan::default().on_component(
+            name("laser"),
+            FaultKind::Panic,
+            Ladder::first(Measure::Isolate),
+        );
+
+        assert!(!plan.restarts_on_the_spot(&name("laser")));
+        assert!(plan.restarts_on_the_spot(&name("planner")));
+        let laser = Place::Object("module1:laser".parse().expect("a good name"));
+        let first = |node: &str| {
+            let node = node.parse().expect("a good name");
+            plan.answer(&node, &FaultKind::Panic, &laser).steps()[0].measure.clone()
+        };
+        assert_eq!(first("module1"), Measure::Isolate);
+        assert_eq!(first("module2"), Measure::Observe);
+    }
+
+    #[test]
+    fn a_wrong_plan_says_what_to_write_instead() {
+        assert_eq!(
+            message(
+                &Plan::default()
+                    .on(FaultKind::Custom("GRID".into()), Ladder::first(Measure::Restart),)
+            ),
+            "the fault list holds \"GRIP\", but the plan has no answer to it; \
+             did you mean \"GRID\"?"
+        );
+        assert_eq!(
+            message(&good().on_component(
+                name("lazer"),
+                FaultKind::Hang,
+                Ladder::first(Measure::Restart),
+            )),
+            "the plan has an answer to hang of lazer, but there is no such component; \
+             did you mean \"laser\"?"
+        );
+        assert_eq!(
+            message(&good().on_component(
+                name("laser"),
+                FaultKind::Silence,
+                Ladder::first(Measure::Custom("home".into())),
+            )),
+            "the plan answers silence of laser by \"home\", but no strategy of that name was handed \
+             over"
+        );
+        assert_eq!(
+            message(
+                &good().on(FaultKind::Silence, Ladder::first(Measure::Custom("homign".into())),)
+            ),
+            "the plan answers silence by \"homign\", but no strategy of that name was handed over; \
+             did you mean \"homing\"?"
+        );
+    }
+
+    #[test]
+    fn measures_that_cannot_work_are_refused() {
+        let wrong = |kind, ladder| message(&good().on(kind, ladder));
+
+        assert!(
+            wrong(FaultKind::LinkDown, Ladder::first(Measure::Restart))
+                .starts_with("the plan answers link down by restart, which needs a component")
+        );
+        assert!(
+            wrong(FaultKind::Panic, Ladder::first(Measure::Reset))
+                .ends_with("that one has ended: use restart")
+        );
+        assert!(
+            wrong(FaultKind::Hang, Ladder::first(Measure::Restart).then(Measure::Reset))
+                .ends_with("does not answer: use restart")
+        );
+        assert!(
+            message(&good().on_other_nodes(FaultKind::Panic, Ladder::first(Measure::Restart)))
+                .contains("by that node itself")
+        );
+        assert!(
+            wrong(FaultKind::Silence, Ladder::first(Measure::Restart).times(0))
+                .contains("with 0 attempts")
+        );
+        assert!(
+            wrong(FaultKind::Silence, Ladder::first(Measure::Observe).then(Measure::Restart))
+                .contains("behind observe")
+        );
+    }
+}

@@ -1,0 +1,530 @@
+//! Which measure answers a fault, and what comes next when it does not help.
+//!
+//! ```text
+//!  fault ─► case of its place ─► attempt ─► (back-off) ─► attempt ─► next rung ─► … ─► safe stop
+//!                                   └─ done ─► recovered, its symptoms are judged anew
+//! ```
+//!
+//! There is one case per place at a time: a second fault of the place joins it. A symptom waits until
+//! its root is settled, and is then either cleared by the detector or acted upon itself. Whether a
+//! restart is still worth it is not decided here but by the supervisor.
+
+use super::{Ladder, Measure, Plan};
+use crate::{Fault, FaultId, FaultKind, Incarnation, Instant, Machine, NodeName, Place};
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+/// The detector latches by place and kind: a place with more faults than this is out of its mind.
+const FAULTS_LIMIT: usize = 32;
+
+/// One measure to be carried out.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Order {
+    /// The order's number at its recoverer.
+    pub number: u64,
+    /// What is to be done.
+    pub measure: Measure,
+    /// Against what. Of several faults of one place, the one that says that it does not answer, or
+    /// else the first.
+    pub fault: Fault,
+    /// The how-manieth attempt at this measure, from 1.
+    pub attempt: u32,
+}
+
+/// A measure has worked.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Done {
+    /// The life that is at work because of it, if it began one.
+    pub incarnation: Option<Incarnation>,
+}
+
+/// A measure has not worked.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Failed {
+    /// Why.
+    pub reason: String,
+}
+
+impl<T: Into<String>> From<T> for Failed {
+    fn from(reason: T) -> Self {
+        Failed { reason: reason.into() }
+    }
+}
+
+/// What became of a fault.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Settled {
+    /// This is being done about it.
+    Decided {
+        /// What.
+        measure: Measure,
+        /// The how-manieth attempt, from 1.
+        attempt: u32,
+    },
+    /// Nothing is done about it but to keep it in the record.
+    Observed,
+    /// Service is restored.
+    Recovered {
+        /// The life that is at work now, if a new one began.
+        incarnation: Option<Incarnation>,
+    },
+    /// No measure helped. Safe stop follows.
+    GaveUp {
+        /// What the last measure said.
+        reason: String,
+    },
+    /// Service is not restored, but the place can do no harm any more.
+    Contained {
+        /// Isolated, or stopped.
+        measure: Measure,
+    },
+    /// What it was a symptom of is settled. Unless it is cleared now, it is acted upon itself.
+    RootSettled,
+}
+
+/// What a recoverer wants done.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RecovererAction {
+    /// Have this order carried out, by the strategy of the measure's name.
+    CarryOut(Order),
+    /// Tell the detector.
+    Settle {
+        /// The fault's number in its finder's record.
+        fault: FaultId,
+        /// Where it is.
+        place: Place,
+        /// What became of it.
+        settled: Settled,
+    },
+    /// This strategy has had nothing to do for a while: let it go.
+    Release {
+        /// The measure that it carries out.
+        measure: Measure,
+    },
+    /// Not even safe stop could be carried out: the whole node is to come to rest.
+    LastResort {
+        /// What could not be contained.
+        fault: Fault,
+        /// What safe stop said.
+        reason: String,
+    },
+}
+
+/// The recoverer's bounds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RecovererLimits {
+    /// Open cases. More places than this at once, and further ones are given up loudly; as many as a
+    /// large node has objects.
+    pub cases: usize,
+    /// Symptoms that wait for their roots. More, and a symptom is acted upon at once.
+    pub symptoms: usize,
+    /// From the root's recovery to acting upon a symptom that was not cleared. Longer leaves victims
+    /// more time to come back by themselves.
+    pub grace: Duration,
+    /// A fault that returns within this time after a reset, or a strategy of the application's own, had
+    /// cured it is not treated from the beginning but goes on up its ladder.
+    pub memory: Duration,
+    /// A strategy without work is released after this. Longer keeps it warm; shorter frees memory.
+    pub idle: Duration,
+}
+
+impl Default for RecovererLimits {
+    fn default() -> Self {
+        RecovererLimits {
+            cases: 4096,
+            symptoms: 4096,
+            grace: Duration::from_millis(200),
+            memory: Duration::from_secs(10),
+            idle: Duration::from_secs(30),
+        }
+    }
+}
+
+/// One fault of a case. It is cured by orders that were given after it was known.
+#[derive(Clone, Debug)]
+struct Noted {
+    fault: Fault,
+    since: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Progress {
+    Waiting { due: Instant },
+    Acting { due: Instant },
+}
+
+#[derive(Clone, Debug)]
+struct Case {
+    /// Never empty, at most [`FAULTS_LIMIT`]. The first decides the ladder.
+    faults: Vec<Noted>,
+    ladder: Ladder,
+    rung: usize,
+    attempt: u32,
+    order: u64,
+    progress: Progress,
+    given_up: bool,
+}
+
+#[derive(Clone, Debug)]
+struct Symptom {
+    fault: Fault,
+    root: FaultId,
+    due: Option<Instant>,
+}
+
+/// How far up its ladder a fault had got when it was last recovered.
+#[derive(Clone, Copy, Debug)]
+struct Memory {
+    rung: usize,
+    attempt: u32,
+    until: Instant,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Engaged {
+    orders: u32,
+    idle_since: Instant,
+}
+
+/// The recoverer of one node. See the [module](self).
+#[derive(Debug)]
+pub struct Recoverer {
+    node: NodeName,
+    plan: Plan,
+    limits: RecovererLimits,
+    seed: u64,
+    orders: u64,
+    cases: BTreeMap<Place, Case>,
+    symptoms: BTreeMap<FaultId, Symptom>,
+    memories: BTreeMap<(Place, FaultKind), Memory>,
+    open: BTreeMap<u64, (Place, Measure)>,
+    engaged: BTreeMap<Measure, Engaged>,
+    outputs: VecDeque<RecovererAction>,
+}
+
+impl Recoverer {
+    /// A recoverer without cases. `seed` makes the jitter of its back-off.
+    pub fn new(node: NodeName, plan: Plan, limits: RecovererLimits, seed: u64) -> Self {
+        Recoverer {
+            node,
+            plan,
+            limits,
+            seed,
+            orders: 0,
+            cases: BTreeMap::new(),
+            symptoms: BTreeMap::new(),
+            memories: BTreeMap::new(),
+            open: BTreeMap::new(),
+            engaged: BTreeMap::new(),
+            outputs: VecDeque::new(),
+        }
+    }
+
+    /// A recoverer that begins with what this one had not settled, after its body has failed.
+    #[must_use]
+    pub fn begun_anew(&self, now: Instant) -> Self {
+        let seed = self.seed.wrapping_add(1);
+        let mut next = Recoverer::new(self.node.clone(), self.plan.clone(), self.limits, seed);
+        next.orders = self.orders;
+        let noted = self.cases.values().flat_map(|case| &case.faults).map(|noted| &noted.fault);
+        for fault in noted.chain(self.symptoms.values().map(|symptom| &symptom.fault)) {
+            next.handle_fault(fault.clone(), now);
+        }
+        next
+    }
+
+    /// How many places are being treated.
+    pub fn open_cases(&self) -> usize {
+        self.cases.len()
+    }
+
+    /// A fault was found, or is reported once more.
+    pub fn handle_fault(&mut self, fault: Fault, now: Instant) {
+        let id = fault.id;
+        let has_it = |case: &Case| case.faults.iter().any(|noted| noted.fault.id == id);
+        if self.symptoms.contains_key(&id) || self.cases.get(&fault.place).is_some_and(has_it) {
+            return;
+        }
+        if let Some(root) = fault.symptom_of
+            && (self.is_open(root) || self.symptoms.contains_key(&root))
+            && self.symptoms.len() < self.limits.symptoms
+        {
+            self.symptoms.insert(fault.id, Symptom { fault, root, due: None });
+            return;
+        }
+        self.treat(fault, now);
+    }
+
+    /// A fault has gone by itself.
+    pub fn handle_stand_down(&mut self, id: FaultId, place: &Place, now: Instant) {
+        if self.symptoms.remove(&id).is_some() {
+            self.release_symptoms(&[id], now);
+        }
+        let Some(case) = self.cases.get_mut(place) else { return };
+        // What is under way is not interrupted: it may be what has helped.
+        if let Progress::Waiting { .. } = case.progress {
+            case.faults.retain(|noted| noted.fault.id != id);
+            if case.faults.is_empty() {
+                self.cases.remove(place);
+                self.release_symptoms(&[id], now);
+            }
+        }
+    }
+
+    /// A strategy has answered, or has ended without an answer.
+    pub fn handle_outcome(&mut self, number: u64, outcome: Result<Done, Failed>, now: Instant) {
+        let Some((place, measure)) = self.close_order(number, now) else { return };
+        let Some(case) = self.cases.get(&place) else { return };
+        if case.order != number {
+            return;
+        }
+        match outcome {
+            Ok(done) => self.settle_case(&place, &measure, done, now),
+            Err(Failed { reason }) => self.climb(&place, reason, now),
+        }
+    }
+
+    fn treat(&mut self, fault: Fault, now: Instant) {
+        let since = self.orders;
+        let ladder = self.plan.answer(&self.node, &fault.kind, &fault.place);
+        if ladder.steps()[0].measure == Measure::Observe {
+            return self.tell(&fault, Settled::Observed);
+        }
+        let place = fault.place.clone();
+        if let Some(case) = self.cases.get_mut(&place) {
+            if case.faults.len() == FAULTS_LIMIT {
+                let reason = format!("{FAULTS_LIMIT} faults of {place} are being treated already");
+                return self.tell(&fault, Settled::GaveUp { reason });
+            }
+            case.faults.push(Noted { fault, since });
+            return;
+        }
+        if self.cases.len() == self.limits.cases {
+            let reason = format!("{} places are being treated already", self.limits.cases);
+            return self.tell(&fault, Settled::GaveUp { reason });
+        }
+        let ladder = ladder.clone();
+        let remembered = self.memories.remove(&(place.clone(), fault.kind.clone()));
+        let (mut rung, mut attempt) = (0, 1);
+        if let Some(memory) = remembered.filter(|memory| now <= memory.until) {
+            (rung, attempt) = (memory.rung, memory.attempt + 1);
+            if attempt > ladder.steps()[rung].attempts {
+                (rung, attempt) = (rung + 1, 1);
+            }
+        }
+        let case = Case {
+            faults: vec![Noted { fault, since }],
+            ladder,
+            rung,
+            attempt,
+            order: 0,
+            progress: Progress::Waiting { due: now },
+            given_up: false,
+        };
+        self.cases.insert(place.clone(), case);
+        self.approach(&place, "it came back after it had been recovered".into(), now);
+    }
+
+    /// The attempt did not help: the next one, or the next rung.
+    fn climb(&mut self, place: &Place, reason: String, now: Instant) {
+        let case = self.cases.get_mut(place).expect("a case that climbs is open");
+        case.attempt += 1;
+        if case.attempt > case.ladder.steps()[case.rung].attempts {
+            case.attempt = 1;
+            case.rung += 1;
+        }
+        self.approach(place, reason, now);
+    }
+
+    /// Waits for the next attempt, or makes it; where there is none, safe stop is the last.
+    fn approach(&mut self, place: &Place, reason: String, now: Instant) {
+        let case = self.cases.get_mut(place).expect("a case in treatment is open");
+        if case.rung == case.ladder.steps().len() {
+            let first_time = !std::mem::replace(&mut case.given_up, true);
+            let rests = case.ladder.steps().iter().any(|step| step.measure == Measure::SafeStop);
+            if !rests {
+                case.ladder = case.ladder.clone().then(Measure::SafeStop);
+            }
+            let faults: Vec<Fault> = case.faults.iter().map(|noted| noted.fault.clone()).collect();
+            if first_time {
+                for fault in &faults {
+                    self.tell(fault, Settled::GaveUp { reason: reason.clone() });
+                }
+            }
+            if rests {
+                self.cases.remove(place);
+                let ids: Vec<FaultId> = faults.iter().map(|fault| fault.id).collect();
+                self.release_symptoms(&ids, now);
+                let fault = faults.into_iter().next().expect("a case has its first fault");
+                return self.outputs.push_back(RecovererAction::LastResort { fault, reason });
+            }
+        }
+        let case = self.cases.get_mut(place).expect("a case in treatment is open");
+        let step = &case.ladder.steps()[case.rung];
+        if step.measure == Measure::Observe {
+            let case = self.cases.remove(place).expect("a case in treatment is open");
+            for noted in &case.faults {
+                self.tell(&noted.fault, Settled::Observed);
+            }
+            let ids: Vec<FaultId> = case.faults.iter().map(|noted| noted.fault.id).collect();
+            return self.release_symptoms(&ids, now);
+        }
+        let delay = step.backoff.delay(case.attempt, self.seed ^ self.orders);
+        case.progress = Progress::Waiting { due: now + delay };
+        if delay.is_zero() {
+            self.give_order(place, now);
+        }
+    }
+
+    fn give_order(&mut self, place: &Place, now: Instant) {
+        self.orders += 1;
+        let number = self.orders;
+        let case = self.cases.get_mut(place).expect("a case in treatment is open");
+        let step = &case.ladder.steps()[case.rung];
+        let (measure, attempt) = (step.measure.clone(), case.attempt);
+        case.order = number;
+        case.progress = Progress::Acting { due: now + step.within };
+        let stuck =
+            |noted: &Noted| matches!(noted.fault.kind, FaultKind::Hang | FaultKind::Silence);
+        let telling = case.faults.iter().find(|noted| stuck(noted)).unwrap_or(&case.faults[0]);
+        let telling = telling.fault.clone();
+        let faults: Vec<Fault> = case.faults.iter().map(|noted| noted.fault.clone()).collect();
+        for fault in &faults {
+            self.tell(fault, Settled::Decided { measure: measure.clone(), attempt });
+        }
+        self.open.insert(number, (place.clone(), measure.clone()));
+        let idle = Engaged { orders: 0, idle_since: now };
+        self.engaged.entry(measure.clone()).or_insert(idle).orders += 1;
+        let order = Order { number, measure, fault: telling, attempt };
+        self.outputs.push_back(RecovererAction::CarryOut(order));
+    }
+
+    /// The measure has worked: whatever it cured is settled, the rest is treated in its turn.
+    fn settle_case(&mut self, place: &Place, measure: &Measure, done: Done, now: Instant) {
+        let case = self.cases.remove(place).expect("a case that is settled is open");
+        let contained = matches!(measure, Measure::Isolate | Measure::SafeStop);
+        let first = case.faults[0].fault.kind.clone();
+        let cured = |noted: &Noted| {
+            let newer = done.incarnation.is_some_and(|life| noted.fault.incarnation < life);
+            let replaced = *measure == Measure::Restart && (newer || done.incarnation.is_none());
+            contained || replaced || noted.since < case.order || noted.fault.kind == first
+        };
+        let (cured, left): (Vec<Noted>, Vec<Noted>) = case.faults.into_iter().partition(cured);
+        for noted in &cured {
+            let settled = if contained {
+                Settled::Contained { measure: measure.clone() }
+            } else {
+                Settled::Recovered { incarnation: done.incarnation }
+            };
+            self.tell(&noted.fault, settled);
+        }
+        // Whether restarts go on is for the supervisor to say, and a route for the network.
+        if !contained && !matches!(measure, Measure::Restart | Measure::Reroute) {
+            let until = now + self.limits.memory;
+            let memory = Memory { rung: case.rung, attempt: case.attempt, until };
+            self.memories.insert((place.clone(), first), memory);
+        }
+        let ids: Vec<FaultId> = cured.iter().map(|noted| noted.fault.id).collect();
+        self.release_symptoms(&ids, now);
+        for noted in left {
+            self.treat(noted.fault, now);
+        }
+    }
+
+    /// The symptoms of these roots get a little time to pass.
+    fn release_symptoms(&mut self, roots: &[FaultId], now: Instant) {
+        let due = now + self.limits.grace;
+        let mut released = Vec::new();
+        for symptom in self.symptoms.values_mut() {
+            if symptom.due.is_none() && roots.contains(&symptom.root) {
+                symptom.due = Some(due);
+                released.push(symptom.fault.clone());
+            }
+        }
+        for fault in &released {
+            self.tell(fault, Settled::RootSettled);
+        }
+    }
+
+    fn close_order(&mut self, number: u64, now: Instant) -> Option<(Place, Measure)> {
+        let (place, measure) = self.open.remove(&number)?;
+        if let Some(engaged) = self.engaged.get_mut(&measure) {
+            engaged.orders -= 1;
+            engaged.idle_since = now;
+        }
+        Some((place, measure))
+    }
+
+    fn is_open(&self, id: FaultId) -> bool {
+        self.cases.values().any(|case| case.faults.iter().any(|noted| noted.fault.id == id))
+    }
+
+    fn tell(&mut self, fault: &Fault, settled: Settled) {
+        let (fault, place) = (fault.id, fault.place.clone());
+        self.outputs.push_back(RecovererAction::Settle { fault, place, settled });
+    }
+}
+
+impl Machine for Recoverer {
+    type Output = RecovererAction;
+
+    fn poll_output(&mut self) -> Option<RecovererAction> {
+        self.outputs.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let cases = self.cases.values().map(|case| match case.progress {
+            Progress::Waiting { due } | Progress::Acting { due } => due,
+        });
+        let symptoms = self.symptoms.values().filter_map(|symptom| symptom.due);
+        let idle = self.engaged.values().filter(|engaged| engaged.orders == 0);
+        let idle = idle.map(|engaged| engaged.idle_since + self.limits.idle);
+        cases.chain(symptoms).chain(idle).min()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        let due = |case: &Case| match case.progress {
+            Progress::Waiting { due } | Progress::Acting { due } => due <= now,
+        };
+        let due_cases: Vec<(Place, Progress)> = (self.cases.iter())
+            .filter(|(_, case)| due(case))
+            .map(|(place, case)| (place.clone(), case.progress))
+            .collect();
+        for (place, progress) in due_cases {
+            match progress {
+                Progress::Waiting { .. } => self.give_order(&place, now),
+                Progress::Acting { .. } => {
+                    let case = &self.cases[&place];
+                    let step = &case.ladder.steps()[case.rung];
+                    let reason = format!("{} was not done within {:?}", step.measure, step.within);
+                    // What comes too late is not waited for: it shows when the next attempt finds the
+                    // child well.
+                    let number = case.order;
+                    self.close_order(number, now);
+                    self.climb(&place, reason, now);
+                }
+            }
+        }
+        let passed: Vec<FaultId> = (self.symptoms.iter())
+            .filter(|(_, symptom)| symptom.due.is_some_and(|due| due <= now))
+            .map(|(&id, _)| id)
+            .collect();
+        for id in passed {
+            let symptom = self.symptoms.remove(&id).expect("a symptom that was just looked at");
+            self.treat(symptom.fault, now);
+            if !self.is_open(id) {
+                self.release_symptoms(&[id], now);
+            }
+        }
+        self.memories.retain(|_, memory| now <= memory.until);
+        let idle =
+            |engaged: &Engaged| engaged.orders == 0 && engaged.idle_since + self.limits.idle <= now;
+        let (released, kept) =
+            std::mem::take(&mut self.engaged).into_iter().partition(|(_, engaged)| idle(engaged));
+        self.engaged = kept;
+        let released: BTreeMap<Measure, Engaged> = released;
+        let release = released.into_keys().map(|measure| RecovererAction::Release { measure });
+        self.outputs.extend(release);
+    }
+}

@@ -1,0 +1,584 @@
+//! A supervisor's decisions: which children it touches, in which order, and whether a restart is
+//! still worth it.
+//!
+//! ```text
+//!  begin ─► Starting ─► Serving ──end──────────► Ending ─► Idle
+//!                          └──intensity exceeded──► Ending ─► Escalated (the parent decides)
+//! ```
+//!
+//! Two sets carry all order. `going` holds the children whose present life must end: only the last
+//! of them in start order is stopped at a time. `coming` holds those that are to start: only the first
+//! of them is started at a time, and only when nobody is going any more. A group restart puts children
+//! into both; whatever fails in between joins the same sets, so that nothing is lost or done twice.
+//! Under one_for_one a restarted child depends on nobody and passes by both.
+//!
+//! A child whose life has ended blocks those behind it in `coming` until the recoverer has said what is
+//! to be done: restart it, or put it to rest. The supervisor never restarts a component on its own
+//! account; only a supervisor below that has escalated is its own to decide about.
+
+mod child;
+mod moves;
+#[cfg(test)]
+mod tests;
+
+pub use child::{Cause, ChildState, ChildStatus};
+
+use super::{ChildRules, RestartWindow, StandingOrder, SupervisorRules};
+use crate::{Incarnation, Instant, Machine, ObjectName};
+use child::{Goal, Kept, Key, State};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+
+/// No supervisor keeps more: its table is read as a whole.
+const CHILDREN_LIMIT: usize = 65_536;
+/// More requests than this wait for no supervisor: the recoverer holds fewer cases open.
+const PENDING_LIMIT: usize = 16_384;
+
+/// A request that waits for its outcome; the number is chosen by whoever asks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Ticket(pub u64);
+
+/// Why a supervisor did not do what it was asked.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum GiveUpReason {
+    /// It keeps no child of this name.
+    #[error("no such child")]
+    Unknown,
+    /// The supervisor itself was stopped or has not begun.
+    #[error("its supervisor is not at work")]
+    NotAtWork,
+    /// The next life could not be built, initialised or activated.
+    #[error("its next life did not start: {reason}")]
+    StartFailed {
+        /// Why, as the component said it.
+        reason: String,
+    },
+    /// The component could not recover by itself.
+    #[error("it could not reset itself: {reason}")]
+    ResetFailed {
+        /// Why, as the component said it.
+        reason: String,
+    },
+    /// A reset needs a life at work, and there is none.
+    #[error("it has no life that could be reset")]
+    NoLife,
+    /// It did not answer in time.
+    #[error("it did not answer within {limit:?}")]
+    Overdue {
+        /// The deadline of its rules.
+        limit: Duration,
+    },
+    /// It is in safe rest; a person, not a fault, brings it back.
+    #[error("it is in safe rest")]
+    Resting,
+    /// Its end was final.
+    #[error("its end was final, as its rules say")]
+    Finished,
+    /// More restarts than the intensity allows, up to the root.
+    #[error("given up: {reason}")]
+    Escalated {
+        /// Which limit was exceeded, by whom.
+        reason: String,
+    },
+    /// There already is a child of this name.
+    #[error("there already is a child of this name")]
+    NameTaken,
+    /// The supervisor can take no more children or requests.
+    #[error("its supervisor is full: it takes no more than {limit}")]
+    Full {
+        /// The bound.
+        limit: usize,
+    },
+    /// The supervisor lost this request when it began anew.
+    #[error("its supervisor began anew")]
+    Forgotten,
+}
+
+/// What a supervisor wants done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SupervisorAction {
+    /// Begin the child's next life.
+    Start {
+        /// The child.
+        child: ObjectName,
+        /// Which life it is.
+        incarnation: Incarnation,
+    },
+    /// Ask the child's life to end.
+    Stop {
+        /// The child.
+        child: ObjectName,
+    },
+    /// Give the child's life up without asking it.
+    Abandon {
+        /// The child.
+        child: ObjectName,
+    },
+    /// Ask a child in error to recover by itself.
+    Reset {
+        /// The child.
+        child: ObjectName,
+    },
+    /// Forbid the child to send and receive, or allow it again.
+    Isolate {
+        /// The child.
+        child: ObjectName,
+        /// Forbidden, or allowed.
+        isolated: bool,
+    },
+    /// Leave a decision with the child's guard, or withdraw it.
+    StandingOrder {
+        /// The child.
+        child: ObjectName,
+        /// The decision.
+        order: Option<StandingOrder>,
+    },
+    /// The request is fulfilled.
+    Recovered {
+        /// Whose.
+        ticket: Ticket,
+        /// The child.
+        child: ObjectName,
+        /// The life at work; `None` where no life is wanted.
+        incarnation: Option<Incarnation>,
+    },
+    /// The request is not going to be fulfilled.
+    GaveUp {
+        /// Whose.
+        ticket: Ticket,
+        /// The child.
+        child: ObjectName,
+        /// Why.
+        why: GiveUpReason,
+    },
+    /// A start took too long; nobody else can know it.
+    Overdue {
+        /// The child.
+        child: ObjectName,
+        /// The life that did not come to be.
+        incarnation: Incarnation,
+        /// The deadline.
+        limit: Duration,
+    },
+    /// The child has ended and is forgotten.
+    Left {
+        /// The child.
+        child: ObjectName,
+    },
+    /// Restarts are not worth it any more; all children have ended. The next authority decides.
+    Escalate {
+        /// Which limit was exceeded, by whom.
+        reason: String,
+    },
+    /// All children are at work for the first time in this life.
+    AllStarted,
+    /// All children have ended, as it was told.
+    AllStopped,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Phase {
+    Idle,
+    Starting,
+    Serving,
+    Ending { escalation: Option<String> },
+    Escalated { reason: String },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wish {
+    Work,
+    Rest,
+    Leave,
+}
+
+#[derive(Clone, Debug)]
+struct Pending {
+    ticket: Ticket,
+    key: Key,
+    child: ObjectName,
+    wish: Wish,
+}
+
+/// One supervisor. See the [module](self).
+#[derive(Debug)]
+pub struct Supervision {
+    rules: SupervisorRules,
+    incarnation: Incarnation,
+    phase: Phase,
+    children: BTreeMap<Key, Kept>,
+    index: BTreeMap<ObjectName, Key>,
+    next_key: Key,
+    going: BTreeSet<Key>,
+    coming: BTreeSet<Key>,
+    /// Those that have a deadline at present.
+    timed: BTreeSet<Key>,
+    pending: Vec<Pending>,
+    window: RestartWindow,
+    /// The budget is spent, and every guard's standing order is withdrawn until the window moves.
+    withdrawn: bool,
+    outputs: VecDeque<SupervisorAction>,
+}
+
+impl Supervision {
+    /// A supervisor without children that has not begun.
+    pub fn new(rules: SupervisorRules) -> Self {
+        Supervision {
+            rules,
+            incarnation: Incarnation::default(),
+            phase: Phase::Idle,
+            children: BTreeMap::new(),
+            index: BTreeMap::new(),
+            next_key: 0,
+            going: BTreeSet::new(),
+            coming: BTreeSet::new(),
+            timed: BTreeSet::new(),
+            pending: Vec::new(),
+            window: RestartWindow::new(rules.intensity, rules.period),
+            withdrawn: false,
+            outputs: VecDeque::new(),
+        }
+    }
+
+    /// How it decides.
+    pub fn rules(&self) -> &SupervisorRules {
+        &self.rules
+    }
+
+    /// Which of its own lives this is.
+    pub fn incarnation(&self) -> Incarnation {
+        self.incarnation
+    }
+
+    /// How many more restarts it would allow at `now`.
+    pub fn restarts_left(&self, now: Instant) -> u32 {
+        self.window.left(now)
+    }
+
+    /// Its children in their start order.
+    pub fn children(&self) -> impl Iterator<Item = ChildStatus> + '_ {
+        self.children.values().map(Kept::status)
+    }
+
+    /// Takes in one more child, behind all others; it is started if the supervisor is at work.
+    ///
+    /// # Errors
+    /// The name is taken, or the supervisor full.
+    pub fn add_child(
+        &mut self,
+        name: ObjectName,
+        rules: ChildRules,
+        now: Instant,
+    ) -> Result<(), GiveUpReason> {
+        if self.index.contains_key(&name) {
+            return Err(GiveUpReason::NameTaken);
+        }
+        if self.children.len() == CHILDREN_LIMIT {
+            return Err(GiveUpReason::Full { limit: CHILDREN_LIMIT });
+        }
+        let key = self.next_key;
+        self.next_key += 1;
+        self.index.insert(name.clone(), key);
+        self.children.insert(key, Kept::new(name, rules));
+        if self.at_work() {
+            self.coming.insert(key);
+        }
+        self.advance(now);
+        Ok(())
+    }
+
+    /// Stops a child and forgets it.
+    pub fn handle_remove(&mut self, name: &ObjectName, ticket: Ticket, now: Instant) {
+        let Some(key) = self.admit(name, ticket, Wish::Leave) else { return };
+        self.dismiss(key, Goal::Leave, Cause::Faulty, now);
+        self.advance(now);
+    }
+
+    /// Begins a life: every child is started in order.
+    pub fn handle_begin(&mut self, incarnation: Incarnation, now: Instant) {
+        self.handle_forsake(now);
+        self.incarnation = incarnation;
+        self.phase = Phase::Starting;
+        self.window.clear();
+        self.withdrawn = false;
+        let keys: Vec<Key> = self.children.keys().copied().collect();
+        for key in keys {
+            let child = self.kept(key);
+            child.goal = Goal::Run;
+            child.failed = None;
+            self.set_isolated(key, false);
+            self.coming.insert(key);
+        }
+        self.advance(now);
+    }
+
+    /// Ends the life: every child is stopped in reverse order.
+    pub fn handle_end(&mut self, now: Instant) {
+        self.end(None);
+        self.advance(now);
+    }
+
+    /// Gives all children up at once.
+    pub fn handle_forsake(&mut self, now: Instant) {
+        self.phase = Phase::Idle;
+        self.going.clear();
+        self.coming.clear();
+        let living: Vec<Key> = self.living().collect();
+        for key in living.into_iter().rev() {
+            self.abandon(key);
+            self.after_end(key, now);
+        }
+        self.settle();
+    }
+
+    /// Forbids all children to send and receive, or allows it again.
+    pub fn handle_isolate_all(&mut self, isolated: bool, now: Instant) {
+        let keys: Vec<Key> = self.children.keys().copied().collect();
+        for key in keys {
+            self.set_isolated(key, isolated);
+            self.grant(key, now);
+        }
+    }
+
+    /// A restart is wanted: by the recoverer for a fault of the life `struck`, or, without one, by a
+    /// person.
+    pub fn handle_restart(
+        &mut self,
+        name: &ObjectName,
+        ticket: Ticket,
+        cause: Cause,
+        struck: Option<Incarnation>,
+        now: Instant,
+    ) {
+        let Some(key) = self.admit(name, ticket, Wish::Work) else { return };
+        match &self.phase {
+            Phase::Starting | Phase::Serving => {}
+            // What becomes of it shows in the supervisor's next life.
+            Phase::Ending { escalation: Some(_) } | Phase::Escalated { .. } => {
+                return self.settle();
+            }
+            Phase::Idle | Phase::Ending { escalation: None } => {
+                return self.refuse(ticket, GiveUpReason::NotAtWork);
+            }
+        }
+        let child = self.kept(key);
+        match struck {
+            None => {
+                if child.goal != Goal::Leave {
+                    child.goal = Goal::Run;
+                }
+                self.set_isolated(key, false);
+            }
+            // The guard has restarted it by itself, and its report is still under way.
+            Some(life) if life > child.incarnation => child.incarnation = life,
+            // A life that has been replaced already.
+            Some(life) if life < child.incarnation => return self.settle(),
+            Some(_) => {}
+        }
+        if self.kept(key).goal == Goal::Run {
+            self.replace(key, cause, now);
+        }
+        self.advance(now);
+    }
+
+    /// A reset is wanted.
+    pub fn handle_reset(&mut self, name: &ObjectName, ticket: Ticket, now: Instant) {
+        let Some(&key) = self.index.get(name) else {
+            return self.answer_gave_up(ticket, name.clone(), GiveUpReason::Unknown);
+        };
+        let child = self.kept(key);
+        let (name, due) = (child.name.clone(), now + child.rules.ready_within);
+        if child.state != State::Running || self.going.contains(&key) {
+            return self.answer_gave_up(ticket, name, GiveUpReason::NoLife);
+        }
+        self.set_state(key, State::Resetting { due, ticket });
+        self.outputs.push_back(SupervisorAction::Reset { child: name });
+    }
+
+    /// The child is to be cut off, or let in again.
+    pub fn handle_isolate(
+        &mut self,
+        name: &ObjectName,
+        isolated: bool,
+        ticket: Ticket,
+        now: Instant,
+    ) {
+        let Some(&key) = self.index.get(name) else {
+            return self.answer_gave_up(ticket, name.clone(), GiveUpReason::Unknown);
+        };
+        self.set_isolated(key, isolated);
+        self.grant(key, now);
+        let child = self.kept(key);
+        let incarnation = child.lives().then_some(child.incarnation);
+        if isolated && !child.lives() && child.goal == Goal::Run {
+            // Nobody waits for a child that may not speak.
+            child.goal = Goal::Rest;
+            child.failed = None;
+            self.coming.remove(&key);
+        }
+        let child = name.clone();
+        self.outputs.push_back(SupervisorAction::Recovered { ticket, child, incarnation });
+        self.advance(now);
+    }
+
+    /// The child is to be put in safe rest.
+    pub fn handle_rest(&mut self, name: &ObjectName, ticket: Ticket, cause: Cause, now: Instant) {
+        let Some(key) = self.admit(name, ticket, Wish::Rest) else { return };
+        self.set_isolated(key, true);
+        self.dismiss(key, Goal::Rest, cause, now);
+        self.advance(now);
+    }
+
+    /// The child's new life is at work.
+    pub fn handle_started(&mut self, name: &ObjectName, incarnation: Incarnation, now: Instant) {
+        let Some(key) = self.present(name, incarnation) else { return };
+        if !matches!(self.kept(key).state, State::Starting { .. }) || self.going.contains(&key) {
+            return;
+        }
+        self.set_state(key, State::Running);
+        self.coming.remove(&key);
+        self.grant(key, now);
+        self.advance(now);
+    }
+
+    /// The child's new life did not come to be.
+    pub fn handle_start_failed(
+        &mut self,
+        name: &ObjectName,
+        incarnation: Incarnation,
+        reason: String,
+        now: Instant,
+    ) {
+        let Some(key) = self.present(name, incarnation) else { return };
+        self.life_ended(key, false, reason, now);
+        self.advance(now);
+    }
+
+    /// The child has ended, as it was told.
+    pub fn handle_stopped(&mut self, name: &ObjectName, incarnation: Incarnation, now: Instant) {
+        let Some(key) = self.present(name, incarnation) else { return };
+        if matches!(self.kept(key).state, State::Stopping { .. }) {
+            self.set_state(key, State::Down);
+            self.after_end(key, now);
+            self.advance(now);
+        }
+    }
+
+    /// The child has recovered by itself, or could not.
+    pub fn handle_reset_done(
+        &mut self,
+        name: &ObjectName,
+        incarnation: Incarnation,
+        outcome: Result<(), String>,
+    ) {
+        let Some(key) = self.present(name, incarnation) else { return };
+        let child = self.kept(key);
+        let State::Resetting { ticket, .. } = child.state else { return };
+        let (child, life) = (child.name.clone(), child.incarnation);
+        self.set_state(key, State::Running);
+        match outcome {
+            Ok(()) => self.outputs.push_back(SupervisorAction::Recovered {
+                ticket,
+                child,
+                incarnation: Some(life),
+            }),
+            Err(reason) => {
+                self.answer_gave_up(ticket, child, GiveUpReason::ResetFailed { reason });
+            }
+        }
+    }
+
+    /// The child's life ended although nobody had asked for it. With `restarted_as`, its guard has
+    /// carried out its standing order, and the restart is counted here.
+    pub fn handle_died(
+        &mut self,
+        name: &ObjectName,
+        incarnation: Incarnation,
+        in_order: bool,
+        restarted_as: Option<Incarnation>,
+        now: Instant,
+    ) {
+        let Some(key) = self.present(name, incarnation) else { return };
+        match restarted_as {
+            Some(next) => self.restarted_on_the_spot(key, next, now),
+            None => self.life_ended(key, in_order, "it died".into(), now),
+        }
+        self.advance(now);
+    }
+
+    /// A child that is a supervisor has given up: this supervisor is the next authority.
+    pub fn handle_escalated(
+        &mut self,
+        name: &ObjectName,
+        incarnation: Incarnation,
+        reason: String,
+        now: Instant,
+    ) {
+        let Some(key) = self.present(name, incarnation) else { return };
+        self.life_ended(key, false, reason, now);
+        // It may have been about to leave, and is gone now.
+        let failed = self.children.get(&key).is_some_and(|child| child.failed.is_some());
+        if failed && self.at_work() {
+            self.replace(key, Cause::Died, now);
+        }
+        self.advance(now);
+    }
+
+    /// The actor around this machine began anew after a panic of its own: what was under way is not
+    /// known any more. Children at work stay there; those in between are given up and started again.
+    /// Requests that waited are forgotten.
+    pub fn handle_own_restart(&mut self, now: Instant) {
+        self.outputs.clear();
+        self.pending.clear();
+        self.going.clear();
+        let living: Vec<Key> = self.living().collect();
+        for key in living {
+            match self.kept(key).state {
+                State::Running => {
+                    self.coming.remove(&key);
+                }
+                State::Resetting { .. } => self.set_state(key, State::Running),
+                _ => {
+                    self.abandon(key);
+                    if self.at_work() && self.kept(key).goal == Goal::Run {
+                        self.coming.insert(key);
+                    }
+                    self.after_end(key, now);
+                }
+            }
+        }
+        if let Phase::Ending { .. } = self.phase {
+            self.going = self.living().collect();
+        }
+        self.advance(now);
+    }
+}
+
+impl Machine for Supervision {
+    type Output = SupervisorAction;
+
+    fn poll_output(&mut self) -> Option<SupervisorAction> {
+        self.outputs.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let dues = self.timed.iter().filter_map(|key| self.children[key].due());
+        let release = self.withdrawn.then(|| self.window.next_release()).flatten();
+        dues.chain(release).min()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        let due = |key: &&Key| self.children[key].due().is_some_and(|due| due <= now);
+        let overdue: Vec<Key> = self.timed.iter().filter(due).copied().collect();
+        for key in overdue {
+            self.handle_overdue(key, now);
+        }
+        self.window.forget(now);
+        if self.withdrawn && self.window.left(now) > 0 {
+            self.withdrawn = false;
+            self.grant_all(now);
+        }
+        self.advance(now);
+    }
+}

@@ -1,0 +1,422 @@
+//! How the supervisor's children are moved: one step at a time, in order.
+
+use super::child::{Cause, Goal, Kept, Key, State};
+use super::{
+    GiveUpReason, PENDING_LIMIT, Pending, Phase, Supervision, SupervisorAction, Ticket, Wish,
+};
+use crate::recovery::{Restart, StandingOrder, Strategy};
+use crate::{Incarnation, Instant, ObjectName};
+
+impl Supervision {
+    /// Takes the next step that is possible, and answers the requests that are decided.
+    pub(super) fn advance(&mut self, now: Instant) {
+        self.step(now);
+        self.settle();
+    }
+
+    fn step(&mut self, now: Instant) {
+        if let Some(&last) = self.going.last() {
+            return self.ask_to_stop(last, now);
+        }
+        if let Phase::Ending { escalation } = &self.phase {
+            let (phase, action) = match escalation.clone() {
+                None => (Phase::Idle, SupervisorAction::AllStopped),
+                Some(reason) => {
+                    let phase = Phase::Escalated { reason: reason.clone() };
+                    (phase, SupervisorAction::Escalate { reason })
+                }
+            };
+            self.phase = phase;
+            return self.outputs.push_back(action);
+        }
+        match self.coming.first() {
+            Some(&first) => {
+                // One further back may have begun before this one joined.
+                let starting = self.timed.intersection(&self.coming).next().is_some();
+                let child = self.kept(first);
+                if !starting && child.state == State::Down && child.failed.is_none() {
+                    self.start(first, now);
+                }
+            }
+            None if self.phase == Phase::Starting => {
+                self.phase = Phase::Serving;
+                self.outputs.push_back(SupervisorAction::AllStarted);
+            }
+            None => {}
+        }
+    }
+
+    /// Answers every waiting request whose outcome is now known.
+    pub(super) fn settle(&mut self) {
+        if self.pending.is_empty() {
+            return;
+        }
+        let pending = std::mem::take(&mut self.pending);
+        for Pending { ticket, key, child, wish } in pending {
+            match self.outcome(key, wish) {
+                None => self.pending.push(Pending { ticket, key, child, wish }),
+                Some(Ok(incarnation)) => {
+                    self.outputs.push_back(SupervisorAction::Recovered {
+                        ticket,
+                        child,
+                        incarnation,
+                    });
+                }
+                Some(Err(why)) => self.answer_gave_up(ticket, child, why),
+            }
+        }
+    }
+
+    fn outcome(&self, key: Key, wish: Wish) -> Option<Result<Option<Incarnation>, GiveUpReason>> {
+        let Some(child) = self.children.get(&key) else { return Some(Ok(None)) };
+        match wish {
+            Wish::Leave => None,
+            Wish::Rest if child.goal != Goal::Rest => Some(Err(GiveUpReason::Forgotten)),
+            Wish::Rest => (!child.lives()).then_some(Ok(None)),
+            Wish::Work => {
+                if let (Phase::Escalated { reason }, true) = (&self.phase, self.rules.root) {
+                    return Some(Err(GiveUpReason::Escalated { reason: reason.clone() }));
+                }
+                match child.goal {
+                    Goal::Finished => return (!child.lives()).then_some(Ok(None)),
+                    Goal::Rest | Goal::Leave => return Some(Err(GiveUpReason::Resting)),
+                    Goal::Run => {}
+                }
+                if let Some(reason) = &child.failed {
+                    return Some(Err(GiveUpReason::StartFailed { reason: reason.clone() }));
+                }
+                let whole = match self.rules.strategy {
+                    Strategy::OneForOne => !self.going.contains(&key),
+                    Strategy::OneForAll | Strategy::RestForOne => {
+                        self.going.is_empty() && self.coming.is_empty()
+                    }
+                };
+                (child.state == State::Running && whole).then_some(Ok(Some(child.incarnation)))
+            }
+        }
+    }
+
+    /// Replaces a child's life, and those of its siblings as the strategy says.
+    pub(super) fn replace(&mut self, key: Key, cause: Cause, now: Instant) {
+        if self.kept(key).rules.restart == Restart::Temporary {
+            return self.dismiss(key, Goal::Finished, cause, now);
+        }
+        let child = self.kept(key);
+        let waits = child.state == State::Down && child.failed.is_none();
+        let stops = matches!(child.state, State::Stopping { .. }) || self.going.contains(&key);
+        if stops && cause != Cause::Faulty {
+            // It would not answer the stop that it was sent, or is going to be sent.
+            self.end_now(key, cause);
+            self.after_end(key, now);
+        }
+        if stops || (waits && self.coming.contains(&key)) {
+            return;
+        }
+        self.end_now(key, cause);
+        if !self.count_restart(key, now) {
+            return;
+        }
+        let child = self.kept(key);
+        child.failed = None;
+        let lives = child.lives();
+        match self.rules.strategy {
+            Strategy::OneForOne if lives => self.ask_to_stop(key, now),
+            Strategy::OneForOne => self.after_end(key, now),
+            Strategy::OneForAll => self.renew_from(0),
+            Strategy::RestForOne => self.renew_from(key),
+        }
+    }
+
+    /// Everybody from `first` on, in start order, is to end and to start again.
+    fn renew_from(&mut self, first: Key) {
+        for (&key, child) in self.children.range_mut(first..) {
+            if child.goal == Goal::Run {
+                child.failed = None;
+                self.coming.insert(key);
+                if child.lives() {
+                    self.going.insert(key);
+                }
+            }
+        }
+    }
+
+    /// Ends a child's life for good, or until somebody asks for it again.
+    pub(super) fn dismiss(&mut self, key: Key, goal: Goal, cause: Cause, now: Instant) {
+        let child = self.kept(key);
+        if child.goal != Goal::Leave {
+            child.goal = goal;
+        }
+        child.failed = None;
+        self.coming.remove(&key);
+        self.end_now(key, cause);
+        if self.kept(key).lives() {
+            self.ask_to_stop(key, now);
+        } else {
+            self.after_end(key, now);
+        }
+    }
+
+    /// Ends a life that need not, or cannot, be asked.
+    fn end_now(&mut self, key: Key, cause: Cause) {
+        match cause {
+            Cause::Died if self.kept(key).lives() => self.set_state(key, State::Down),
+            Cause::Stuck if self.kept(key).lives() => self.abandon(key),
+            Cause::Died | Cause::Stuck | Cause::Faulty => {}
+        }
+    }
+
+    /// A life has ended by itself, or has not come to be.
+    pub(super) fn life_ended(&mut self, key: Key, in_order: bool, reason: String, now: Instant) {
+        let child = self.kept(key);
+        let expected = matches!(child.state, State::Stopping { .. });
+        if child.state == State::Down {
+            return;
+        }
+        let may_end = child.may_end(in_order);
+        let expected = expected || self.going.contains(&key);
+        self.set_state(key, State::Down);
+        let child = self.kept(key);
+        if !expected && child.goal == Goal::Run {
+            if may_end {
+                child.goal = Goal::Finished;
+                self.coming.remove(&key);
+            } else {
+                child.failed = Some(reason);
+            }
+        }
+        self.after_end(key, now);
+    }
+
+    /// What follows when a life is over.
+    pub(super) fn after_end(&mut self, key: Key, now: Instant) {
+        self.going.remove(&key);
+        let alone = !self.coming.contains(&key) && self.at_work();
+        let child = self.kept(key);
+        match child.goal {
+            Goal::Leave => {
+                let child = self.children.remove(&key).expect("this child was just looked at");
+                self.index.remove(&child.name);
+                self.coming.remove(&key);
+                self.outputs.push_back(SupervisorAction::Left { child: child.name });
+            }
+            Goal::Run if alone && child.failed.is_none() => match self.rules.strategy {
+                Strategy::OneForOne => self.start(key, now),
+                Strategy::OneForAll | Strategy::RestForOne => drop(self.coming.insert(key)),
+            },
+            Goal::Run | Goal::Rest | Goal::Finished => {}
+        }
+    }
+
+    pub(super) fn handle_overdue(&mut self, key: Key, now: Instant) {
+        let child = self.kept(key);
+        let (name, incarnation, rules) = (child.name.clone(), child.incarnation, child.rules);
+        match child.state {
+            State::Starting { .. } => {
+                let limit = rules.ready_within;
+                self.outputs.push_back(SupervisorAction::Abandon { child: name.clone() });
+                self.life_ended(key, false, format!("not at work within {limit:?}"), now);
+                self.outputs.push_back(SupervisorAction::Overdue {
+                    child: name,
+                    incarnation,
+                    limit,
+                });
+            }
+            State::Stopping { .. } => {
+                self.abandon(key);
+                self.after_end(key, now);
+            }
+            State::Resetting { ticket, .. } => {
+                let limit = rules.ready_within;
+                self.set_state(key, State::Running);
+                self.answer_gave_up(ticket, name, GiveUpReason::Overdue { limit });
+            }
+            State::Down | State::Running => {}
+        }
+    }
+
+    fn start(&mut self, key: Key, now: Instant) {
+        let child = self.kept(key);
+        if child.incarnation != Incarnation::default() {
+            child.restarts += 1;
+        }
+        child.incarnation = child.incarnation.next();
+        let (name, incarnation) = (child.name.clone(), child.incarnation);
+        let due = now + child.rules.ready_within;
+        self.set_state(key, State::Starting { due });
+        self.outputs.push_back(SupervisorAction::Start { child: name, incarnation });
+    }
+
+    fn ask_to_stop(&mut self, key: Key, now: Instant) {
+        let child = self.kept(key);
+        if matches!(child.state, State::Stopping { .. }) {
+            return;
+        }
+        let (name, due) = (child.name.clone(), now + child.rules.shutdown_within);
+        self.withdraw(key);
+        self.set_state(key, State::Stopping { due });
+        self.outputs.push_back(SupervisorAction::Stop { child: name });
+    }
+
+    pub(super) fn abandon(&mut self, key: Key) {
+        self.withdraw(key);
+        self.set_state(key, State::Down);
+        let child = self.kept(key).name.clone();
+        self.outputs.push_back(SupervisorAction::Abandon { child });
+    }
+
+    /// Every state change goes through here, so that no deadline and no waiting reset is forgotten.
+    pub(super) fn set_state(&mut self, key: Key, state: State) {
+        let child = self.kept(key);
+        let before = std::mem::replace(&mut child.state, state);
+        let (timed, name) = (child.due().is_some(), child.name.clone());
+        if let (State::Resetting { ticket, .. }, false) = (before, state == State::Running) {
+            self.answer_gave_up(ticket, name, GiveUpReason::NoLife);
+        }
+        if timed {
+            self.timed.insert(key);
+        } else {
+            self.timed.remove(&key);
+        }
+    }
+
+    /// Counts a restart; where it is one too many, everything ends.
+    fn count_restart(&mut self, key: Key, now: Instant) -> bool {
+        let within = self.window.add(now);
+        if !within {
+            let (intensity, period) = (self.rules.intensity, self.rules.period);
+            let name = &self.kept(key).name;
+            let reason = format!("{name} needed more than {intensity} restarts in {period:?}");
+            self.end(Some(reason));
+        } else if self.window.left(now) == 0 {
+            self.withdraw_all();
+        }
+        within
+    }
+
+    pub(super) fn restarted_on_the_spot(&mut self, key: Key, next: Incarnation, now: Instant) {
+        let child = self.kept(key);
+        child.incarnation = next;
+        child.restarts += 1;
+        if let State::Resetting { .. } = child.state {
+            self.set_state(key, State::Down);
+            self.set_state(key, State::Running);
+        }
+        if self.at_work() && self.count_restart(key, now) {
+            self.grant(key, now);
+        }
+    }
+
+    /// All children are to end, in reverse order.
+    pub(super) fn end(&mut self, escalation: Option<String>) {
+        self.coming.clear();
+        self.withdraw_all();
+        self.withdrawn = false;
+        self.going = self.living().collect();
+        for child in self.children.values_mut() {
+            child.failed = None;
+        }
+        self.phase = Phase::Ending { escalation };
+    }
+
+    pub(super) fn set_isolated(&mut self, key: Key, isolated: bool) {
+        let child = self.kept(key);
+        if child.isolated != isolated {
+            child.isolated = isolated;
+            let child = child.name.clone();
+            self.outputs.push_back(SupervisorAction::Isolate { child, isolated });
+        }
+        if isolated {
+            self.withdraw(key);
+        }
+    }
+
+    /// Leaves what remains of the budget with a child's guard, where the rules allow it.
+    pub(super) fn grant(&mut self, key: Key, now: Instant) {
+        let (times, period) = (self.window.left(now), self.rules.period);
+        let allowed = self.at_work() && self.rules.strategy == Strategy::OneForOne && times > 0;
+        let going = self.going.contains(&key);
+        let child = self.kept(key);
+        let willing = child.state == State::Running
+            && child.rules.on_the_spot
+            && child.rules.restart != Restart::Temporary
+            && !child.isolated
+            && !going;
+        if allowed && willing {
+            child.ordered = true;
+            let (child, order) = (child.name.clone(), Some(StandingOrder { times, period }));
+            self.outputs.push_back(SupervisorAction::StandingOrder { child, order });
+        }
+    }
+
+    pub(super) fn grant_all(&mut self, now: Instant) {
+        let keys: Vec<Key> = self.children.keys().copied().collect();
+        for key in keys {
+            self.grant(key, now);
+        }
+    }
+
+    fn withdraw(&mut self, key: Key) {
+        let child = self.kept(key);
+        if std::mem::take(&mut child.ordered) {
+            let child = child.name.clone();
+            self.outputs.push_back(SupervisorAction::StandingOrder { child, order: None });
+        }
+    }
+
+    fn withdraw_all(&mut self) {
+        self.withdrawn = true;
+        let keys: Vec<Key> = self.children.keys().copied().collect();
+        for key in keys {
+            self.withdraw(key);
+        }
+    }
+
+    /// Notes a request; what cannot even be noted is answered at once.
+    pub(super) fn admit(&mut self, name: &ObjectName, ticket: Ticket, wish: Wish) -> Option<Key> {
+        let child = name.clone();
+        let Some(&key) = self.index.get(name) else {
+            self.answer_gave_up(ticket, child, GiveUpReason::Unknown);
+            return None;
+        };
+        if self.pending.len() == PENDING_LIMIT {
+            self.answer_gave_up(ticket, child, GiveUpReason::Full { limit: PENDING_LIMIT });
+            return None;
+        }
+        self.pending.push(Pending { ticket, key, child, wish });
+        Some(key)
+    }
+
+    /// Takes back what [`admit`](Self::admit) has just noted.
+    pub(super) fn refuse(&mut self, ticket: Ticket, why: GiveUpReason) {
+        if let Some(Pending { child, .. }) = self.pending.pop() {
+            self.answer_gave_up(ticket, child, why);
+        }
+    }
+
+    pub(super) fn answer_gave_up(&mut self, ticket: Ticket, child: ObjectName, why: GiveUpReason) {
+        self.outputs.push_back(SupervisorAction::GaveUp { ticket, child, why });
+    }
+
+    /// The child that a report is about, unless the report is about an earlier life.
+    pub(super) fn present(&mut self, name: &ObjectName, life: Incarnation) -> Option<Key> {
+        let &key = self.index.get(name)?;
+        let child = self.kept(key);
+        if life < child.incarnation {
+            return None;
+        }
+        child.incarnation = life;
+        Some(key)
+    }
+
+    pub(super) fn living(&self) -> impl Iterator<Item = Key> + '_ {
+        self.children.iter().filter(|(_, child)| child.lives()).map(|(&key, _)| key)
+    }
+
+    pub(super) fn at_work(&self) -> bool {
+        matches!(self.phase, Phase::Starting | Phase::Serving)
+    }
+
+    pub(super) fn kept(&mut self, key: Key) -> &mut Kept {
+        self.children.get_mut(&key).expect("a key in use belongs to a child")
+    }
+}

@@ -1,0 +1,403 @@
+//! The supervision machine against a simple model of the world: children that start, stop, die and
+//! hang at random, and a recoverer that asks for a restart of whatever has failed.
+//!
+//! The model sees only what the machine says. It knows which lives are present, and holds against it:
+//! no child has two lives, a group starts in order, the budget is kept, every request is answered
+//! once, and when the world calms down, all that should be at work is.
+
+use blastema_core::recovery::{
+    Cause, ChildRules, ChildState, Restart, Strategy, Supervision, SupervisorAction,
+    SupervisorRules, Ticket,
+};
+use blastema_core::{Incarnation, Instant, Machine, ObjectName};
+use proptest::prelude::{Just, ProptestConfig, Strategy as _, prop, prop_assert, prop_assert_eq};
+use proptest::{prop_oneof, proptest};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+const PERIOD: Duration = Duration::from_secs(10);
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Life {
+    Starting,
+    Present,
+    Stopping,
+}
+
+#[derive(Clone, Debug)]
+enum Turn {
+    /// The present step of this child succeeds: it has started, or stopped.
+    Answer(usize),
+    StartFails(usize),
+    /// It dies; the guard tells the supervisor, and the recoverer orders a restart.
+    Dies(usize),
+    /// It dies, and only the recoverer hears of it.
+    DiesUnheard(usize),
+    Hangs(usize),
+    IsFaulty(usize),
+    DiesOnTheSpot(usize),
+    Rest(usize),
+    ByHand(usize),
+    Time(u16),
+    End,
+    Begin,
+    OwnRestart,
+}
+
+struct World {
+    machine: Supervision,
+    strategy: Strategy,
+    intensity: u32,
+    names: Vec<ObjectName>,
+    lives: BTreeMap<ObjectName, (Incarnation, Life)>,
+    last: BTreeMap<ObjectName, Incarnation>,
+    orders: BTreeSet<ObjectName>,
+    open: BTreeSet<Ticket>,
+    ordered_restarts: Vec<Instant>,
+    now: Instant,
+    tickets: u64,
+    escalated: bool,
+    all_started: bool,
+}
+
+impl World {
+    fn new(strategy: Strategy, intensity: u32, restarts: &[Restart]) -> Self {
+        let rules = SupervisorRules { strategy, intensity, period: PERIOD, root: true };
+        let mut machine = Supervision::new(rules);
+        let mut names = Vec::new();
+        let now = Instant::from_millis(1);
+        for (at, &restart) in restarts.iter().enumerate() {
+            let name = ObjectName::new(&format!("child{at}")).expect("a good name");
+            let rules = ChildRules { restart, on_the_spot: at % 2 == 0, ..ChildRules::default() };
+            machine.add_child(name.clone(), rules, now).expect("a free name");
+            names.push(name);
+        }
+        World {
+            machine,
+            strategy,
+            intensity,
+            names,
+            lives: BTreeMap::new(),
+            last: BTreeMap::new(),
+            orders: BTreeSet::new(),
+            open: BTreeSet::new(),
+            ordered_restarts: Vec::new(),
+            now,
+            tickets: 0,
+            escalated: false,
+            all_started: false,
+        }
+    }
+
+    fn place(&self, name: &ObjectName) -> usize {
+        self.names.iter().position(|other| other == name).expect("a known child")
+    }
+
+    /// Carries out what the machine wants, and holds the invariants against it.
+    fn look(&mut self) {
+        while let Some(action) = self.machine.poll_output() {
+            match action {
+                SupervisorAction::Start { child, incarnation } => {
+                    assert!(!self.lives.contains_key(&child), "{child} would live twice");
+                    let last = self.last.insert(child.clone(), incarnation);
+                    assert!(last.is_none_or(|last| last < incarnation), "{child} {incarnation}");
+                    if self.strategy != Strategy::OneForOne {
+                        let mut lives = self.lives.values();
+                        assert!(
+                            lives.all(|(_, life)| *life != Life::Starting),
+                            "two start at once"
+                        );
+                    }
+                    self.lives.insert(child, (incarnation, Life::Starting));
+                }
+                SupervisorAction::Stop { child } => {
+                    assert!(!self.orders.contains(&child), "{child} stops under a standing order");
+                    if let Some((_, life)) = self.lives.get_mut(&child) {
+                        *life = Life::Stopping;
+                    }
+                }
+                SupervisorAction::Abandon { child } => {
+                    self.orders.remove(&child);
+                    self.lives.remove(&child);
+                }
+                SupervisorAction::StandingOrder { child, order: Some(order) } => {
+                    assert_eq!(self.strategy, Strategy::OneForOne);
+                    assert!(order.times > 0 && order.times <= self.intensity);
+                    self.orders.insert(child);
+                }
+                SupervisorAction::StandingOrder { child, order: None } => {
+                    self.orders.remove(&child);
+                }
+                SupervisorAction::Recovered { ticket, child, incarnation } => {
+                    assert!(self.open.remove(&ticket), "{ticket:?} is answered twice");
+                    if let Some(life) = incarnation {
+                        assert_eq!(self.lives.get(&child).map(|&(life, _)| life), Some(life));
+                    }
+                }
+                SupervisorAction::GaveUp { ticket, .. } => {
+                    assert!(self.open.remove(&ticket), "{ticket:?} is answered twice");
+                }
+                SupervisorAction::Escalate { .. } => {
+                    assert!(self.lives.is_empty(), "it escalates over living children");
+                    self.escalated = true;
+                }
+                SupervisorAction::AllStopped => assert!(self.lives.is_empty()),
+                SupervisorAction::AllStarted => self.all_started = true,
+                SupervisorAction::Reset { .. }
+                | SupervisorAction::Isolate { .. }
+                | SupervisorAction::Overdue { .. }
+                | SupervisorAction::Left { .. } => {}
+            }
+        }
+    }
+
+    fn ticket(&mut self) -> Ticket {
+        self.tickets += 1;
+        self.open.insert(Ticket(self.tickets));
+        Ticket(self.tickets)
+    }
+
+    fn restart(&mut self, name: &ObjectName, cause: Cause, struck: Incarnation) {
+        let ticket = self.ticket();
+        let before = self.machine.restarts_left(self.now);
+        self.machine.handle_restart(name, ticket, cause, Some(struck), self.now);
+        if self.machine.restarts_left(self.now) < before {
+            self.ordered_restarts.push(self.now);
+        }
+        self.look();
+    }
+
+    fn is_found(&mut self, name: &ObjectName, cause: Cause) {
+        if let Some(&(life, _)) = self.lives.get(name) {
+            self.restart(name, cause, life);
+        }
+    }
+
+    fn take(&mut self, turn: Turn) {
+        let count = self.names.len();
+        let name = |at: usize| self.names[at % count].clone();
+        match turn {
+            Turn::Answer(at) => self.answer(&name(at)),
+            Turn::StartFails(at) => {
+                let name = name(at);
+                if let Some(&(life, Life::Starting)) = self.lives.get(&name) {
+                    self.lives.remove(&name);
+                    self.machine.handle_start_failed(&name, life, "no".into(), self.now);
+                    self.look();
+                    self.restart(&name, Cause::Died, life);
+                }
+            }
+            Turn::Dies(at) => {
+                let name = name(at);
+                if let Some((life, _)) = self.lives.remove(&name) {
+                    self.orders.remove(&name);
+                    self.machine.handle_died(&name, life, false, None, self.now);
+                    self.look();
+                    self.restart(&name, Cause::Died, life);
+                }
+            }
+            Turn::DiesUnheard(at) => {
+                let name = name(at);
+                if let Some((life, _)) = self.lives.remove(&name) {
+                    self.orders.remove(&name);
+                    self.restart(&name, Cause::Died, life);
+                }
+            }
+            Turn::Hangs(at) => self.is_found(&name(at), Cause::Stuck),
+            Turn::IsFaulty(at) => self.is_found(&name(at), Cause::Faulty),
+            Turn::DiesOnTheSpot(at) => {
+                let name = name(at);
+                if self.orders.contains(&name)
+                    && let Some((life, _)) = self.lives.get_mut(&name)
+                {
+                    let old = *life;
+                    *life = life.next();
+                    let next = *life;
+                    self.last.insert(name.clone(), next);
+                    self.machine.handle_died(&name, old, false, Some(next), self.now);
+                }
+            }
+            Turn::Rest(at) => {
+                let (name, ticket) = (name(at), self.ticket());
+                self.machine.handle_rest(&name, ticket, Cause::Faulty, self.now);
+            }
+            Turn::ByHand(at) => {
+                let (name, ticket) = (name(at), self.ticket());
+                self.machine.handle_restart(&name, ticket, Cause::Faulty, None, self.now);
+            }
+            Turn::Time(millis) => {
+                self.now = self.now + Duration::from_millis(u64::from(millis));
+                self.machine.handle_timeout(self.now);
+            }
+            Turn::End => self.machine.handle_end(self.now),
+            Turn::Begin => {
+                self.escalated = false;
+                self.machine.handle_begin(Incarnation::FIRST, self.now);
+            }
+            Turn::OwnRestart => {
+                self.open.clear();
+                self.machine.handle_own_restart(self.now);
+            }
+        }
+        self.look();
+    }
+
+    fn answer(&mut self, name: &ObjectName) {
+        match self.lives.get(name).copied() {
+            Some((life, Life::Starting)) => {
+                self.lives.insert(name.clone(), (life, Life::Present));
+                self.machine.handle_started(name, life, self.now);
+            }
+            Some((life, Life::Stopping)) => {
+                self.lives.remove(name);
+                self.orders.remove(name);
+                self.machine.handle_stopped(name, life, self.now);
+            }
+            Some((_, Life::Present)) => {}
+            None => {
+                // As `Child::stop` says: who is not alive answers at once.
+                let life = self.last.get(name).copied().unwrap_or_default();
+                self.machine.handle_stopped(name, life, self.now);
+            }
+        }
+        self.look();
+    }
+
+    /// The world answers everything, and the recoverer decides about whatever has failed.
+    fn calm_down(&mut self) {
+        for _ in 0..50 {
+            for name in self.names.clone() {
+                self.answer(&name);
+            }
+            for child in self.machine.children().collect::<Vec<_>>() {
+                if child.state == ChildState::Failed {
+                    self.take(Turn::Time(10_001));
+                    self.restart(&child.name, Cause::Died, child.incarnation);
+                }
+            }
+        }
+        self.take(Turn::Time(60_000));
+    }
+}
+
+fn turns() -> impl proptest::strategy::Strategy<Value = Turn> {
+    let child = 0usize..5;
+    prop_oneof![
+        8 => child.clone().prop_map(Turn::Answer),
+        1 => child.clone().prop_map(Turn::StartFails),
+        2 => child.clone().prop_map(Turn::Dies),
+        1 => child.clone().prop_map(Turn::DiesUnheard),
+        1 => child.clone().prop_map(Turn::Hangs),
+        1 => child.clone().prop_map(Turn::IsFaulty),
+        2 => child.clone().prop_map(Turn::DiesOnTheSpot),
+        1 => child.clone().prop_map(Turn::Rest),
+        1 => child.prop_map(Turn::ByHand),
+        3 => (0u16..6000).prop_map(Turn::Time),
+        1 => Just(Turn::End),
+        2 => Just(Turn::Begin),
+        1 => Just(Turn::OwnRestart),
+    ]
+}
+
+fn strategies() -> impl proptest::strategy::Strategy<Value = Strategy> {
+    prop_oneof![Just(Strategy::OneForOne), Just(Strategy::OneForAll), Just(Strategy::RestForOne)]
+}
+
+fn restarts() -> impl proptest::strategy::Strategy<Value = Vec<Restart>> {
+    let one = prop_oneof![
+        4 => Just(Restart::Permanent),
+        1 => Just(Restart::Transient),
+        1 => Just(Restart::Temporary),
+    ];
+    prop::collection::vec(one, 1..5)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300,
+        failure_persistence: None,
+        ..ProptestConfig::default() })]
+
+    #[test]
+    fn whatever_happens_the_tree_comes_to_rest_or_to_work(
+        strategy in strategies(),
+        intensity in 0u32..6,
+        restarts in restarts(),
+        turns in prop::collection::vec(turns(), 0..80),
+    ) {
+        let mut world = World::new(strategy, intensity, &restarts);
+        world.take(Turn::Begin);
+        for turn in turns {
+            world.take(turn);
+        }
+
+        world.calm_down();
+
+        prop_assert!(world.machine.poll_timeout().is_none(), "{:?}", world.machine);
+        for child in world.machine.children() {
+            let at_work = world.lives.get(&child.name).map(|&(_, life)| life);
+            match child.state {
+                ChildState::Running => prop_assert_eq!(at_work, Some(Life::Present)),
+                ChildState::Resting | ChildState::Finished => prop_assert_eq!(at_work, None),
+                ChildState::Waiting => prop_assert!(world.lives.is_empty(), "{child:?}"),
+                _ => prop_assert!(false, "{child:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn restarts_that_were_ordered_never_exceed_the_intensity(
+        intensity in 0u32..6,
+        turns in prop::collection::vec(turns(), 0..120),
+    ) {
+        let mut world = World::new(Strategy::OneForOne, intensity, &[Restart::Permanent; 3]);
+        world.take(Turn::Begin);
+        for turn in turns {
+            // A new life of the supervisor has a new budget.
+            if !matches!(turn, Turn::Begin | Turn::End) && !world.escalated {
+                world.take(turn);
+            }
+        }
+
+        for (at, &first) in world.ordered_restarts.iter().enumerate() {
+            let later = world.ordered_restarts[at..].iter();
+            let within = later.filter(|&&later| later - first <= PERIOD).count();
+            prop_assert!(within <= intensity as usize);
+        }
+    }
+
+    #[test]
+    fn a_group_is_stopped_in_reverse_and_started_in_order(
+        failed in 0usize..5,
+        group in prop_oneof![Just(Strategy::OneForAll), Just(Strategy::RestForOne)],
+    ) {
+        let mut world = World::new(group, 3, &[Restart::Permanent; 5]);
+        world.take(Turn::Begin);
+        for at in 0..5 {
+            world.take(Turn::Answer(at));
+        }
+        prop_assert!(world.all_started);
+
+        let name = world.names[failed].clone();
+        let ticket = world.ticket();
+        let struck = Some(Incarnation::FIRST);
+        world.machine.handle_restart(&name, ticket, Cause::Died, struck, world.now);
+        let (mut stops, mut starts) = (Vec::new(), Vec::new());
+        while let Some(action) = world.machine.poll_output() {
+            match action {
+                SupervisorAction::Stop { child } => {
+                    stops.push(world.place(&child));
+                    world.machine.handle_stopped(&child, Incarnation::FIRST, world.now);
+                }
+                SupervisorAction::Start { child, incarnation } => {
+                    starts.push(world.place(&child));
+                    world.machine.handle_started(&child, incarnation, world.now);
+                }
+                _ => {}
+            }
+        }
+
+        let first = if group == Strategy::OneForAll { 0 } else { failed };
+        prop_assert_eq!(stops, (first..5).rev().filter(|&at| at != failed).collect::<Vec<_>>());
+        prop_assert_eq!(starts, (first..5).collect::<Vec<_>>());
+    }
+}

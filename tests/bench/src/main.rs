@@ -1,0 +1,50 @@
+//! Benchmarks of the middleware beside what it is built on, as ratios within one run.
+//!
+//! arguments, all of them. `ROUNDS=n` sets how often the rows of a table are run in turn.
+#![allow(clippy::print_stdout, reason = "tables are what this program is for")]
+
+mod fanout;
+mod measure;
+mod messages;
+mod monitored;
+mod restart;
+
+use std::process::ExitCode;
+
+const PARTS: [&str; 4] = ["messages", "restart", "fanout", "monitored"];
+
+fn main() -> ExitCode {
+    let mut arguments: Vec<String> = std::env::args().skip(1).collect();
+    if let Some(at) = arguments.iter().position(|argument| argument == "--child") {
+        arguments.remove(at);
+        return child(&arguments);
+    }
+    if let Some(unknown) = arguments.iter().find(|name| !PARTS.contains(&name.as_str())) {
+        println!("there is no benchmark {unknown:?}; there are {}", PARTS.join(", "));
+        return ExitCode::from(2);
+    }
+    let rounds = std::env::var("ROUNDS").ok().and_then(|text| text.parse().ok()).unwrap_or(9);
+    let wanted = |name: &str| arguments.is_empty() || arguments.iter().any(|a| a == name);
+    if wanted("messages") {
+        blastema::run(messages::run(rounds));
+    }
+    if wanted("restart") {
+        blastema::run(restart::run(rounds));
+    }
+    if wanted("fanout") {
+        blastema::run(fanout::run(rounds));
+    }
+    if wanted("monitored") {
+        monitored::run(rounds.min(3));
+    }
+    ExitCode::SUCCESS
+}
+
+/// A part of a benchmark that needs a process of its own.
+fn child(arguments: &[String]) -> ExitCode {
+    match arguments.first().map(String::as_str) {
+        Some("monitored") => monitored::child(&arguments[1..]),
+        _ => return ExitCode::from(2),
+    }
+    ExitCode::SUCCESS
+}

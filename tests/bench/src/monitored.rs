@@ -1,0 +1,54 @@
+//! What it costs to watch ten thousand components.
+
+use crate::measure::Table;
+use blastema::prelude::*;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+struct Idle;
+impl Component for Idle {}
+
+fn cpu_seconds() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 / 1e9
+}
+
+/// In a process of its own: prints the percentage of one core that so many components take.
+pub fn child(arguments: &[String]) {
+    let count: usize = arguments.first().and_then(|text| text.parse().ok()).unwrap_or(0);
+    let percent = blastema::run(async move {
+        let mut builder = Node::builder("watched");
+        for number in 0..count {
+            let spec = ChildSpec::new(&format!("idle/{number}"), || Idle);
+            builder =
+                builder.child(spec.watch(Watch::push(Duration::from_millis(100), 3)).rate_hz(1.0));
+        }
+        let node = builder.start().await.expect("a node of idle components starts");
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        let (cpu, start) = (cpu_seconds(), Instant::now());
+        tokio::time::sleep(Duration::from_secs(3)).await;
+        let percent = (cpu_seconds() - cpu) / start.elapsed().as_secs_f64() * 100.0;
+        drop(node);
+        percent
+    });
+    println!("{percent}");
+}
+
+fn fresh(count: usize) -> f64 {
+    let program = std::env::current_exe().expect("a running program has a file");
+    let output = Command::new(program)
+        .args(["--child", "monitored", &count.to_string()])
+        .output()
+        .expect("this program starts");
+    String::from_utf8_lossy(&output.stdout).trim().parse().unwrap_or(f64::NAN)
+}
+
+pub fn run(rounds: usize) {
+    let mut table = Table::new("components watched every 100 ms", "% of one core");
+    for _ in 0..rounds {
+        for count in [0, 100, 10_000] {
+            table.add(&format!("{count} components"), fresh(count));
+        }
+    }
+    table.print();
+}

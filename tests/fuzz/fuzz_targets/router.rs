@@ -1,0 +1,45 @@
+//! Whatever its neighbours say at whatever times, a router neither panics nor remembers more than it may.
+
+#![no_main]
+
+use blastema_core::net::router::{Health, LinkStatus};
+use blastema_core::net::{LinkNumber, Neighbour, Router, RouterConfig};
+use blastema_core::{Incarnation, Instant, Machine, NodeName};
+use bytes::Bytes;
+use libfuzzer_sys::fuzz_target;
+use std::time::Duration;
+
+/// Fewer than usual, so that the bound is reached.
+const NODES_MAX: usize = 8;
+
+fuzz_target!(|script: Vec<(u8, u16, bool, Vec<u8>)>| {
+    let name = |text: &str| NodeName::new(text).expect("a good name");
+    let mut now = Instant::from_millis(1);
+    let config =
+        RouterConfig { nodes_max: NODES_MAX, ..RouterConfig::new(name("m1"), Incarnation(7)) };
+    let mut router = Router::new(config, now);
+    for (number, neighbour) in [(0, "m2"), (1, "m3")] {
+        let neighbour = Neighbour { node: name(neighbour), incarnation: Incarnation(9) };
+        let status = LinkStatus { neighbour, health: Health::Up, cost: 10, mtu: 1400 };
+        router.handle_link(LinkNumber(number), status, now);
+    }
+    for (link, wait_ms, routing, bytes) in script {
+        now = now + Duration::from_millis(wait_ms.into());
+        router.handle_timeout(now);
+        let link = LinkNumber((link % 3).into());
+        let bytes = Bytes::from(bytes);
+        if routing {
+            router.handle_routing(link, bytes, now);
+        } else {
+            router.handle_packet(link, bytes, now);
+        }
+        let mut outputs = 0;
+        while let Some(output) = router.poll_output() {
+            outputs += 1;
+            // At worst every known node changes, and every link is told of every node.
+            assert!(outputs <= 8 * NODES_MAX, "too much to do: {output:?}");
+        }
+        assert!(router.routes().count() <= NODES_MAX);
+        assert!(router.poll_timeout().is_some_and(|due| due > now));
+    }
+});

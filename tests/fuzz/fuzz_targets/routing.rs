@@ -1,0 +1,14 @@
+//! Whatever bytes arrive as what routers tell each other: no panic, and what is taken is what would have been sent.
+
+#![no_main]
+
+use blastema_core::net::advertisement::Routing;
+use bytes::Bytes;
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|bytes: &[u8]| {
+    let bytes = Bytes::copy_from_slice(bytes);
+    if let Ok(taken) = Routing::decode(bytes.clone()) {
+        assert_eq!(taken.encode(), bytes);
+    }
+});

@@ -1,0 +1,74 @@
+//! Rules about the pages that people read first.
+
+use crate::tree::{Breach, Tree};
+
+/// One word per concept: in types, files, manual and command line.
+const VOCABULARY: [&str; 26] = [
+    "node",
+    "object",
+    "component",
+    "contract",
+    "sender",
+    "port",
+    "transport",
+    "link",
+    "session",
+    "route",
+    "incarnation",
+    "fault",
+    "error",
+    "failure",
+    "heartbeat",
+    "ping",
+    "trusted",
+    "suspect",
+    "failed",
+    "strategy",
+    "child spec",
+    "intensity",
+    "escalate",
+    "proxy",
+    "safe rest",
+    "degraded",
+];
+
+/// The README explains every word of the vocabulary in the first column of its glossary.
+pub(crate) fn glossary(tree: &Tree) -> Vec<Breach> {
+    let rows = section(tree, "## Glossary");
+    let terms: String = rows
+        .filter_map(|row| row.strip_prefix('|')?.split('|').next())
+        .collect::<Vec<_>>()
+        .join(" ")
+        .to_lowercase();
+    VOCABULARY
+        .iter()
+        .filter(|term| !terms.contains(*term))
+        .map(|term| Breach::new("README.md", 1, format!("the glossary lacks \"{term}\"")))
+        .collect()
+}
+
+/// The README's map names every package and its folder in one row.
+pub(crate) fn map(tree: &Tree) -> Vec<Breach> {
+    let rows: Vec<&str> = section(tree, "## The map").collect();
+    tree.manifests
+        .iter()
+        .filter_map(|manifest| {
+            let package = manifest.package.as_deref()?;
+            let folder = manifest.folder().trim_end_matches('/');
+            let named = rows.iter().any(|row| {
+                row.contains(&format!("`{folder}/`")) && row.contains(&format!("`{package}`"))
+            });
+            let what = format!("the map has no row for `{folder}/` with `{package}`");
+            (!named).then(|| Breach::new("README.md", 1, what))
+        })
+        .collect()
+}
+
+/// The lines below a heading, up to the next one of its rank.
+fn section<'a>(tree: &'a Tree, heading: &'a str) -> impl Iterator<Item = &'a str> {
+    let text = tree.files.get("README.md").map_or("", String::as_str);
+    text.lines()
+        .skip_while(move |line| *line != heading)
+        .skip(1)
+        .take_while(|line| !line.starts_with("## "))
+}

@@ -1,0 +1,269 @@
+//! Frames between actors of one process: for tests, and for nodes that share a process.
+
+use crate::legacy::{Count, Legacy};
+use crate::outlet::Outlet;
+use crate::pump::{BUDGET, Pumped};
+use crate::reopening::Reopening;
+use actix::{Actor, ActorContext, Context, Handler, MessageResult};
+use blastema_contract::transport::{
+    Attach, Close, MediumAddress, ReadCounters, Transmit, TransportReport,
+};
+use bytes::Bytes;
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{self, Waker};
+
+/// What several [`Memory`] transports share: who is where.
+///
+/// Ends on different media never meet, so that tests do not disturb each other.
+#[derive(Clone, Default)]
+pub struct MemoryMedium(Arc<Mutex<BTreeMap<Arc<str>, Arc<Inbox>>>>);
+
+/// How an end of a [`MemoryMedium`] is called, and how much it holds.
+///
+/// ```
+/// use blastema_transports::{MemoryConfig, MemoryMedium};
+/// let medium = MemoryMedium::default();
+/// let config = MemoryConfig::new(&medium, "left");
+/// # let _ = config;
+/// ```
+#[derive(Clone)]
+#[non_exhaustive]
+pub struct MemoryConfig {
+    /// The medium that it is an end of.
+    pub medium: MemoryMedium,
+    /// Its address there.
+    pub name: Arc<str>,
+    /// The largest frame, in bytes.
+    pub mtu: usize,
+    /// How many frames wait for this end; beyond, they are dropped.
+    pub queue_frames: usize,
+    /// How many bytes wait for this end; beyond, frames are dropped.
+    pub queue_bytes: usize,
+}
+
+impl MemoryConfig {
+    /// The end called `name`.
+    pub fn new(medium: &MemoryMedium, name: &str) -> Self {
+        MemoryConfig {
+            medium: medium.clone(),
+            name: name.into(),
+            mtu: 64 * 1024,
+            queue_frames: 1024,
+            queue_bytes: 4 << 20,
+        }
+    }
+}
+
+/// An end of a [`MemoryMedium`] as a transport. It opens no sockets and reads no clock, and so works
+/// under a paused one.
+///
+/// It lives until it is sent [`Close`].
+pub struct Memory {
+    config: MemoryConfig,
+    legacy: Legacy,
+    outlet: Outlet,
+    inbox: Option<Arc<Inbox>>,
+    reopening: Reopening,
+}
+
+impl Memory {
+    /// A transport that opens when it is started.
+    pub fn new(config: MemoryConfig) -> Self {
+        Memory::factory(config)()
+    }
+
+    /// Builds the transport, and builds it anew after a panic: the next life takes the same name and
+    /// serves whoever was attached.
+    pub fn factory(config: MemoryConfig) -> impl Fn() -> Memory + Clone + Send + Sync + 'static {
+        let legacy = Legacy::default();
+        move || Memory {
+            config: config.clone(),
+            outlet: Outlet::new(legacy.clone()),
+            legacy: legacy.clone(),
+            inbox: None,
+            reopening: Reopening::default(),
+        }
+    }
+
+    fn open(&mut self) {
+        let MemoryConfig { medium, name, mtu, queue_frames, queue_bytes } = &self.config;
+        let inbox =
+            Arc::new(Inbox { limits: (*mtu, *queue_frames, *queue_bytes), ..Inbox::default() });
+        if medium.enter(name, &inbox) {
+            self.inbox = Some(inbox);
+            self.reopening = Reopening::default();
+            let local = MediumAddress::Memory(name.clone());
+            self.outlet.announce(TransportReport::Opened { local, mtu: *mtu });
+        } else {
+            self.reopening.failed();
+            self.outlet.announce(TransportReport::Closed {
+                reason: format!(
+                    "the memory end {name} is already open: close the other, or choose another \
+                     name; trying again"
+                ),
+            });
+        }
+    }
+
+    fn leave(&mut self) {
+        if let Some(inbox) = self.inbox.take() {
+            self.config.medium.leave(&self.config.name, &inbox);
+        }
+    }
+}
+
+impl Drop for Memory {
+    fn drop(&mut self) {
+        self.leave();
+    }
+}
+
+impl MemoryMedium {
+    fn ends(&self) -> MutexGuard<'_, BTreeMap<Arc<str>, Arc<Inbox>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn enter(&self, name: &Arc<str>, inbox: &Arc<Inbox>) -> bool {
+        let mut ends = self.ends();
+        if ends.contains_key(name) {
+            return false;
+        }
+        ends.insert(name.clone(), inbox.clone());
+        true
+    }
+
+    fn leave(&self, name: &Arc<str>, inbox: &Arc<Inbox>) {
+        let mut ends = self.ends();
+        if ends.get(name).is_some_and(|present| Arc::ptr_eq(present, inbox)) {
+            ends.remove(name);
+        }
+    }
+
+    fn end(&self, name: &str) -> Option<Arc<Inbox>> {
+        self.ends().get(name).cloned()
+    }
+}
+
+/// What has arrived at an end and was not read yet.
+#[derive(Default)]
+struct Inbox {
+    /// The largest frame, and how many frames and bytes may wait.
+    limits: (usize, usize, usize),
+    waiting: Mutex<Waiting>,
+}
+
+#[derive(Default)]
+struct Waiting {
+    frames: VecDeque<(Arc<str>, Bytes)>,
+    bytes: usize,
+    reader: Option<Waker>,
+}
+
+impl Inbox {
+    fn waiting(&self) -> MutexGuard<'_, Waiting> {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes a frame in, if there is room.
+    fn push(&self, from: Arc<str>, frame: Bytes) -> bool {
+        let (mtu, most_frames, most_bytes) = self.limits;
+        let mut waiting = self.waiting();
+        if frame.len() > mtu
+            || waiting.frames.len() >= most_frames
+            || waiting.bytes + frame.len() > most_bytes
+        {
+            return false;
+        }
+        waiting.bytes += frame.len();
+        waiting.frames.push_back((from, frame));
+        let reader = waiting.reader.take();
+        drop(waiting);
+        if let Some(reader) = reader {
+            reader.wake();
+        }
+        true
+    }
+
+    /// The oldest frame; if there is none, the task is woken when one arrives.
+    fn pop(&self, task: &mut task::Context<'_>) -> Option<(Arc<str>, Bytes)> {
+        let mut waiting = self.waiting();
+        let popped = waiting.frames.pop_front();
+        match &popped {
+            Some((_, frame)) => waiting.bytes -= frame.len(),
+            None => waiting.reader = Some(task.waker().clone()),
+        }
+        popped
+    }
+}
+
+impl Pumped for Memory {
+    fn pump(&mut self, _: &mut Context<Self>, task: &mut task::Context<'_>) {
+        while self.inbox.is_none() {
+            if self.reopening.poll_due(task).is_pending() {
+                return;
+            }
+            self.open();
+        }
+        let Some(inbox) = self.inbox.clone() else { return };
+        for _ in 0..BUDGET {
+            if self.outlet.poll_room(task).is_pending() {
+                return;
+            }
+            let Some((from, frame)) = inbox.pop(task) else { return };
+            self.outlet.deliver(MediumAddress::Memory(from), frame);
+        }
+        task.waker().wake_by_ref();
+    }
+}
+
+impl Actor for Memory {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.open();
+        Self::start_pump(context);
+    }
+}
+
+impl Handler<Transmit> for Memory {
+    type Result = ();
+
+    fn handle(&mut self, message: Transmit, _: &mut Context<Self>) {
+        let Transmit { to, frame } = message;
+        let MediumAddress::Memory(to) = to else { return self.legacy.count(Count::Refused) };
+        if frame.len() > self.config.mtu {
+            return self.legacy.count(Count::Refused);
+        }
+        let open = self.inbox.is_some();
+        let end = self.config.medium.end(&to).filter(|_| open);
+        let taken = end.is_some_and(|end| end.push(self.config.name.clone(), frame));
+        self.legacy.count(if taken { Count::Sent } else { Count::Dropped });
+    }
+}
+
+impl Handler<Attach> for Memory {
+    type Result = ();
+
+    fn handle(&mut self, message: Attach, _: &mut Context<Self>) {
+        self.outlet.attach(message);
+    }
+}
+
+impl Handler<Close> for Memory {
+    type Result = ();
+
+    fn handle(&mut self, _: Close, context: &mut Context<Self>) {
+        self.leave();
+        self.outlet.announce(TransportReport::Closed { reason: "closed as asked".into() });
+        context.stop();
+    }
+}
+
+impl Handler<ReadCounters> for Memory {
+    type Result = MessageResult<ReadCounters>;
+
+    fn handle(&mut self, _: ReadCounters, _: &mut Context<Self>) -> Self::Result {
+        MessageResult(self.legacy.counters())
+    }
+}

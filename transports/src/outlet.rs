@@ -1,0 +1,112 @@
+//! Where a transport's frames and reports go.
+
+use crate::legacy::{Count, Legacy};
+use actix::dev::RecipientRequest;
+use blastema_contract::transport::{Attach, MediumAddress, Received, TransportReport};
+use bytes::Bytes;
+use std::collections::VecDeque;
+use std::future::Future;
+use std::pin::Pin;
+use std::task::{self, Poll};
+
+/// Of so many frames the last asks for a confirmation: it costs as much as a frame, so that a
+/// smaller number would be felt.
+const BATCH: usize = 64;
+/// So many batches may be unconfirmed. Fewer would make reader and receiver wait for each other;
+/// more only lengthens the queue before a receiver that is too slow.
+const BATCHES: usize = 4;
+
+/// Hands frames and reports to whoever is attached.
+///
+/// actix mailboxes have no bound. So the last frame of each batch is sent as a request, and no more
+/// than `BATCHES` of them are left unanswered: a receiver that is slow or hangs is not buried.
+pub(crate) struct Outlet {
+    legacy: Legacy,
+    attach: Option<Attach>,
+    state: Option<TransportReport>,
+    unconfirmed: VecDeque<Pin<Box<RecipientRequest<Received>>>>,
+    in_batch: usize,
+}
+
+impl Outlet {
+    pub(crate) fn new(legacy: Legacy) -> Self {
+        let attach = legacy.attached();
+        Outlet { legacy, attach, state: None, unconfirmed: VecDeque::new(), in_batch: 0 }
+    }
+
+    /// Puts somebody else in the receiver's place, and tells them where the medium stands.
+    pub(crate) fn attach(&mut self, attach: Attach) {
+        self.legacy.remember_attached(&attach);
+        self.attach = Some(attach);
+        self.unconfirmed.clear();
+        self.in_batch = 0;
+        if let Some(state) = self.state.clone() {
+            self.report(state);
+        }
+    }
+
+    /// Reports where the medium stands, now and to whoever attaches later.
+    pub(crate) fn announce(&mut self, state: TransportReport) {
+        if self.state.as_ref() != Some(&state) {
+            self.state = Some(state.clone());
+            self.report(state);
+        }
+    }
+
+    /// Reports something that passes.
+    pub(crate) fn report(&self, report: TransportReport) {
+        if let Some(attach) = &self.attach {
+            attach.reports.do_send(report);
+        }
+    }
+
+    /// Whether another frame may be handed on; if not, the task is woken when it may.
+    pub(crate) fn poll_room(&mut self, task: &mut task::Context<'_>) -> Poll<()> {
+        while self.unconfirmed.len() >= BATCHES {
+            let oldest = self.unconfirmed.front_mut().expect("a full queue has a front");
+            // An error means that the receiver is gone or died over it: nothing to wait for either.
+            let (Ok(()) | Err(_)) = std::task::ready!(oldest.as_mut().poll(task));
+            self.unconfirmed.pop_front();
+        }
+        Poll::Ready(())
+    }
+
+    /// Hands one frame on.
+    pub(crate) fn deliver(&mut self, from: MediumAddress, frame: Bytes) {
+        let Some(attach) = &self.attach else {
+            return self.legacy.count(Count::Dropped);
+        };
+        if !attach.frames.connected() {
+            return self.legacy.count(Count::Dropped);
+        }
+        self.legacy.count(Count::Received);
+        self.in_batch += 1;
+        let received = Received { from, frame };
+        if self.in_batch < BATCH {
+            attach.frames.do_send(received);
+        } else {
+            self.in_batch = 0;
+            // A sender that was used before may be parked by actix, and would hold the frame back.
+            // Its clone never is.
+            self.unconfirmed.push_back(Box::pin(attach.frames.clone().send(received)));
+        }
+    }
+}
+
+/// Parts the first `length` bytes from a buffer that is read into again, in pieces of `chunk` bytes.
+///
+/// The frame shares the buffer unless it would keep more than four times its size from being freed.
+#[cfg(any(feature = "udp", feature = "tcp"))]
+pub(crate) fn part_frame(buffer: &mut bytes::BytesMut, length: usize, chunk: usize) -> Bytes {
+    if length >= chunk / 4 {
+        return buffer.split_to(length).freeze();
+    }
+    let frame = Bytes::copy_from_slice(&buffer[..length]);
+    if length == buffer.len() {
+        // All of the buffer is free again, from its beginning.
+        buffer.clear();
+    } else {
+        bytes::Buf::advance(buffer, length);
+    }
+    frame
+}

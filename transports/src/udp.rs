@@ -1,0 +1,291 @@
+//! Datagrams over IP: one frame is one datagram.
+
+use crate::legacy::{Count, Legacy};
+use crate::outlet::{Outlet, part_frame};
+use crate::pump::{BUDGET, Pumped};
+use crate::reopening::{Reopening, explain};
+use actix::{Actor, ActorContext, Context, Handler, MessageResult};
+use blastema_contract::transport::{
+    Attach, Close, MediumAddress, ReadCounters, Transmit, TransportReport,
+};
+use bytes::{BufMut, Bytes, BytesMut};
+use socket2::{Domain, Protocol, Socket, Type};
+use std::collections::VecDeque;
+use std::io;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::task::{self, Poll};
+use tokio::net::UdpSocket;
+
+/// What a datagram carries at most over IPv4: 65,535 less the headers of IP (20) and UDP (8).
+const LARGEST: usize = 65_507;
+/// So many failed reads in a row, and the socket is opened anew: single ones are news of other hosts.
+const ERRORS_IN_A_ROW: u32 = 100;
+/// Memory is taken in pieces of at least this size, and shared by the frames in it.
+const CHUNK: usize = 64 * 1024;
+
+/// Where a [`Udp`] listens, and how much it holds.
+///
+/// ```
+/// use blastema_transports::UdpConfig;
+/// let mut config = UdpConfig::default();
+/// config.bind = "127.0.0.1:7400".parse()?;
+/// # Ok::<(), std::net::AddrParseError>(())
+/// ```
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct UdpConfig {
+    /// Our own address; port 0 takes a free one. The default is loopback: nobody outside this
+    /// machine can send to a node that does not say otherwise.
+    pub bind: SocketAddr,
+    /// The largest frame, in bytes. By default what fits: 65,507 on loopback, elsewhere what an
+    /// Ethernet frame carries (1,472 over IPv4, 1,452 over IPv6): a larger one is cut up by IP, and
+    /// lost with any of its parts.
+    pub mtu: Option<usize>,
+    /// The kernel's receive buffer, in bytes (Linux halves it for its own use and caps it at
+    /// `net.core.rmem_max`). Larger bridges a longer stall of the arbiter, before frames are lost.
+    pub receive_buffer: usize,
+    /// The kernel's send buffer, in bytes.
+    pub send_buffer: usize,
+    /// How many frames wait when the kernel's send buffer is full; beyond, they are dropped.
+    pub queue_frames: usize,
+}
+
+impl Default for UdpConfig {
+    fn default() -> Self {
+        UdpConfig {
+            bind: (Ipv4Addr::LOCALHOST, 0).into(),
+            mtu: None,
+            receive_buffer: 1 << 20,
+            send_buffer: 1 << 18,
+            queue_frames: 256,
+        }
+    }
+}
+
+impl UdpConfig {
+    fn mtu(&self) -> usize {
+        let fitting = match self.bind {
+            bind if bind.ip().is_loopback() => LARGEST,
+            SocketAddr::V4(_) => 1_472,
+            SocketAddr::V6(_) => 1_452,
+        };
+        self.mtu.unwrap_or(fitting).min(LARGEST)
+    }
+}
+
+/// A UDP socket as a transport, with no fixed peer.
+///
+/// It lives until it is sent [`Close`].
+pub struct Udp {
+    config: UdpConfig,
+    legacy: Legacy,
+    outlet: Outlet,
+    socket: Option<UdpSocket>,
+    reopening: Reopening,
+    queue: VecDeque<(SocketAddr, Bytes)>,
+    buffer: BytesMut,
+    errors_in_a_row: u32,
+}
+
+impl Udp {
+    /// A transport that opens when it is started.
+    pub fn new(config: UdpConfig) -> Self {
+        Udp::factory(config)()
+    }
+
+    /// Builds the transport, and builds it anew after a panic: the next life takes the same port and
+    /// serves whoever was attached.
+    pub fn factory(config: UdpConfig) -> impl Fn() -> Udp + Clone + Send + Sync + 'static {
+        let legacy = Legacy::default();
+        move || Udp {
+            config: config.clone(),
+            outlet: Outlet::new(legacy.clone()),
+            legacy: legacy.clone(),
+            socket: None,
+            reopening: Reopening::default(),
+            queue: VecDeque::new(),
+            buffer: BytesMut::new(),
+            errors_in_a_row: 0,
+        }
+    }
+
+    fn open(&mut self) {
+        let address = self.reopening.wanted(self.config.bind, self.legacy.local());
+        match bind(address, &self.config).and_then(|socket| Ok((socket.local_addr()?, socket))) {
+            Ok((local, socket)) => {
+                tracing::debug!(%local, "udp is open");
+                self.legacy.remember_local(local);
+                self.socket = Some(socket);
+                self.reopening = Reopening::default();
+                self.errors_in_a_row = 0;
+                self.outlet.announce(TransportReport::Opened {
+                    local: MediumAddress::Ip(local),
+                    mtu: self.config.mtu(),
+                });
+            }
+            Err(error) => self.lose(explain("udp", address, &error)),
+        }
+    }
+
+    fn lose(&mut self, reason: String) {
+        tracing::debug!(reason, "udp is closed");
+        self.socket = None;
+        self.legacy.count_many(Count::Dropped, self.queue.len());
+        self.queue.clear();
+        self.reopening.failed();
+        self.outlet.announce(TransportReport::Closed { reason });
+    }
+
+    /// Sends one datagram, or gives it back when the kernel has no room for it.
+    fn send(&self, to: SocketAddr, frame: Bytes) -> Option<Bytes> {
+        let Some(socket) = &self.socket else {
+            self.legacy.count(Count::Dropped);
+            return None;
+        };
+        match socket.try_send_to(&frame, to) {
+            Ok(_) => self.legacy.count(Count::Sent),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Some(frame),
+            Err(error) => {
+                tracing::trace!(%error, %to, "a datagram was not sent");
+                self.legacy.count(Count::Dropped);
+                self.legacy.count(Count::Errors);
+            }
+        }
+        None
+    }
+
+    /// Sends what waits, until the kernel has no more room.
+    fn write(&mut self, task: &mut task::Context<'_>) {
+        while let Some((to, frame)) = self.queue.pop_front() {
+            let Some(frame) = self.send(to, frame) else { continue };
+            self.queue.push_front((to, frame));
+            let ready = self.socket.as_ref().map(|socket| socket.poll_send_ready(task));
+            let Some(Poll::Ready(Ok(()))) = ready else { return };
+        }
+    }
+
+    /// Takes what has arrived, up to the budget.
+    fn read(&mut self, task: &mut task::Context<'_>) {
+        let mtu = self.config.mtu();
+        // One byte more than the largest frame: a datagram that fills it is too large.
+        let room = mtu + 1;
+        let chunk = room.max(CHUNK);
+        for _ in 0..BUDGET {
+            if self.outlet.poll_room(task).is_pending() {
+                return;
+            }
+            let Some(socket) = &self.socket else { return };
+            if self.buffer.capacity() < room {
+                self.buffer.reserve(chunk);
+            }
+            match socket.try_recv_buf_from(&mut (&mut self.buffer).limit(room)) {
+                Ok((length, _)) if length > mtu => {
+                    self.buffer.clear();
+                    self.legacy.count(Count::Refused);
+                }
+                Ok((length, from)) => {
+                    self.errors_in_a_row = 0;
+                    let frame = part_frame(&mut self.buffer, length, chunk);
+                    self.outlet.deliver(MediumAddress::Ip(from), frame);
+                }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    if socket.poll_recv_ready(task).is_pending() {
+                        return;
+                    }
+                }
+                // An ICMP message about an earlier datagram comes back as an error of the socket. It
+                // is news of one peer, and no reason to give up the others.
+                Err(error) => {
+                    self.legacy.count(Count::Errors);
+                    self.errors_in_a_row += 1;
+                    if self.errors_in_a_row >= ERRORS_IN_A_ROW {
+                        let local = self.legacy.local().unwrap_or(self.config.bind);
+                        return self.lose(explain("udp", local, &error));
+                    }
+                }
+            }
+        }
+        task.waker().wake_by_ref();
+    }
+}
+
+fn bind(address: SocketAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
+    let socket = Socket::new(Domain::for_address(address), Type::DGRAM, Some(Protocol::UDP))?;
+    socket.set_nonblocking(true)?;
+    if address.is_ipv6() {
+        // One address, one spelling: IPv4 peers would show as `::ffff:…` otherwise.
+        socket.set_only_v6(true)?;
+    }
+    socket.set_recv_buffer_size(config.receive_buffer)?;
+    socket.set_send_buffer_size(config.send_buffer)?;
+    socket.bind(&address.into())?;
+    UdpSocket::from_std(socket.into())
+}
+
+impl Pumped for Udp {
+    fn pump(&mut self, _: &mut Context<Self>, task: &mut task::Context<'_>) {
+        while self.socket.is_none() {
+            if self.reopening.poll_due(task).is_pending() {
+                return;
+            }
+            self.open();
+        }
+        self.write(task);
+        self.read(task);
+    }
+}
+
+impl Actor for Udp {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.open();
+        Self::start_pump(context);
+    }
+}
+
+impl Handler<Transmit> for Udp {
+    type Result = ();
+
+    fn handle(&mut self, message: Transmit, _: &mut Context<Self>) {
+        let Transmit { to, frame } = message;
+        let MediumAddress::Ip(to) = to else { return self.legacy.count(Count::Refused) };
+        if frame.len() > self.config.mtu() {
+            return self.legacy.count(Count::Refused);
+        }
+        // Nothing overtakes what waits already.
+        let left = if self.queue.is_empty() { self.send(to, frame) } else { Some(frame) };
+        let Some(frame) = left else { return };
+        if self.queue.len() < self.config.queue_frames {
+            self.queue.push_back((to, frame));
+        } else {
+            self.legacy.count(Count::Dropped);
+        }
+    }
+}
+
+impl Handler<Attach> for Udp {
+    type Result = ();
+
+    fn handle(&mut self, message: Attach, _: &mut Context<Self>) {
+        self.outlet.attach(message);
+    }
+}
+
+impl Handler<Close> for Udp {
+    type Result = ();
+
+    fn handle(&mut self, _: Close, context: &mut Context<Self>) {
+        self.socket = None;
+        self.outlet.announce(TransportReport::Closed { reason: "closed as asked".into() });
+        context.stop();
+    }
+}
+
+impl Handler<ReadCounters> for Udp {
+    type Result = MessageResult<ReadCounters>;
+
+    fn handle(&mut self, _: ReadCounters, _: &mut Context<Self>) -> Self::Result {
+        MessageResult(self.legacy.counters())
+    }
+}
