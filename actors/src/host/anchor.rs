@@ -9,6 +9,7 @@ use super::environment::HostEnvironment;
 use super::life::LifeToken;
 use super::pulse;
 use super::spec::Limits;
+use super::stamp::Place;
 use crate::component::{Component, Handle};
 use crate::death_watch::Mourners;
 use crate::lane::{Lane, WhenFull};
@@ -67,7 +68,7 @@ struct Standing {
 #[derive(Clone)]
 pub(crate) struct Seated {
     pub(crate) seat: Seat,
-    pub(crate) slot: u32,
+    pub(crate) slot: Place,
     pub(crate) token: Arc<LifeToken>,
 }
 

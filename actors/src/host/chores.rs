@@ -167,7 +167,9 @@ impl<C: Component> Chores<C> {
     }
 
     pub(crate) fn cancel_limit(&mut self, limit: Chore) {
-        self.passed.push(limit);
+        if !self.passed.contains(&limit) {
+            self.passed.push(limit);
+        }
     }
 
     /// Says whether this limit has been reached, once.

@@ -11,7 +11,7 @@ use super::course::{Course, End, Hook, News, Step};
 use super::label::label;
 use super::life::Life;
 use super::pulse::Pulse;
-use super::stamp::Slot;
+use super::stamp::{Place, Slot};
 use super::watch::Watched;
 use crate::component::{Component, Failure};
 use crate::context::Context;
@@ -22,7 +22,7 @@ use crate::panics::{self, Guarded};
 use crate::platform;
 use actix::Recipient;
 use blastema_contract::child::{ChildEvent, ChildReport, StandingOrder};
-use blastema_contract::reports::{Exit, Exited, StateReported};
+use blastema_contract::reports::{Alive, Exit, Exited, StateReported};
 use blastema_core::{Incarnation, Instant, Lifecycle, Why};
 use std::any::{Any, TypeId};
 use std::cell::RefCell;
@@ -103,6 +103,8 @@ pub(crate) struct Pump<C: Component> {
     waker: Option<Waker>,
     /// The message in service is followed by the record.
     followed: bool,
+    /// The supervisor knows that the life did not come to work.
+    start_failed: bool,
     /// This life is over, and none comes after it here.
     over: bool,
     deaths: VecDeque<Instant>,
@@ -133,6 +135,7 @@ impl<C: Component> Pump<C> {
             seat,
             waker: None,
             followed: false,
+            start_failed: false,
             over: false,
             deaths: VecDeque::new(),
             outbox: Vec::new(),
@@ -148,7 +151,8 @@ impl<C: Component> Pump<C> {
         self.slot.stamp.begin_life(self.life.incarnation.0);
         self.life.token.mute(record.is_isolated());
         let (seat, token) = (self.seat.clone(), self.life.token.clone());
-        record.set_seat(Some(Seated { seat, slot: self.slot.index, token }));
+        let place = Place { index: self.slot.index, stamp: self.slot.stamp };
+        record.set_seat(Some(Seated { seat, slot: place, token }));
         let watched = Watched {
             object: record.name.clone(),
             pulse: self.pulse.clone(),
@@ -166,8 +170,25 @@ impl<C: Component> Pump<C> {
         self.slot.index
     }
 
-    pub(crate) fn course(&mut self) -> &mut Course {
-        &mut self.course
+    /// The place where it lived is free.
+    pub(crate) fn vacate(&self) {
+        self.seat.vacate();
+    }
+
+    /// The answer to "are you alive?".
+    pub(crate) fn alive(&self) -> Alive {
+        self.anchor.alive(!self.slot.stamp.read().allowance.is_zero())
+    }
+
+    /// The supervisor asks for a recovery within this life.
+    pub(crate) fn reset(&mut self) {
+        self.course.handle_reset();
+        self.tell_news();
+    }
+
+    /// Somebody asks the component to return to work, or to leave it.
+    pub(crate) fn activate(&mut self, active: bool) {
+        self.course.handle_activate(active);
     }
 
     /// The supervisor asks for an end in order.
@@ -221,7 +242,7 @@ impl<C: Component> Pump<C> {
             self.handle_limits();
         }
         for _ in 0..BUDGET {
-            if self.over {
+            if self.over || self.life.token.has_ended() {
                 return true;
             }
             match catch_unwind(AssertUnwindSafe(|| self.step(cx))) {
@@ -237,14 +258,14 @@ impl<C: Component> Pump<C> {
 
     /// One hook, timer or message a little further.
     fn step(&mut self, cx: &mut task::Context<'_>) -> Progress {
+        if self.life.has_wishes() {
+            self.grant();
+        }
         if !matches!(self.service, Service::Idle) {
             return self.advance(cx);
         }
         if self.home.is_none() {
             self.build();
-        }
-        if self.life.has_wishes() {
-            self.grant();
         }
         if !self.course.is_serving() {
             match self.course.next() {
@@ -340,7 +361,7 @@ impl<C: Component> Pump<C> {
             Service::Idle => return Progress::More,
             Service::Message(at) => {
                 if self.nests[*at].nest.as_mut().poll(cx).is_pending() {
-                    return Progress::Wait;
+                    return self.wait();
                 }
                 self.service = Service::Idle;
                 if self.followed {
@@ -349,7 +370,7 @@ impl<C: Component> Pump<C> {
                 }
             }
             Service::Hook(hook, future) => {
-                let Poll::Ready(result) = future.as_mut().poll(cx) else { return Progress::Wait };
+                let Poll::Ready(result) = future.as_mut().poll(cx) else { return self.wait() };
                 let hook = *hook;
                 self.service = Service::Idle;
                 self.hook_done(hook, result);
@@ -357,6 +378,14 @@ impl<C: Component> Pump<C> {
         }
         self.slot.stamp.step();
         Progress::More
+    }
+
+    /// What is in service awaits something, perhaps what it has just started.
+    fn wait(&mut self) -> Progress {
+        if self.life.has_wishes() {
+            self.grant();
+        }
+        Progress::Wait
     }
 
     fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
@@ -374,6 +403,7 @@ impl<C: Component> Pump<C> {
                 News::State(state, reason) => self.enter(state, reason),
                 News::Child(event) => {
                     self.chores.cancel_limit(Chore::ReadyLimit);
+                    self.start_failed = matches!(event, ChildEvent::StartFailed { .. });
                     self.outbox.push(Notice::Child(event, self.life.incarnation));
                 }
             }
@@ -549,6 +579,7 @@ impl<C: Component> Pump<C> {
                 self.anchor.lane.give_to(Some(next));
                 self.life = Rc::new(Life::new(next, self.slot.stamp));
                 self.course = Course::new(self.course.is_starting());
+                self.start_failed = false;
                 self.begin_life();
             }
             None => {
@@ -596,12 +627,14 @@ impl<C: Component> Pump<C> {
             }
             _ => ChildEvent::Died { exit: exit.clone(), restarted_as },
         };
+        // A life of which the supervisor knows that it never began does not die in addition.
+        let known = self.start_failed && matches!(event, ChildEvent::Died { .. });
         let exited = Notice::Exited(Exited { object, incarnation, exit, restarted_as });
         // A replacement's own news come after the end of the life that it replaces.
         let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
         let place = place.unwrap_or(self.outbox.len());
-        let child = Notice::Child(event, incarnation);
-        self.outbox.splice(place..place, [exited, child]);
+        let child = (!known).then_some(Notice::Child(event, incarnation));
+        self.outbox.splice(place..place, [exited].into_iter().chain(child));
     }
 
     /// The life ends without a panic, its hooks done.
@@ -612,8 +645,7 @@ impl<C: Component> Pump<C> {
         self.bury();
         let exit = match end {
             End::Stopped => {
-                self.anchor.close();
-                self.anchor.subscriptions().iter().for_each(|subscription| subscription.end());
+                self.anchor.end();
                 Exit::Stopped
             }
             End::Returned | End::Fatal => {
@@ -622,12 +654,7 @@ impl<C: Component> Pump<C> {
             }
         };
         self.anchor.record.set_state(Lifecycle::Finalized);
-        // The supervisor knows already that a life which never began is over.
-        let known = end == End::Fatal && self.outbox.iter().any(Notice::is_failed_start);
         self.report_exit(incarnation, exit, None);
-        if known {
-            self.outbox.retain(|notice| !notice.is_death());
-        }
     }
 
     /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
@@ -686,14 +713,6 @@ impl Notice {
             Notice::Child(_, of) => *of > incarnation,
         }
     }
-
-    fn is_failed_start(&self) -> bool {
-        matches!(self, Notice::Child(ChildEvent::StartFailed { .. }, _))
-    }
-
-    fn is_death(&self) -> bool {
-        matches!(self, Notice::Child(ChildEvent::Died { .. }, _))
-    }
 }
 
 fn tell<M>(recipient: Option<&Recipient<M>>, message: M)
@@ -708,7 +727,9 @@ where
 
 /// Drops a thing whose `Drop` is the user's.
 fn dispose<T>(thing: T) {
-    let _ = catch_unwind(AssertUnwindSafe(move || drop(thing)));
+    if let Err(payload) = catch_unwind(AssertUnwindSafe(move || drop(thing))) {
+        panics::text_of(payload); // What was thrown is the user's too.
+    }
 }
 
 // Holding the borrow across the await is the point: messages wait, and control does not borrow.
@@ -738,7 +759,7 @@ thread_local! {
 
 /// The pump of a component that lives on this arbiter.
 pub(crate) fn local<C: Component>(anchor: &Arc<Anchor<C>>) -> Option<Weak<RefCell<Pump<C>>>> {
-    let key = Arc::as_ptr(anchor) as *const () as usize;
+    let key = Arc::as_ptr(anchor).addr();
     let pump = PUMPS.with_borrow(|pumps| pumps.get(&key)?.upgrade())?;
     let pump: Rc<RefCell<Pump<C>>> = pump.downcast().ok()?;
     Some(Rc::downgrade(&pump))
@@ -749,7 +770,7 @@ pub(crate) struct SharedPump<C: Component>(pub(crate) Rc<RefCell<Pump<C>>>);
 
 impl<C: Component> SharedPump<C> {
     pub(crate) fn new(pump: Pump<C>) -> Self {
-        let key = Arc::as_ptr(&pump.anchor) as *const () as usize;
+        let key = Arc::as_ptr(&pump.anchor).addr();
         let pump = Rc::new(RefCell::new(pump));
         let erased: Rc<dyn Any> = pump.clone();
         PUMPS.with_borrow_mut(|pumps| pumps.insert(key, Rc::downgrade(&erased)));
@@ -768,11 +789,12 @@ impl<C: Component> Future for SharedPump<C> {
 impl<C: Component> Drop for SharedPump<C> {
     fn drop(&mut self) {
         let mut pump = self.0.borrow_mut();
-        let key = Arc::as_ptr(&pump.anchor) as *const () as usize;
+        let key = Arc::as_ptr(&pump.anchor).addr();
         let _ = PUMPS.try_with(|pumps| {
             let mut pumps = pumps.borrow_mut();
+            let mine = Rc::as_ptr(&self.0).addr();
             let mine = pumps.get(&key).is_some_and(|known| {
-                known.upgrade().is_none_or(|known| Rc::as_ptr(&known).addr() == Rc::as_ptr(&self.0).addr())
+                known.upgrade().is_none_or(|known| Rc::as_ptr(&known).cast::<()>().addr() == mine)
             });
             if mine {
                 pumps.remove(&key);
