@@ -79,6 +79,19 @@ impl Lifecycle {
     pub fn may_become(self, next: Lifecycle) -> bool {
         Self::TRANSITIONS.iter().any(|way| way.from == self && way.to == next)
     }
+
+    /// Whether one life that was last seen here may now be there: in one step, or by way of
+    /// `Initialized`, which a guard does not tell when the life was there for less than a turn.
+    ///
+    /// ```
+    /// use blastema_core::Lifecycle;
+    /// assert!(Lifecycle::Created.may_be_seen_as(Lifecycle::Active));
+    /// assert!(!Lifecycle::Fatal.may_be_seen_as(Lifecycle::Active));
+    /// ```
+    pub fn may_be_seen_as(self, next: Lifecycle) -> bool {
+        let passed = Lifecycle::Initialized;
+        self.may_become(next) || self.may_become(passed) && passed.may_become(next)
+    }
 }
 
 impl fmt::Display for Lifecycle {

@@ -351,7 +351,7 @@ impl Detector {
         if before == state {
             return;
         }
-        if !before.may_become(state) {
+        if !before.may_be_seen_as(state) {
             let detail = format!("it went from {before} to {state}, and no such way exists");
             self.find(scene, FaultKind::CheckFailed, detail, Cause::Itself);
         }
