@@ -11,3 +11,6 @@ pub(crate) mod notifier;
 pub(crate) mod recoverer;
 pub(crate) mod strategy;
 pub(crate) mod supervisor;
+
+#[cfg(test)]
+mod tests;
