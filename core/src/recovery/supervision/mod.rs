@@ -374,6 +374,8 @@ impl Supervision {
             Some(life) if life > child.incarnation => child.incarnation = life,
             // A life that has been replaced already.
             Some(life) if life < child.incarnation => return self.settle(),
+            // A transient child that ended itself because it could not go on.
+            Some(_) if child.finished_wrongly(cause) => child.goal = Goal::Run,
             Some(_) => {}
         }
         if self.kept(key).goal == Goal::Run {
