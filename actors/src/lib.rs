@@ -27,6 +27,9 @@ compile_error!(
 pub use chain::strategy::{RecoveryStrategy, Tools};
 
 pub use blastema_core as core;
+pub use blastema_core::{Contract, Described};
+pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
+pub use blastema_macros::{Event, Request, Structure, main};
 pub use component::{Component, Failure, Handle};
 pub use context::{Context, LongOperation};
 pub use death_watch::{Down, Ending};
@@ -37,8 +40,5 @@ pub use lane::WhenFull;
 pub use ports::{ListenPort, Ports};
 pub use reference::ActorRef;
 pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
-pub use topic::Publisher;
-pub use blastema_core::{Contract, Described};
-pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
-pub use blastema_macros::{Event, Request, Structure, main};
 pub use serde;
+pub use topic::Publisher;

@@ -65,8 +65,11 @@ impl Supervisor {
         setup: SupervisorSetup,
     ) -> SupervisorChild {
         let name = setup.name.clone();
-        let address =
-            guardian.start(name.clone(), arbiter, move |_: &mut Context<Self>| Self::new(setup));
+        // The guardian counts the lives of this actor, the parent those of the supervisor that it plays:
+        // they must not be taken for each other.
+        let body = ObjectName::new(&format!("chain/supervisor/{name}"));
+        let body = body.unwrap_or_else(|_| name.clone());
+        let address = guardian.start(body, arbiter, move |_: &mut Context<Self>| Self::new(setup));
         SupervisorChild { name, address, report: None }
     }
 
@@ -507,3 +510,6 @@ impl Child for SupervisorChild {
         // The guardian restarts it by reflex; it needs no permission.
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -201,7 +201,9 @@ impl Supervision {
             }
             Goal::Run if alone && child.failed.is_none() => match self.rules.strategy {
                 Strategy::OneForOne => self.start(key, now),
-                Strategy::OneForAll | Strategy::RestForOne => drop(self.coming.insert(key)),
+                Strategy::OneForAll | Strategy::RestForOne => {
+                    self.coming.insert(key);
+                }
             },
             Goal::Run | Goal::Rest | Goal::Finished => {}
         }

@@ -329,7 +329,7 @@ fn a_start_that_fails_answers_its_own_request_and_may_be_tried_again() {
     rig.restart("b", Cause::Died, 1);
 
     assert_eq!(rig.start_failed("b", 2), ["1 gave b up: its next life did not start: no device"]);
-    assert_eq!(rig.restart("b", Cause::Died, 2), ["start b #3"]);
+    assert_eq!(rig.restart("b", Cause::Died, 1), ["start b #3"]);
     assert_eq!(rig.started("b", 3), ["2 recovered b #3"]);
 }
 
