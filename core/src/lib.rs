@@ -18,10 +18,10 @@ pub mod layout;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
+pub mod net;
 pub mod quarantine;
 pub mod random;
 pub mod recovery;
-pub mod net;
 pub mod time;
 
 pub use codec::{DecodeError, EncodeError};
