@@ -1,10 +1,22 @@
 //! Fault-tolerant middleware for robots: typed actors that grow back.
 
 mod chain;
+mod component;
+mod context;
+mod death_watch;
 mod drive;
 mod guardian;
+mod host;
+mod lane;
+mod letter;
 mod panics;
 pub mod platform;
+mod ports;
+mod reference;
+mod registry;
+mod reply;
+mod sender;
+mod topic;
 
 #[cfg(panic = "abort")]
 compile_error!(
@@ -12,6 +24,21 @@ compile_error!(
      the profile in Cargo.toml, or set `panic = \"unwind\"`"
 );
 
+pub use chain::strategy::{RecoveryStrategy, Tools};
+
 pub use blastema_core as core;
+pub use component::{Component, Failure, Handle};
+pub use context::{Context, LongOperation};
+pub use death_watch::{Down, Ending};
+pub use host::life::TimerId;
+pub use host::office::DeadLetterOffice;
+pub use host::spec::{ChildSpec, SpecError};
+pub use lane::WhenFull;
+pub use ports::{ListenPort, Ports};
+pub use reference::ActorRef;
+pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
+pub use topic::Publisher;
+pub use blastema_core::{Contract, Described};
 pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
+pub use blastema_macros::{Event, Request, Structure, main};
 pub use serde;

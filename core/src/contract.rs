@@ -41,6 +41,21 @@ pub trait Contract: Described + Send + 'static {
 }
 
 /// A contract without an answer, which may have many listeners.
+///
+/// # Examples
+/// ```
+/// # mod facade { pub(crate) use blastema_core::{self as core, serde}; }
+/// # use blastema_macros::Event;
+/// /// One sweep of the laser.
+/// #[derive(Clone, Debug, Event)]
+/// #[contract(name = "laser/scan", version = 1, max_age = "100ms")]
+/// # #[contract(crate = "crate::facade")]
+/// struct Scan {
+///     #[contract(unit = "m", frame = "laser")]
+///     ranges: Vec<f32>,
+/// }
+/// # fn main() {}
+/// ```
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is no event",
     label = "cannot be published or listened to",
@@ -49,6 +64,21 @@ pub trait Contract: Described + Send + 'static {
 pub trait Event: Contract<Reply = ()> + Clone + Sync {}
 
 /// A contract with an answer.
+///
+/// # Examples
+/// ```
+/// # mod facade { pub(crate) use blastema_core::{self as core, serde}; }
+/// # use blastema_macros::Request;
+/// /// How far is the nearest obstacle?
+/// #[derive(Debug, Request)]
+/// #[contract(reply = f32)]
+/// # #[contract(crate = "crate::facade")]
+/// struct Nearest {
+///     #[contract(unit = "rad")]
+///     within: f32,
+/// }
+/// # fn main() {}
+/// ```
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is no request",
     label = "cannot be asked",

@@ -192,12 +192,13 @@ impl Comparison<'_> {
                 let (a, b) = (full(a), full(b));
                 self.tell(format!("{kind}s `{a}` and `{b}`{of_reply} have changed places"));
             }
-            _ => self.tell(format!(
-                "the {kind}s of {} stand in another order: {} here; {} there",
-                self.name(path),
-                both_here.join(", "),
-                both_there.join(", "),
-            )),
+            _ => {
+                let owner = if path.is_empty() { self.name("") } else { format!("`{path}`") };
+                let (here, there) = (both_here.join(", "), both_there.join(", "));
+                self.tell(format!(
+                    "the {kind}s of {owner}{of_reply} stand in another order: {here} here; {there} there"
+                ));
+            }
         }
     }
 

@@ -36,4 +36,7 @@ pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
 pub use quarantine::MessageId;
+/// The codec's interface, for the code that the derives write.
+#[doc(hidden)]
+pub use serde;
 pub use time::Instant;

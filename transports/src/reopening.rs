@@ -1,9 +1,7 @@
 //! Opening a medium again when it could not be opened or was lost.
 
 use std::future::Future;
-#[cfg(any(feature = "udp", feature = "tcp"))]
 use std::io;
-#[cfg(any(feature = "udp", feature = "tcp"))]
 use std::net::SocketAddr;
 use std::pin::Pin;
 use std::task::{self, Poll};
@@ -14,8 +12,7 @@ use tokio::time::Sleep;
 const SHORTEST: Duration = Duration::from_millis(20);
 /// The longest pause: how late a freed port may be noticed.
 const LONGEST: Duration = Duration::from_secs(1);
-/// So often the port of the last life is wanted back when any port would do: peers know it.
-#[cfg(any(feature = "udp", feature = "tcp"))]
+/// So often the port of the last life is wanted back where any port would do: peers know it.
 const LOYALTY: u32 = 8;
 
 /// Counts attempts and waits between them, twice as long each time.
@@ -23,6 +20,7 @@ const LOYALTY: u32 = 8;
 pub(crate) struct Reopening {
     attempts: u32,
     pause: Option<Pin<Box<Sleep>>>,
+    last: Option<SocketAddr>,
 }
 
 impl Reopening {
@@ -41,10 +39,25 @@ impl Reopening {
         }
     }
 
-    /// The address to try next: the one of the last life, for a while, where any port would do.
-    #[cfg(any(feature = "udp", feature = "tcp"))]
-    pub(crate) fn wanted(&self, bind: SocketAddr, last: Option<SocketAddr>) -> SocketAddr {
-        match last {
+    /// Forgets the failures: it is open now, or a new life begins.
+    pub(crate) fn reset(&mut self) {
+        (self.attempts, self.pause) = (0, None);
+    }
+
+    /// Remembers the address that was really taken.
+    pub(crate) fn opened(&mut self, local: SocketAddr) {
+        self.reset();
+        self.last = Some(local);
+    }
+
+    /// The address that was taken last.
+    pub(crate) fn last(&self) -> Option<SocketAddr> {
+        self.last
+    }
+
+    /// The address to try next: where any port would do, the one taken last, for a while.
+    pub(crate) fn wanted(&self, bind: SocketAddr) -> SocketAddr {
+        match self.last {
             Some(last) if bind.port() == 0 && self.attempts < LOYALTY => {
                 SocketAddr::new(bind.ip(), last.port())
             }
@@ -54,7 +67,6 @@ impl Reopening {
 }
 
 /// What a person may do about a socket that does not open.
-#[cfg(any(feature = "udp", feature = "tcp"))]
 pub(crate) fn explain(medium: &str, address: SocketAddr, error: &io::Error) -> String {
     let advice = match error.kind() {
         io::ErrorKind::AddrInUse => {
@@ -71,7 +83,7 @@ pub(crate) fn explain(medium: &str, address: SocketAddr, error: &io::Error) -> S
     format!("{medium} {address} cannot be opened ({error}): {advice}; trying again")
 }
 
-#[cfg(all(test, any(feature = "udp", feature = "tcp")))]
+#[cfg(test)]
 mod tests {
     use super::*;
 
@@ -80,12 +92,14 @@ mod tests {
         let any: SocketAddr = "127.0.0.1:0".parse().unwrap();
         let last: SocketAddr = "127.0.0.1:7400".parse().unwrap();
 
-        assert_eq!(Reopening::default().wanted(any, None), any);
-        assert_eq!(Reopening::default().wanted(any, Some(last)), last);
-        let tired = Reopening { attempts: LOYALTY, pause: None };
-        assert_eq!(tired.wanted(any, Some(last)), any);
+        let mut reopening = Reopening::default();
+        assert_eq!(reopening.wanted(any), any);
+        reopening.opened(last);
+        assert_eq!(reopening.wanted(any), last);
+        reopening.attempts = LOYALTY;
+        assert_eq!(reopening.wanted(any), any);
         let fixed: SocketAddr = "127.0.0.1:80".parse().unwrap();
-        assert_eq!(Reopening::default().wanted(fixed, Some(last)), fixed);
+        assert_eq!(reopening.wanted(fixed), fixed);
     }
 
     #[test]

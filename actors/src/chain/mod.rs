@@ -5,5 +5,9 @@
 //! lost, and everything that was under way is sent again.
 
 pub(crate) mod detector;
+pub(crate) mod directory;
 pub(crate) mod monitor;
 pub(crate) mod notifier;
+pub(crate) mod recoverer;
+pub(crate) mod strategy;
+pub(crate) mod supervisor;

@@ -9,6 +9,7 @@ use super::environment::HostEnvironment;
 use super::life::LifeToken;
 use super::pulse;
 use super::spec::Limits;
+use super::stamp::Place;
 use crate::component::{Component, Handle};
 use crate::death_watch::Mourners;
 use crate::lane::{Lane, WhenFull};
@@ -67,7 +68,7 @@ struct Standing {
 #[derive(Clone)]
 pub(crate) struct Seated {
     pub(crate) seat: Seat,
-    pub(crate) slot: u32,
+    pub(crate) slot: Place,
     pub(crate) token: Arc<LifeToken>,
 }
 
@@ -333,7 +334,7 @@ impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
 }
 
 impl<C: Component> Anchor<C> {
-    /// Hands a request over, whoever waits for its answer.
+    /// Hands a request over, whoever waits for its answer. A refusal is told to the answer as well.
     #[inline]
     pub(crate) fn post<M: Contract>(
         &self,
@@ -344,20 +345,29 @@ impl<C: Component> Anchor<C> {
     where
         C: Handle<M>,
     {
-        if let Err(why) = self.admit(id) {
-            if let Why::Quarantined { .. } = why {
-                self.record.bury(M::NAME, &why);
+        let mut answer = Some(answer);
+        let posted = match self.admit(id) {
+            Ok(()) => {
+                let posted_at = posting_time::<M>();
+                self.lane.push_with(message, |m| pack::<C, M>(m, answer.take(), id, posted_at))
             }
-            return Err(SendError { why, message });
-        }
-        let posted_at = posting_time::<M>();
-        match self.lane.push_with(message, |m| pack::<C, M>(m, Some(answer), id, posted_at)) {
+            Err(why) => Err((message, why)),
+        };
+        match posted {
             Ok(None) => Ok(()),
             Ok(Some(oldest)) => {
                 self.return_mail(oldest, Why::Full);
                 Ok(())
             }
-            Err((message, why)) => Err(SendError { why, message }),
+            Err((message, why)) => {
+                if let Why::Quarantined { .. } = why {
+                    self.record.bury(M::NAME, &why);
+                }
+                if let Some(answer) = answer {
+                    answer.refuse(why.clone(), None);
+                }
+                Err(SendError { why, message })
+            }
         }
     }
 }

@@ -25,6 +25,25 @@ pub(crate) enum Hook {
 }
 
 impl Hook {
+    const ALL: [Hook; 11] = [
+        Hook::Initialize,
+        Hook::Startup,
+        Hook::Activated,
+        Hook::Execute,
+        Hook::RateChanged,
+        Hook::Deactivated,
+        Hook::Aborting,
+        Hook::Error,
+        Hook::Reset,
+        Hook::Shutdown,
+        Hook::Finalize,
+    ];
+
+    /// Whether this is the name of a hook.
+    pub(crate) fn is_name(text: &str) -> bool {
+        Hook::ALL.iter().any(|hook| hook.name() == text)
+    }
+
     pub(crate) fn name(self) -> &'static str {
         match self {
             Hook::Initialize => "on_initialize",

@@ -8,7 +8,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// What a component's pump says. A cache line each, so that two arbiters do not share one.
-#[derive(Default)]
+#[derive(Debug, Default)]
 #[repr(align(64))]
 pub(crate) struct Stamp {
     /// Odd while something is in service; two per message or hook.
@@ -100,6 +100,13 @@ static TABLE: Mutex<Table> = Mutex::new(Table { chunks: Vec::new(), free: Vec::n
 
 fn table() -> MutexGuard<'static, Table> {
     TABLE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Where a component's stamp stands, for those who only read it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Place {
+    pub(crate) index: u32,
+    pub(crate) stamp: &'static Stamp,
 }
 
 /// A place in the table; given back when dropped, which a pump that hangs does not do.

@@ -84,8 +84,8 @@ impl FieldAttributes {
             }
             refuse_repetition(&mut seen, &meta, key)?;
             match key {
-                "unit" => parsed.unit = Some(parse_text(&meta)?),
-                "frame" => parsed.frame = Some(parse_text(&meta)?),
+                "unit" => parsed.unit = Some(parse_text(&meta, key)?),
+                "frame" => parsed.frame = Some(parse_text(&meta, key)?),
                 _ => return Err(unknown(&meta, key, FIELD_KEYS)),
             }
             Ok(())
@@ -162,6 +162,13 @@ fn refuse_repetition(seen: &mut Vec<String>, meta: &ParseNestedMeta<'_>, key: &s
     Ok(())
 }
 
+fn parse_version(meta: &ParseNestedMeta<'_>) -> Result<u16> {
+    let literal: LitInt = meta.value()?.parse()?;
+    literal.base10_parse().map_err(|_| {
+        Error::new(literal.span(), "a version is a whole number from 0 to 65535, such as `2`")
+    })
+}
+
 /// Reads the name of a contract, which obeys the rules for names of objects.
 fn parse_name(meta: &ParseNestedMeta<'_>) -> Result<LitStr> {
     let literal: LitStr = meta.value()?.parse()?;
@@ -180,7 +187,7 @@ fn parse_name(meta: &ParseNestedMeta<'_>) -> Result<LitStr> {
 }
 
 /// Reads a unit or a frame.
-fn parse_text(meta: &ParseNestedMeta<'_>) -> Result<LitStr> {
+fn parse_text(meta: &ParseNestedMeta<'_>, key: &str) -> Result<LitStr> {
     let literal: LitStr = meta.value()?.parse()?;
     let text = literal.value();
     let reason = if text.trim().is_empty() || text.trim() != text {
@@ -192,7 +199,7 @@ fn parse_text(meta: &ParseNestedMeta<'_>) -> Result<LitStr> {
     } else {
         return Ok(literal);
     };
-    Err(Error::new(literal.span(), format!("this {reason}")))
+    Err(Error::new(literal.span(), format!("`{key}` {reason}")))
 }
 
 /// Reads a span of time such as `100ms`.

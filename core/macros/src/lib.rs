@@ -19,7 +19,7 @@ use syn::{DeriveInput, ItemFn, Path, Result, parse_macro_input, parse_quote};
 /// Fields take `#[contract(unit = "m", frame = "laser")]`, which parties compare when they bind.
 /// Structures nest at most 32 deep in one message.
 ///
-/// ```ignore
+/// ```text
 /// #[derive(Clone, Debug, Structure)]
 /// struct Pose {
 ///     #[contract(unit = "m", frame = "map")]
@@ -43,7 +43,7 @@ pub fn structure(input: TokenStream) -> TokenStream {
 /// | `max_size = 4096` | most bytes of an encoded message | 64 KiB |
 /// | `max_age = "100ms"` | older ones are not delivered but counted | no limit |
 ///
-/// ```ignore
+/// ```text
 /// /// One sweep of the laser.
 /// #[derive(Clone, Debug, Event)]
 /// #[contract(name = "laser/scan", version = 1, max_age = "100ms")]
@@ -63,7 +63,7 @@ pub fn event(input: TokenStream) -> TokenStream {
 /// `reply = Type` is required; `name`, `version` and `max_size` are those of [`Event`]. The limit in
 /// size holds for the reply too.
 ///
-/// ```ignore
+/// ```text
 /// #[derive(Debug, Request)]
 /// #[contract(reply = f32)]
 /// struct Nearest {
@@ -77,13 +77,16 @@ pub fn request(input: TokenStream) -> TokenStream {
     tokens(contract::derive_request(&input))
 }
 
-/// Runs an async `main` in the middleware's runtime.
+/// Runs an async `main` in the middleware's runtime, by `::blastema::run`.
 ///
-/// ```ignore
-/// #[blastema::main]
-/// async fn main() -> Result<(), StartError> {
-///     Node::builder("module1").start().await?.stopped().await;
-///     Ok(())
+/// ```
+/// # mod blastema {
+/// #     pub use blastema_macros::main;
+/// #     pub fn run<F: Future<Output = ()>>(_: F) {}
+/// # }
+/// #[blastema::main(crate = "crate::blastema")] // `#[blastema::main]` where the facade is used
+/// async fn main() {
+///     // ..
 /// }
 /// ```
 #[proc_macro_attribute]
@@ -94,13 +97,19 @@ pub fn main(arguments: TokenStream, item: TokenStream) -> TokenStream {
     tokens(program::main(parse_macro_input!(item as ItemFn), &facade))
 }
 
-/// Runs an async test in the test kit's runtime, where time stands still until it is advanced.
+/// Runs an async test in the test kit's runtime, by `::blastema_testkit::run`; time stands still in it
+/// until it is advanced.
 ///
-/// ```ignore
-/// #[blastema_testkit::test]
+/// ```
+/// # mod blastema_testkit {
+/// #     pub use blastema_macros::test;
+/// #     pub fn run<F: Future<Output = ()>>(_: F) {}
+/// # }
+/// #[blastema_testkit::test(crate = "crate::blastema_testkit")] // in short: `#[blastema_testkit::test]`
 /// async fn a_laser_answers() {
 ///     // ..
 /// }
+/// # fn main() {}
 /// ```
 #[proc_macro_attribute]
 pub fn test(arguments: TokenStream, item: TokenStream) -> TokenStream {

@@ -1,5 +1,6 @@
 //! What is wrong, where, and why: the judge of the fault chain.
 
+use super::reminders::{Reminder, Reminders};
 use super::symptoms::{Dependencies, is_down};
 use super::{
     Chronicle, End, Exit, Finding, Handed, Handover, HandoverLimits, LinkCondition, NodeCondition,
@@ -110,42 +111,6 @@ pub enum DetectorOutput {
 struct Seen {
     incarnation: Incarnation,
     state: Lifecycle,
-}
-
-/// When to remind of which fault on which nobody has decided: one reminder per fault.
-#[derive(Clone, Debug, Default)]
-struct Reminders {
-    agenda: BTreeSet<(Instant, FaultId)>,
-    by_fault: BTreeMap<FaultId, Reminder>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Reminder {
-    due: Instant,
-    sent: u32,
-}
-
-impl Reminders {
-    fn set(&mut self, id: FaultId, reminder: Reminder) {
-        self.cancel(id);
-        self.agenda.insert((reminder.due, id));
-        self.by_fault.insert(id, reminder);
-    }
-
-    fn cancel(&mut self, id: FaultId) {
-        if let Some(reminder) = self.by_fault.remove(&id) {
-            self.agenda.remove(&(reminder.due, id));
-        }
-    }
-
-    fn pop_due(&mut self, now: Instant) -> Option<(FaultId, Reminder)> {
-        let &(due, id) = self.agenda.first()?;
-        if due > now {
-            return None;
-        }
-        self.agenda.pop_first();
-        Some((id, self.by_fault.remove(&id)?))
-    }
 }
 
 /// Where and when something was seen.
@@ -639,8 +604,7 @@ impl Machine for Detector {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let reminder = self.reminders.agenda.first().map(|&(due, _)| due);
-        [self.handover.poll_timeout(), reminder].into_iter().flatten().min()
+        [self.handover.poll_timeout(), self.reminders.next()].into_iter().flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {

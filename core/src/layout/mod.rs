@@ -119,6 +119,21 @@ pub struct Variant<R: Clone + 'static> {
 /// in every run, and it comes out of the codec as it went in.
 ///
 /// Derive it with `#[derive(Structure)]`; do not implement it by hand.
+///
+/// # Examples
+/// ```
+/// # mod facade { pub(crate) use blastema_core::{self as core, serde}; }
+/// # use blastema_macros::Structure;
+/// #[derive(Clone, Debug, Structure)]
+/// # #[contract(crate = "crate::facade")]
+/// struct Pose {
+///     #[contract(unit = "m", frame = "map")]
+///     x: f64,
+///     #[contract(unit = "m", frame = "map")]
+///     y: f64,
+/// }
+/// # fn main() {}
+/// ```
 #[diagnostic::on_unimplemented(
     message = "`{Self}` cannot stand in a contract",
     label = "not allowed in a message",
@@ -126,6 +141,8 @@ pub struct Variant<R: Clone + 'static> {
     note = "types that differ between platforms or runs are left out on purpose: write `u32` or \
             `u64` for `usize`, `BTreeMap` for `HashMap`, `BTreeSet` for `HashSet`, and a \
             `Duration` since a stated event for `Instant`",
+    note = "an array of more than 32 elements stands in a field of its own, not in a `Vec` or `Option`: \
+            put it into a structure",
     note = "a message owns its data: write `String` for `&str`, `Vec<T>` for `&[T]`"
 )]
 pub trait Described: Serialize + DeserializeOwned + 'static {

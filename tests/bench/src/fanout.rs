@@ -60,7 +60,10 @@ impl Handle<Reading> for Plain {
 struct Always;
 impl Component for Always {
     fn ports(ports: &mut Ports<Self>) {
-        ports.listen::<Reading>().on("always").only_if(|reading| black_box(reading.key) != u64::MAX);
+        ports
+            .listen::<Reading>()
+            .on("always")
+            .only_if(|reading| black_box(reading.key) != u64::MAX);
     }
 }
 impl Handle<Reading> for Always {
@@ -102,9 +105,15 @@ pub async fn run(rounds: usize) {
     let mut builder = Node::builder("fanout").on_this_thread();
     for number in 0..LISTENERS {
         builder = builder
-            .child(ChildSpec::new(&format!("plain/{number}"), || Plain).queue(512, WhenFull::Refuse))
-            .child(ChildSpec::new(&format!("always/{number}"), || Always).queue(512, WhenFull::Refuse))
-            .child(ChildSpec::new(&format!("tenth/{number}"), || Tenth).queue(512, WhenFull::Refuse));
+            .child(
+                ChildSpec::new(&format!("plain/{number}"), || Plain).queue(512, WhenFull::Refuse),
+            )
+            .child(
+                ChildSpec::new(&format!("always/{number}"), || Always).queue(512, WhenFull::Refuse),
+            )
+            .child(
+                ChildSpec::new(&format!("tenth/{number}"), || Tenth).queue(512, WhenFull::Refuse),
+            );
     }
     let node = builder.start().await.expect("a node of listeners starts");
     let topic = |name: &str| node.publisher::<Reading>(name).expect("the name parses");
@@ -129,7 +138,10 @@ pub async fn run(rounds: usize) {
         table.print();
         let with = table.ratio("topic, a condition that is always true");
         let without = table.ratio("topic, no condition");
-        println!("a condition that is always true takes {:.1} % of a delivery", (without / with - 1.0) * 100.0);
+        println!(
+            "a condition that is always true takes {:.1} % of a delivery",
+            (without / with - 1.0) * 100.0
+        );
     }
     node.shutdown().await;
 }

@@ -20,7 +20,8 @@ pub fn child(arguments: &[String]) {
         let mut builder = Node::builder("watched");
         for number in 0..count {
             let spec = ChildSpec::new(&format!("idle/{number}"), || Idle);
-            builder = builder.child(spec.watch(Watch::push(Duration::from_millis(100), 3)).rate_hz(1.0));
+            builder =
+                builder.child(spec.watch(Watch::push(Duration::from_millis(100), 3)).rate_hz(1.0));
         }
         let node = builder.start().await.expect("a node of idle components starts");
         tokio::time::sleep(Duration::from_secs(1)).await;

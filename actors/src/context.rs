@@ -1,0 +1,278 @@
+//! What a component may ask of its host while it serves something.
+
+use crate::component::{Component, Failure, Handle};
+use crate::death_watch::{Down, Mourner};
+use crate::host::anchor::Anchor;
+use crate::host::life::{Life, Rhythm, TimerId};
+use crate::host::pulse;
+use crate::host::stamp::Stamp;
+use crate::reference::ActorRef;
+use crate::sender::{Detached, Sender};
+use crate::topic::Publisher;
+use blastema_contract::reports::FaultDeclared;
+use blastema_core::{
+    Contract, Event, FaultKind, Incarnation, Lifecycle, NameError, ObjectName, Why,
+};
+use std::any::{Any, TypeId};
+use std::cell::RefCell;
+use std::fmt::Debug;
+use std::future::Future;
+use std::ops::RangeBounds;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// A component's way to its host, lent to every hook and handler.
+///
+/// What is started here, tasks and timers, belongs to the present life: it ends with it, and if it
+/// panics, the component has panicked.
+pub struct Context<C: Component> {
+    anchor: Arc<Anchor<C>>,
+    life: Rc<Life<C>>,
+    /// Topics under their contract's own name, looked up once.
+    publishers: RefCell<Vec<(TypeId, Rc<dyn Any>)>>,
+}
+
+impl<C: Component> Context<C> {
+    pub(crate) fn new(anchor: Arc<Anchor<C>>, life: Rc<Life<C>>) -> Self {
+        Context { anchor, life, publishers: RefCell::default() }
+    }
+
+    /// A reference to this component, which outlives its restarts.
+    pub fn me(&self) -> ActorRef<C> {
+        ActorRef(self.anchor.clone())
+    }
+
+    /// The component's name.
+    pub fn name(&self) -> &ObjectName {
+        &self.anchor.record.name
+    }
+
+    /// Which of the component's lives this is.
+    pub fn incarnation(&self) -> Incarnation {
+        self.life.incarnation
+    }
+
+    /// Where the component stands.
+    pub fn state(&self) -> Lifecycle {
+        self.anchor.record.state()
+    }
+
+    /// Where messages can be sent to the object of this name, `arm/left` here or
+    /// `module2:arm/left` on another node.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] if there is no such object or it takes no such contract,
+    /// [`Why::ContractDiffers`] if it knows another contract by this name.
+    pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
+        self.anchor.record.environment.registry.sender(name)
+    }
+
+    /// A sender for threads and blocking tasks that this life starts: what they still send after the
+    /// life has ended is refused as [`Why::Fenced`].
+    pub fn detached<M: Contract>(&self, sender: &Sender<M>) -> Sender<M> {
+        let detached = Detached { inner: sender.clone(), life: self.life.token.clone() };
+        Sender(Arc::new(detached))
+    }
+
+    /// Publishes an event on the topic that has its contract's name. Never waits. While the component
+    /// is fenced off or isolated, nothing gets out.
+    pub fn publish<E: Event>(&self, event: E) {
+        let mut publishers = self.publishers.borrow_mut();
+        let known = publishers.iter().find(|(of, _)| *of == TypeId::of::<E>());
+        if let Some(publisher) = known.and_then(|(_, any)| any.downcast_ref::<Publisher<E>>()) {
+            let _ = publisher.publish(event);
+            return;
+        }
+        match self.publisher::<E>(E::NAME) {
+            Ok(publisher) => {
+                let _ = publisher.publish(event);
+                publishers.push((TypeId::of::<E>(), Rc::new(publisher)));
+            }
+            Err(why) => self.declare_fault(FaultKind::ContractMismatch, why.to_string()),
+        }
+    }
+
+    /// A way to publish on a topic with a name of its own.
+    ///
+    /// # Errors
+    /// [`Why::ContractDiffers`] if the topic carries another contract of this name.
+    pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
+        self.anchor.record.environment.topics.publisher(topic)
+    }
+
+    /// Starts a task of this component's own, which runs beside its handlers.
+    ///
+    /// # Panics
+    /// The component is ended if it holds 1024 tasks already: it has lost count of them.
+    pub fn spawn(&mut self, task: impl Future<Output = ()> + 'static) {
+        self.life.wish(|wishes| wishes.tasks.push(Box::pin(task)));
+    }
+
+    /// Calls the closure every `interval` while the component is active. It takes its turn between
+    /// messages; where it comes late, what was missed is skipped.
+    pub fn every(
+        &mut self,
+        interval: Duration,
+        tick: impl FnMut(&mut C, &mut Context<C>) + 'static,
+    ) -> TimerId {
+        self.timer(Rhythm::Every(interval), tick)
+    }
+
+    /// Calls the closure once, after `delay`.
+    pub fn after(
+        &mut self,
+        delay: Duration,
+        fire: impl FnOnce(&mut C, &mut Context<C>) + 'static,
+    ) -> TimerId {
+        let mut fire = Some(fire);
+        self.timer(Rhythm::Once(delay), move |component, cx| {
+            if let Some(fire) = fire.take() {
+                fire(component, cx);
+            }
+        })
+    }
+
+    /// Sends the component this message every `interval`, for work that awaits.
+    pub fn tell_every<M: Contract + Clone>(&mut self, interval: Duration, message: M) -> TimerId
+    where
+        C: Handle<M>,
+    {
+        self.timer(Rhythm::Every(interval), move |_, cx| cx.post_to_myself(message.clone()))
+    }
+
+    /// Sends the component this message once, after `delay`.
+    pub fn tell_after<M: Contract>(&mut self, delay: Duration, message: M) -> TimerId
+    where
+        C: Handle<M>,
+    {
+        self.after(delay, move |_, cx| cx.post_to_myself(message))
+    }
+
+    fn post_to_myself<M: Contract>(&self, message: M)
+    where
+        C: Handle<M>,
+    {
+        // A refusal is the queue's decision and counted there.
+        if let Err(refused) = self.me().tell(message) {
+            self.anchor.record.bury(M::NAME, &refused.why);
+        }
+    }
+
+    fn timer(
+        &mut self,
+        rhythm: Rhythm,
+        fire: impl FnMut(&mut C, &mut Context<C>) + 'static,
+    ) -> TimerId {
+        let id = self.life.next_timer();
+        self.life.wish(|wishes| wishes.timers.push((id, rhythm, Box::new(fire))));
+        id
+    }
+
+    /// Ends a timer.
+    pub fn cancel(&mut self, timer: TimerId) {
+        self.life.wish(|wishes| wishes.cancelled.push(timer));
+    }
+
+    /// Gives a sign of life. A successful `on_execute` gives one by itself.
+    #[inline]
+    pub fn alive(&self) {
+        self.life.stamp.give_sign();
+    }
+
+    /// Announces that what is in service takes up to `span`: until the guard that is returned is
+    /// dropped, it is taken neither for hanging nor for silent before that.
+    pub fn long_operation(&self, span: Duration) -> LongOperation {
+        self.life.stamp.allow(span);
+        LongOperation { stamp: self.life.stamp }
+    }
+
+    /// Changes how often `on_execute` is called; `None` for never.
+    pub fn set_interval(&mut self, interval: Option<Duration>) {
+        self.life.wish(|wishes| wishes.interval = Some(interval));
+    }
+
+    /// Reports a fault that the component found in itself or in its data. It goes on working.
+    pub fn declare_fault(&self, kind: FaultKind, detail: impl Into<String>) {
+        if pulse::forbidden() == Some(Why::Fenced) {
+            return;
+        }
+        if let Some(faults) = &self.anchor.record.environment.reports.faults {
+            faults.do_send(FaultDeclared {
+                object: self.name().clone(),
+                incarnation: self.incarnation(),
+                kind,
+                detail: detail.into(),
+            });
+        }
+    }
+
+    /// Reports [`FaultKind::CheckFailed`] unless the condition holds, and says whether it does.
+    pub fn check(&self, holds: bool, invariant: &str) -> bool {
+        if !holds {
+            self.declare_fault(FaultKind::CheckFailed, invariant);
+        }
+        holds
+    }
+
+    /// Reports [`FaultKind::CheckFailed`] unless the value lies in the range, and says whether it
+    /// does.
+    pub fn check_range<T: PartialOrd + Debug>(
+        &self,
+        what: &str,
+        value: &T,
+        range: impl RangeBounds<T> + Debug,
+    ) -> bool {
+        let holds = range.contains(value);
+        if !holds {
+            let detail = format!("{what} is {value:?}, outside of {range:?}");
+            self.declare_fault(FaultKind::CheckFailed, detail);
+        }
+        holds
+    }
+
+    /// Ends this life in order, when the present handler has ended. What is queued waits for the next
+    /// life, if its supervisor begins one.
+    pub fn stop(&mut self) {
+        self.life.wish(|wishes| wishes.stop = true);
+    }
+
+    /// Leaves work because of a failure, as if a hook had returned it.
+    pub fn fail(&mut self, failure: impl Into<Failure>) {
+        let failure = failure.into();
+        self.life.wish(|wishes| wishes.failure = Some(failure));
+    }
+
+    /// Asks to be told, as message [`Down`], whenever a life of this object ends. If it does not live
+    /// now, or is unknown, that is told at once.
+    ///
+    /// # Errors
+    /// The name does not parse.
+    pub fn watch(&mut self, name: &str) -> Result<(), NameError>
+    where
+        C: Handle<Down>,
+    {
+        let name = ObjectName::new(name)?;
+        let (watcher, life) = (self.anchor.clone(), self.life.token.clone());
+        let mourner = Mourner {
+            who: self.name().clone(),
+            life,
+            tell: Box::new(move |down| watcher.queue_event(down, pulse::rough_now())),
+        };
+        self.anchor.record.environment.registry.watch(name, mourner);
+        Ok(())
+    }
+}
+
+/// Ends a long operation when dropped; see [`Context::long_operation`].
+#[derive(Debug)]
+#[must_use = "the operation counts as long only while this guard lives"]
+pub struct LongOperation {
+    stamp: &'static Stamp,
+}
+
+impl Drop for LongOperation {
+    fn drop(&mut self) {
+        self.stamp.allow(Duration::ZERO);
+    }
+}

@@ -1,0 +1,186 @@
+//! Where components live: arbiters that they share, one per core, or one of their own.
+//!
+//! A thread that hangs cannot be killed. It is given up, another takes its place, and the given-up ones
+//! are counted: too many, and the process itself has to be begun anew.
+
+use super::pulse::Pulse;
+use actix_rt::{Arbiter, ArbiterHandle, System};
+use std::fmt;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Threads that may be given up before that is told: each holds its stack, and whatever its handler
+/// had taken, for ever.
+pub(crate) const ABANDONED_LIMIT: usize = 4;
+
+/// An arbiter that a component was given.
+#[derive(Clone)]
+pub(crate) struct Seat {
+    pub(crate) handle: ArbiterHandle,
+    pub(crate) pulse: Arc<Pulse>,
+    own_thread: bool,
+}
+
+impl Seat {
+    /// The component that lived here has ended.
+    pub(crate) fn vacate(&self) {
+        if self.own_thread {
+            self.handle.stop();
+        }
+    }
+
+    /// The handler that kept a lost arbiter has returned: nobody lives here any more.
+    pub(crate) fn return_late(&self) {
+        self.handle.stop();
+    }
+}
+
+/// Is called with the number of threads that are given up now, whenever one more is.
+pub(crate) type OnAbandoned = Box<dyn Fn(usize) + Send + Sync>;
+
+/// The threads of a node's components. Clones share them.
+#[derive(Clone)]
+pub(crate) struct Arbiters(Arc<Inner>);
+
+struct Inner {
+    /// How many arbiters are shared; none where everything lives on the arbiter that asks.
+    shared: usize,
+    /// A thread that starts an arbiter must know to which system it belongs.
+    system: Option<System>,
+    pool: Mutex<Pool>,
+    abandoned: Arc<AtomicUsize>,
+    on_abandoned: Mutex<Option<OnAbandoned>>,
+}
+
+#[derive(Default)]
+struct Pool {
+    seats: Vec<Seat>,
+    next: usize,
+    /// Threads that components have for themselves, to be ended with the node.
+    own: Vec<Seat>,
+}
+
+/// Lives as long as an arbiter's event loop turns. Dropped after the arbiter was lost, it says that
+/// the thread has come back after all.
+pub(crate) struct Loan {
+    pulse: Arc<Pulse>,
+    abandoned: Arc<AtomicUsize>,
+}
+
+impl Drop for Loan {
+    fn drop(&mut self) {
+        if self.pulse.is_lost() {
+            let _ = self.abandoned.fetch_update(Relaxed, Relaxed, |count| count.checked_sub(1));
+        }
+    }
+}
+
+impl fmt::Debug for Arbiters {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} shared arbiters, {} abandoned", self.0.shared, self.abandoned())
+    }
+}
+
+impl Arbiters {
+    /// Everything lives on the arbiter that starts it: for tests, under one clock.
+    pub(crate) fn here() -> Self {
+        Self::with(0, None)
+    }
+
+    /// So many shared arbiters, and threads of their own for those who ask.
+    ///
+    /// # Panics
+    /// Outside of an actix system.
+    pub(crate) fn pool(shared: usize) -> Self {
+        Self::with(shared.max(1), Some(System::current()))
+    }
+
+    fn with(shared: usize, system: Option<System>) -> Self {
+        Arbiters(Arc::new(Inner {
+            shared,
+            system,
+            pool: Mutex::default(),
+            abandoned: Arc::default(),
+            on_abandoned: Mutex::default(),
+        }))
+    }
+
+    fn pool_of(&self) -> MutexGuard<'_, Pool> {
+        self.0.pool.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A place for a component.
+    ///
+    /// # Errors
+    /// The operating system has no thread left.
+    pub(crate) fn place(&self, own_thread: bool) -> std::io::Result<Seat> {
+        if self.0.shared == 0 {
+            let pulse = Pulse::enrol_here();
+            return Ok(Seat { handle: Arbiter::current(), pulse, own_thread: false });
+        }
+        let mut pool = self.pool_of();
+        pool.own.retain(|seat| seat.handle.alive());
+        if own_thread {
+            let seat = self.start(true)?;
+            pool.own.push(seat.clone());
+            return Ok(seat);
+        }
+        pool.seats.retain(|seat| !seat.pulse.is_lost() && seat.handle.alive());
+        let turning = |seat: &&Seat| !seat.pulse.is_fenced();
+        let free = pool.seats.iter().filter(turning).count();
+        if free < self.0.shared {
+            let seat = self.start(false)?;
+            pool.seats.push(seat.clone());
+            return Ok(seat);
+        }
+        pool.next += 1;
+        let seat = pool.seats.iter().filter(turning).nth(pool.next % free);
+        Ok(seat.expect("there are as many as were counted").clone())
+    }
+
+    fn start(&self, own_thread: bool) -> std::io::Result<Seat> {
+        if let (None, Some(system)) = (System::try_current(), &self.0.system) {
+            System::set_current(system.clone());
+        }
+        let arbiter = Arbiter::try_with_tokio_rt(|| {
+            tokio::runtime::Builder::new_current_thread().enable_all().build()
+        })?;
+        let handle = arbiter.handle();
+        let pulse = Arc::new(Pulse::default());
+        let loan = Loan { pulse: pulse.clone(), abandoned: self.0.abandoned.clone() };
+        let adopted = pulse.clone();
+        handle.spawn_fn(move || adopted.adopt(Some(loan)));
+        Ok(Seat { handle, pulse, own_thread })
+    }
+
+    /// The grace time of this arbiter is over. Says whether it is really lost, or has just come back.
+    pub(crate) fn lose(&self, pulse: &Pulse) -> bool {
+        if !pulse.lose() {
+            return false;
+        }
+        let count = self.0.abandoned.fetch_add(1, Relaxed) + 1;
+        if let Some(tell) = &*self.0.on_abandoned.lock().unwrap_or_else(PoisonError::into_inner) {
+            tell(count);
+        }
+        true
+    }
+
+    /// How many threads are given up now and have not come back.
+    pub(crate) fn abandoned(&self) -> usize {
+        self.0.abandoned.load(Relaxed)
+    }
+
+    /// From now on calls `tell` whenever one more thread is given up; at [`ABANDONED_LIMIT`] the
+    /// process should be begun anew.
+    pub(crate) fn on_abandoned(&self, tell: OnAbandoned) {
+        *self.0.on_abandoned.lock().unwrap_or_else(PoisonError::into_inner) = Some(tell);
+    }
+
+    /// Ends all threads that can still hear it.
+    pub(crate) fn stop(&self) {
+        let pool = std::mem::take(&mut *self.pool_of());
+        for seat in pool.seats.iter().chain(&pool.own) {
+            seat.handle.stop();
+        }
+    }
+}

@@ -1,0 +1,196 @@
+//! What a supervisor does with a hosted component.
+
+use super::anchor::Anchor;
+use super::arbiters::Seat;
+use super::course::Hook;
+use super::pump::{Pump, SharedPump};
+use super::{Control, Host, label};
+use crate::component::Component;
+use crate::death_watch::{Down, Ending, Mortal, Mourner};
+use actix::dev::channel;
+use actix::{Addr, Recipient};
+use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
+use blastema_core::{Incarnation, Lifecycle, ObjectName, Why};
+use std::sync::Arc;
+
+/// Control messages that may wait before a sender notices; there is one outstanding of each kind.
+const CONTROL: usize = 16;
+
+/// A hosted component in the hands of its supervisor.
+pub(crate) struct HostedChild<C: Component> {
+    anchor: Arc<Anchor<C>>,
+    report: Option<Recipient<ChildReport>>,
+}
+
+impl<C: Component> HostedChild<C> {
+    pub(crate) fn new(anchor: Arc<Anchor<C>>) -> Self {
+        crate::panics::install_hook();
+        HostedChild { anchor, report: None }
+    }
+
+    /// A life is there, or on its way.
+    fn is_alive(&self) -> bool {
+        self.anchor.lane.owner().is_some()
+    }
+
+    fn order(&self, control: Control) {
+        if let Some(host) = self.anchor.control() {
+            host.do_send(control);
+        }
+    }
+
+    fn tell(&self, incarnation: Incarnation, event: ChildEvent) {
+        if let Some(report) = &self.report {
+            let object = self.anchor.record.name.clone();
+            report.do_send(ChildReport { object, incarnation, event });
+        }
+    }
+}
+
+impl<C: Component> Child for HostedChild<C> {
+    fn name(&self) -> &ObjectName {
+        &self.anchor.record.name
+    }
+
+    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) {
+        self.abandon();
+        self.report = Some(report.clone());
+        let record = &self.anchor.record;
+        record.set_incarnation(incarnation);
+        record.set_state(Lifecycle::Created);
+        let seat = match record.environment.arbiters.place(record.limits.own_thread) {
+            Ok(seat) => seat,
+            Err(error) => {
+                let reason = format!("it was given no thread: {error}");
+                return self.tell(incarnation, ChildEvent::StartFailed { reason });
+            }
+        };
+        self.anchor.lane.give_to(Some(incarnation));
+        let (sender, receiver) = channel::channel::<Host<C>>(CONTROL);
+        self.anchor.set_control(Some(Addr::new(sender)));
+        let boarding = Boarding { anchor: Some(self.anchor.clone()), incarnation, seat, report };
+        let handle = boarding.seat.handle.clone();
+        handle.spawn_fn(move || {
+            if let Some(pump) = boarding.enter() {
+                let context = actix::Context::with_receiver(receiver);
+                actix_rt::spawn(context.into_future(Host::new(pump)));
+            }
+        });
+    }
+
+    fn stop(&mut self) {
+        if self.is_alive() {
+            return self.order(Control::Stop);
+        }
+        self.anchor.end();
+        self.tell(self.anchor.record.incarnation(), ChildEvent::Stopped);
+    }
+
+    fn abandon(&mut self) {
+        let record = &self.anchor.record;
+        let Some(incarnation) = self.anchor.lane.owner() else { return };
+        self.anchor.lane.leave(incarnation);
+        if let Some(seated) = record.set_seat(None) {
+            seated.token.end();
+            record.environment.watch_list.leave(seated.slot.index);
+            let reading = seated.slot.stamp.read();
+            let during = label::name(reading.during);
+            if reading.turn % 2 == 1 && !Hook::is_name(during) {
+                record.bury(during, &Why::PeerDied { incarnation });
+            }
+            record.blame(incarnation);
+            let pulse = &seated.seat.pulse;
+            if pulse.running() == Some(seated.slot.index) && !pulse.is_here() {
+                pulse.fence();
+            }
+        }
+        // A handler that awaits is dropped by its own pump, which sees that it has been given up.
+        self.order(Control::Wake);
+        self.anchor.set_control(None);
+        let (object, ending) = (record.name.clone(), Ending::Abandoned);
+        record.mourners.tell(&Down { object, incarnation, ending });
+    }
+
+    fn reset(&mut self) {
+        if self.is_alive() {
+            return self.order(Control::Reset);
+        }
+        let reason = "it is not alive".to_owned();
+        self.tell(self.anchor.record.incarnation(), ChildEvent::ResetFailed { reason });
+    }
+
+    fn isolate(&mut self, isolated: bool) {
+        self.anchor.isolate(isolated);
+    }
+
+    fn standing_order(&mut self, order: Option<StandingOrder>) {
+        self.anchor.record.set_order(order);
+    }
+}
+
+impl<C: Component> Drop for HostedChild<C> {
+    fn drop(&mut self) {
+        self.abandon();
+        self.anchor.end();
+        let record = &self.anchor.record;
+        record.environment.registry.release(&record.name);
+    }
+}
+
+impl<C: Component> Anchor<C> {
+    /// Nobody starts the component again for now: its queue and its subscriptions end.
+    pub(crate) fn end(&self) {
+        self.close();
+        self.subscriptions().iter().for_each(|subscription| subscription.end());
+    }
+}
+
+impl<C: Component> Mortal for Anchor<C> {
+    fn watch(&self, mourner: Mourner) {
+        let mourner = Arc::new(mourner);
+        self.record.mourners.join(mourner.clone());
+        if self.lane.owner().is_none() {
+            (mourner.tell)(Down {
+                object: self.record.name.clone(),
+                incarnation: self.record.incarnation(),
+                ending: Ending::NotAlive,
+            });
+        }
+    }
+}
+
+/// A life on its way to its arbiter. If that goes away first, the supervisor is told.
+struct Boarding<C: Component> {
+    anchor: Option<Arc<Anchor<C>>>,
+    incarnation: Incarnation,
+    seat: Seat,
+    report: Recipient<ChildReport>,
+}
+
+impl<C: Component> Boarding<C> {
+    /// The pump of the life, unless that has been given up meanwhile.
+    fn enter(mut self) -> Option<SharedPump<C>> {
+        let anchor = self.anchor.take()?;
+        if anchor.lane.owner() != Some(self.incarnation) {
+            self.seat.vacate();
+            return None;
+        }
+        for subscription in anchor.subscriptions().iter() {
+            subscription.attach(&anchor);
+        }
+        let (incarnation, seat) = (self.incarnation, self.seat.clone());
+        Some(SharedPump::new(Pump::new(anchor, incarnation, seat, self.report.clone())))
+    }
+}
+
+impl<C: Component> Drop for Boarding<C> {
+    fn drop(&mut self) {
+        let Some(anchor) = self.anchor.take() else { return };
+        if anchor.lane.leave(self.incarnation) {
+            let reason = "its arbiter went away before it was there".to_owned();
+            let object = anchor.record.name.clone();
+            let event = ChildEvent::StartFailed { reason };
+            self.report.do_send(ChildReport { object, incarnation: self.incarnation, event });
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! The host: what stands between a user's component and actix.
+//!
+//! ```text
+//!  references ──► Anchor: queue, name, record ◄── HostedChild ◄── supervisor
+//!                    │ what all lives share            │ start, stop, abandon …
+//!  control lane ──► Host (an actix actor) ◄────────────┘
+//!                    │ owns
+//!                   Pump: one life after another, each under the guard
+//!                    │ Home, Course, Chores, Stamp
+//!  watch thread ──► Pulse of each arbiter, Stamp of each component
+//! ```
+//!
+//! The actix mailbox is the control lane: the framework alone sends to it, and it is served before the
+//! pump, so that a flooded component, or one that awaits, still answers and obeys. Messages of the
+//! application travel in the [lane](crate::lane), which belongs to the anchor.
+//!
+//! A handler that keeps its thread is found by the watch, which reads what workers write and never
+//! waits for them. The supervisor then abandons the life: its arbiter is *fenced*, so that nothing the
+//! handler still says gets out. If the handler returns within the grace time the fence is lifted and its
+//! neighbours have only lost time; else the arbiter is *lost*, and they are re-created elsewhere, each
+//! with its queue.
+
+pub(crate) mod anchor;
+pub(crate) mod arbiters;
+pub(crate) mod child;
+mod chores;
+mod course;
+pub(crate) mod environment;
+pub(crate) mod label;
+pub(crate) mod life;
+pub(crate) mod office;
+pub(crate) mod pulse;
+pub(crate) mod pump;
+pub(crate) mod spec;
+pub(crate) mod stamp;
+pub(crate) mod watch;
+
+use crate::component::Component;
+use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Message};
+use actix::fut::{ActorFutureExt, wrap_future};
+use blastema_contract::reports::{Alive, AreYouAlive};
+use pump::{Pump, SharedPump};
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// The actix actor behind a component, for one placement on one arbiter.
+pub(crate) struct Host<C: Component> {
+    pump: Rc<RefCell<Pump<C>>>,
+    entering: Option<SharedPump<C>>,
+}
+
+/// What the framework tells a host, on the control lane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub(crate) enum Control {
+    /// End in order.
+    Stop,
+    /// Recover from an error.
+    Reset,
+    /// Return to work, or leave it.
+    Activate(bool),
+    /// Look again: something was decided elsewhere.
+    Wake,
+}
+
+impl<C: Component> Host<C> {
+    pub(crate) fn new(pump: SharedPump<C>) -> Self {
+        Host { pump: pump.0.clone(), entering: Some(pump) }
+    }
+}
+
+impl<C: Component> Actor for Host<C> {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Self::Context) {
+        if let Some(pump) = self.entering.take() {
+            let served = wrap_future::<_, Self>(pump).map(|(), host, context: &mut Context<Self>| {
+                host.pump.borrow().vacate();
+                context.stop();
+            });
+            context.spawn(served);
+        }
+    }
+}
+
+impl<C: Component> Handler<Control> for Host<C> {
+    type Result = ();
+
+    fn handle(&mut self, control: Control, _: &mut Self::Context) {
+        let mut pump = self.pump.borrow_mut();
+        match control {
+            Control::Stop => pump.stop(),
+            Control::Reset => pump.reset(),
+            Control::Activate(active) => pump.activate(active),
+            // Whatever arrives here, the pump is polled next.
+            Control::Wake => {}
+        }
+    }
+}
+
+impl<C: Component> Handler<AreYouAlive> for Host<C> {
+    type Result = Alive;
+
+    fn handle(&mut self, _: AreYouAlive, _: &mut Self::Context) -> Alive {
+        self.pump.borrow().alive()
+    }
+}

@@ -1,0 +1,826 @@
+//! Serves one component's life: hooks, timers, tasks and the data lane, every poll under the guard.
+//!
+//! The guard is `catch_unwind` around each poll, inside the actor: actix never sees a panic, and only
+//! the component is rebuilt. The component stays in its [`Home`] while a handler that unwinds borrows
+//! it, so that unwinding never runs its `Drop`; it is dropped afterwards, under a guard of its own.
+
+use super::anchor::{Anchor, Seated};
+use super::arbiters::Seat;
+use super::chores::{Chore, Chores};
+use super::course::{Course, End, Hook, News, Step};
+use super::label::label;
+use super::life::Life;
+use super::pulse::Pulse;
+use super::stamp::{Place, Slot};
+use super::watch::Watched;
+use crate::component::{Component, Failure};
+use crate::context::Context;
+use crate::death_watch::{Down, Ending};
+use crate::lane::Taken;
+use crate::letter::{Brief, Letter, Mail, Nest};
+use crate::panics::{self, Guarded};
+use crate::platform;
+use actix::Recipient;
+use blastema_contract::child::{ChildEvent, ChildReport, StandingOrder};
+use blastema_contract::reports::{Alive, Exit, Exited, StateReported};
+use blastema_core::{Incarnation, Instant, Lifecycle, Why};
+use std::any::{Any, TypeId};
+use std::cell::RefCell;
+use std::collections::{BTreeMap, VecDeque};
+use std::future::Future;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::pin::Pin;
+use std::rc::{Rc, Weak};
+use std::sync::Arc;
+use std::task::{self, Poll, Waker};
+
+/// Messages per poll; then neighbours and the control lane have their turn.
+const BUDGET: usize = 64;
+/// Nests kept at most; a component that takes more contracts than this pays a box for the others.
+const NESTS: usize = 4;
+
+/// Where the component lives. A running handler borrows it for as long as it runs; since the guard
+/// holds the other `Rc`, a handler that unwinds never drops the component.
+pub(crate) struct Home<C: Component> {
+    pub(crate) seat: RefCell<Chair<C>>,
+}
+
+/// The component and its context, which a handler borrows together.
+pub(crate) struct Chair<C: Component> {
+    component: C,
+    cx: Context<C>,
+}
+
+impl<C: Component> Chair<C> {
+    #[inline]
+    pub(crate) fn both(&mut self) -> (&mut C, &mut Context<C>) {
+        (&mut self.component, &mut self.cx)
+    }
+}
+
+/// What is in service.
+enum Service {
+    Idle,
+    /// A message, in the nest of this number.
+    Message(usize),
+    Hook(Hook, Pin<Box<dyn Future<Output = Result<(), Failure>>>>),
+}
+
+struct Nested<C: Component> {
+    contract: TypeId,
+    label: u32,
+    nest: Pin<Box<dyn Nest<C>>>,
+}
+
+/// Told when the poll is over, so that the replacement's first message does not wait for it.
+enum Notice {
+    Exited(Exited),
+    State(StateReported),
+    Child(ChildEvent, Incarnation),
+}
+
+/// How far one step came.
+enum Progress {
+    /// Something is done; there may be more.
+    More,
+    /// Nothing to do now.
+    Wait,
+    /// Nothing to do for ever.
+    Over,
+}
+
+pub(crate) struct Pump<C: Component> {
+    anchor: Arc<Anchor<C>>,
+    life: Rc<Life<C>>,
+    course: Course,
+    home: Option<Rc<Home<C>>>,
+    service: Service,
+    nests: Vec<Nested<C>>,
+    chores: Chores<C>,
+    slot: Slot,
+    seat: Seat,
+    pulse: Arc<Pulse>,
+    waker: Option<Waker>,
+    /// The message in service is followed by the record.
+    followed: bool,
+    /// The supervisor knows that the life did not come to work.
+    start_failed: bool,
+    /// This life is over, and none comes after it here.
+    over: bool,
+    deaths: VecDeque<Instant>,
+    outbox: Vec<Notice>,
+    supervisor: Recipient<ChildReport>,
+}
+
+impl<C: Component> Pump<C> {
+    /// A pump for a life that begins on this arbiter.
+    pub(crate) fn new(
+        anchor: Arc<Anchor<C>>,
+        incarnation: Incarnation,
+        seat: Seat,
+        supervisor: Recipient<ChildReport>,
+    ) -> Self {
+        let slot = Slot::claim();
+        let life = Rc::new(Life::new(incarnation, slot.stamp));
+        let mut pump = Pump {
+            anchor,
+            life,
+            course: Course::new(true),
+            home: None,
+            service: Service::Idle,
+            nests: Vec::new(),
+            chores: Chores::default(),
+            slot,
+            pulse: seat.pulse.clone(),
+            seat,
+            waker: None,
+            followed: false,
+            start_failed: false,
+            over: false,
+            deaths: VecDeque::new(),
+            outbox: Vec::new(),
+            supervisor,
+        };
+        pump.begin_life();
+        pump
+    }
+
+    fn begin_life(&mut self) {
+        let record = &self.anchor.record;
+        record.set_incarnation(self.life.incarnation);
+        self.slot.stamp.begin_life(self.life.incarnation.0);
+        self.life.token.mute(record.is_isolated());
+        let (seat, token) = (self.seat.clone(), self.life.token.clone());
+        let place = Place { index: self.slot.index, stamp: self.slot.stamp };
+        record.set_seat(Some(Seated { seat, slot: place, token }));
+        let watched = Watched {
+            object: record.name.clone(),
+            pulse: self.pulse.clone(),
+            stamp: self.slot.stamp,
+            limits: record.limits.clone(),
+        };
+        record.environment.watch_list.enter(self.slot.index, watched);
+        self.chores.begin(record.limits.interval);
+        if self.course.is_starting() {
+            self.chores.limit(Chore::ReadyLimit, record.limits.ready_within);
+        }
+    }
+
+    pub(crate) fn slot(&self) -> u32 {
+        self.slot.index
+    }
+
+    /// The place where it lived is free.
+    pub(crate) fn vacate(&self) {
+        self.seat.vacate();
+    }
+
+    /// The answer to "are you alive?".
+    pub(crate) fn alive(&self) -> Alive {
+        self.anchor.alive(!self.slot.stamp.read().allowance.is_zero())
+    }
+
+    /// The supervisor asks for a recovery within this life.
+    pub(crate) fn reset(&mut self) {
+        self.course.handle_reset();
+        self.tell_news();
+    }
+
+    /// Somebody asks the component to return to work, or to leave it.
+    pub(crate) fn activate(&mut self, active: bool) {
+        self.course.handle_activate(active);
+    }
+
+    /// The supervisor asks for an end in order.
+    pub(crate) fn stop(&mut self) {
+        self.course.handle_stop(End::Stopped);
+        self.chores.limit(Chore::StopLimit, self.anchor.record.limits.shutdown_within);
+    }
+
+    /// One poll of everything. Ready when the last life here is over.
+    pub(crate) fn run(&mut self, cx: &mut task::Context<'_>) -> Poll<()> {
+        if self.waker.as_ref().is_none_or(|waker| !waker.will_wake(cx.waker())) {
+            self.waker = Some(cx.waker().clone());
+        }
+        if self.is_abandoned() {
+            self.leave();
+            return Poll::Ready(());
+        }
+        if self.pulse.is_lost() {
+            return Poll::Pending; // The arbiter came back too late; the successor is on its way.
+        }
+        let muted = self.life.token.is_muted();
+        if muted {
+            self.pulse.mute(true);
+        }
+        self.pulse.run(Some(self.slot.index));
+        let guarded = Guarded::enter();
+        let over = self.turn(cx);
+        drop(guarded);
+        self.pulse.run(None);
+        if muted {
+            self.pulse.mute(false);
+        }
+        if self.is_abandoned() {
+            self.leave();
+            return Poll::Ready(());
+        }
+        self.flush();
+        if over { Poll::Ready(()) } else { Poll::Pending }
+    }
+
+    /// Says whether the last life here is over.
+    fn turn(&mut self, cx: &mut task::Context<'_>) -> bool {
+        if self.over {
+            return true;
+        }
+        if !self.chores.is_empty() {
+            let polled = catch_unwind(AssertUnwindSafe(|| self.chores.poll(cx)));
+            if let Err(payload) = polled {
+                self.died(payload, "a task of its own");
+            }
+            self.handle_limits();
+        }
+        for _ in 0..BUDGET {
+            if self.over || self.life.token.has_ended() {
+                return true;
+            }
+            match catch_unwind(AssertUnwindSafe(|| self.step(cx))) {
+                Ok(Progress::More) => {}
+                Ok(Progress::Wait) => return false,
+                Ok(Progress::Over) => return true,
+                Err(payload) => self.died_in_service(payload),
+            }
+        }
+        cx.waker().wake_by_ref();
+        false
+    }
+
+    /// One hook, timer or message a little further.
+    fn step(&mut self, cx: &mut task::Context<'_>) -> Progress {
+        if self.life.has_wishes() {
+            self.grant();
+        }
+        if !matches!(self.service, Service::Idle) {
+            return self.advance(cx);
+        }
+        if self.home.is_none() {
+            self.build();
+        }
+        if !self.course.is_serving() {
+            match self.course.next() {
+                Step::Run(hook) => {
+                    self.begin_hook(hook);
+                    return self.advance(cx);
+                }
+                Step::Serve => {}
+                Step::Rest => return Progress::Wait,
+                Step::End(end) => {
+                    self.end(end);
+                    return Progress::Over;
+                }
+            }
+        }
+        if let Some(chore) = self.chores.next_due() {
+            return self.do_chore(chore, cx);
+        }
+        match self.anchor.lane.take(self.life.incarnation, cx.waker()) {
+            Taken::Got(mail) => self.open(mail, cx),
+            Taken::Empty => Progress::Wait,
+            Taken::Retired => Progress::Over,
+        }
+    }
+
+    /// Takes a message into service.
+    #[inline]
+    fn open(&mut self, mut mail: Mail<C>, cx: &mut task::Context<'_>) -> Progress {
+        let brief = mail.brief();
+        if brief.max_age.is_some_and(|limit| platform::now() - brief.posted_at > limit) {
+            self.anchor.return_mail(mail, Why::Expired);
+            return Progress::More;
+        }
+        if brief.is_followed
+            && let Some(why) = self.follow(&*mail)
+        {
+            self.anchor.return_mail(mail, why);
+            return Progress::More;
+        }
+        self.begin_message(&brief, &mut *mail);
+        drop(mail);
+        self.advance(cx)
+    }
+
+    /// Notes who is to be told if this message brings death; says why it is not to be served.
+    fn follow(&mut self, mail: &dyn Letter<C>) -> Option<Why> {
+        if mail.is_void() {
+            return Some(Why::DeadlinePassed);
+        }
+        let id = mail.id();
+        if id.is_some()
+            && let Some(why) = self.anchor.record.refusal(id)
+        {
+            return Some(why);
+        }
+        self.anchor.record.follow(mail.revocable(), id);
+        self.followed = true;
+        None
+    }
+
+    /// Fills the contract's nest, or builds it.
+    #[inline]
+    fn begin_message(&mut self, brief: &Brief, mail: &mut dyn Letter<C>) {
+        let Some(home) = &self.home else { return };
+        if let Some(at) = self.nests.iter().position(|nested| nested.contract == brief.contract) {
+            let nested = &mut self.nests[at];
+            self.slot.stamp.begin(nested.label);
+            if nested.nest.as_mut().refill(mail.contents(), home) {
+                self.service = Service::Message(at);
+            } else {
+                self.slot.stamp.step();
+            }
+            return;
+        }
+        let label = label(brief.name);
+        self.slot.stamp.begin(label);
+        let Some(nest) = mail.nest(home) else { return self.slot.stamp.step() };
+        self.nests.truncate(NESTS - 1);
+        self.nests.push(Nested { contract: brief.contract, label, nest });
+        self.service = Service::Message(self.nests.len() - 1);
+    }
+
+    fn begin_hook(&mut self, hook: Hook) {
+        let Some(home) = &self.home else { return };
+        self.slot.stamp.begin(label(hook.name()));
+        self.service = Service::Hook(hook, Box::pin(run_hook(home.clone(), hook)));
+    }
+
+    /// What is in service, a little further.
+    #[inline]
+    fn advance(&mut self, cx: &mut task::Context<'_>) -> Progress {
+        match &mut self.service {
+            Service::Idle => return Progress::More,
+            Service::Message(at) => {
+                if self.nests[*at].nest.as_mut().poll(cx).is_pending() {
+                    return self.wait();
+                }
+                self.service = Service::Idle;
+                if self.followed {
+                    self.followed = false;
+                    self.anchor.record.unfollow();
+                }
+            }
+            Service::Hook(hook, future) => {
+                let Poll::Ready(result) = future.as_mut().poll(cx) else { return self.wait() };
+                let hook = *hook;
+                self.service = Service::Idle;
+                self.hook_done(hook, result);
+            }
+        }
+        self.slot.stamp.step();
+        Progress::More
+    }
+
+    /// What is in service awaits something, perhaps what it has just started.
+    fn wait(&mut self) -> Progress {
+        if self.life.has_wishes() {
+            self.grant();
+        }
+        Progress::Wait
+    }
+
+    fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
+        if hook == Hook::Execute && result.is_ok() {
+            self.slot.stamp.give_sign();
+        }
+        self.course.handle_done(hook, result);
+        self.tell_news();
+    }
+
+    /// Passes on what the course has to tell, and keeps the rest of the host in step with it.
+    fn tell_news(&mut self) {
+        for news in self.course.poll_news() {
+            match news {
+                News::State(state, reason) => self.enter(state, reason),
+                News::Child(event) => {
+                    self.chores.cancel_limit(Chore::ReadyLimit);
+                    self.start_failed = matches!(event, ChildEvent::StartFailed { .. });
+                    self.outbox.push(Notice::Child(event, self.life.incarnation));
+                }
+            }
+        }
+    }
+
+    fn enter(&mut self, state: Lifecycle, reason: Option<String>) {
+        self.anchor.record.set_state(state);
+        self.slot.stamp.expect_signs(state == Lifecycle::Active);
+        self.chores.set_active(state == Lifecycle::Active);
+        let incarnation = self.life.incarnation;
+        // States that were passed through within one poll are not told one by one.
+        if let Some(Notice::State(last)) = self.outbox.last_mut()
+            && last.incarnation == incarnation
+            && last.reason.is_none()
+            && reason.is_none()
+        {
+            last.state = state;
+            return;
+        }
+        let object = self.anchor.record.name.clone();
+        self.outbox.push(Notice::State(StateReported { object, incarnation, state, reason }));
+    }
+
+    /// Builds the component; user code, so it runs under the guard.
+    fn build(&mut self) {
+        self.slot.stamp.begin(label("its factory"));
+        let cx = Context::new(self.anchor.clone(), self.life.clone());
+        let component = (self.anchor.factory)();
+        self.home = Some(Rc::new(Home { seat: RefCell::new(Chair { component, cx }) }));
+        self.slot.stamp.step();
+        self.tell_news();
+    }
+
+    /// Fulfils what a handler or hook asked for.
+    fn grant(&mut self) {
+        let wishes = self.life.take_wishes();
+        if let Some(interval) = wishes.interval {
+            self.chores.set_interval(interval);
+            self.course.handle_rate_changed();
+        }
+        if let Some(failure) = wishes.failure {
+            self.course.handle_failure(failure);
+        }
+        if wishes.stop {
+            self.course.handle_stop(End::Returned);
+            self.chores.limit(Chore::StopLimit, self.anchor.record.limits.shutdown_within);
+        }
+        self.chores.take_on(wishes.tasks, wishes.timers, &wishes.cancelled);
+        self.tell_news();
+        if let Some(waker) = &self.waker {
+            waker.wake_by_ref(); // What was started has not been polled yet.
+        }
+    }
+
+    fn do_chore(&mut self, chore: Chore, cx: &mut task::Context<'_>) -> Progress {
+        match chore {
+            Chore::Execute => {
+                self.begin_hook(Hook::Execute);
+                self.advance(cx)
+            }
+            Chore::Timer(id) => {
+                if let (Some(home), Some(mut action)) = (&self.home, self.chores.lift(id)) {
+                    self.slot.stamp.begin(label("a timer"));
+                    {
+                        let mut chair = home.seat.borrow_mut();
+                        let (component, cx) = chair.both();
+                        action(component, cx);
+                    }
+                    self.slot.stamp.step();
+                    self.chores.put_back(id, action);
+                }
+                Progress::More
+            }
+            Chore::ReadyLimit | Chore::StopLimit => Progress::More,
+        }
+    }
+
+    fn handle_limits(&mut self) {
+        if self.chores.take_limit(Chore::ReadyLimit) && self.course.is_starting() {
+            self.drop_service();
+            let within = self.anchor.record.limits.ready_within;
+            self.course.handle_fatal(format!("it was not ready within {within:?}"));
+            self.tell_news();
+        }
+        if self.chores.take_limit(Chore::StopLimit) && self.course.is_ending() {
+            self.drop_service();
+            self.end(End::Stopped);
+        }
+    }
+
+    /// Gives up what is in service; its sender is told.
+    fn drop_service(&mut self) {
+        if matches!(self.service, Service::Idle) {
+            return;
+        }
+        self.anchor.record.blame(self.life.incarnation);
+        self.followed = false;
+        let service = std::mem::replace(&mut self.service, Service::Idle);
+        let nests = std::mem::take(&mut self.nests);
+        dispose((service, nests));
+        self.slot.stamp.step();
+    }
+
+    /// Nothing is before a message that comes now.
+    #[inline]
+    pub(crate) fn is_free(&self) -> bool {
+        matches!(self.service, Service::Idle)
+            && self.anchor.lane.is_empty()
+            && self.course.is_serving()
+            && !self.over
+            && self.home.is_some()
+            && self.waker.is_some()
+            && !self.life.token.has_ended()
+            && !self.life.token.is_muted()
+    }
+
+    /// An event straight to the handler, without the queue: only for a pump that is free. It runs on
+    /// the arbiter's hub, under this component's guard and stamp.
+    #[inline]
+    pub(crate) fn serve_at_once(&mut self, mail: &mut dyn Letter<C>) {
+        let Some(waker) = self.waker.take() else { return };
+        self.pulse.run(Some(self.slot.index));
+        let mut cx = task::Context::from_waker(&waker);
+        let served = catch_unwind(AssertUnwindSafe(|| {
+            self.begin_message(&mail.brief(), mail);
+            self.advance(&mut cx)
+        }));
+        if let Err(payload) = served {
+            self.died_in_service(payload);
+        }
+        self.pulse.run(None);
+        if self.over || self.life.has_wishes() || !self.outbox.is_empty() {
+            waker.wake_by_ref(); // The pump's own poll reports, and ends what is to end.
+        }
+        self.waker = Some(waker);
+    }
+
+    /// A condition that the component gave has panicked.
+    pub(crate) fn die_of(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
+        self.died(payload, during);
+        if let Some(waker) = &self.waker {
+            waker.wake_by_ref();
+        }
+    }
+
+    fn died_in_service(&mut self, payload: Box<dyn Any + Send>) {
+        let during = super::label::name(self.slot.stamp.read().during);
+        self.died(payload, during);
+    }
+
+    /// This life has ended by a panic. Begins the next one where a standing order says so.
+    #[cold]
+    fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
+        let exit = Exit::Panicked { text: panics::text_of(payload), at: panics::take_place(), during };
+        if self.slot.stamp.is_busy() {
+            self.slot.stamp.step();
+        }
+        let incarnation = self.life.incarnation;
+        self.life.token.end();
+        if let Service::Message(_) = self.service {
+            self.anchor.record.blame(incarnation);
+            self.anchor.record.bury(during, &Why::PeerDied { incarnation });
+        }
+        self.bury();
+        if self.anchor.lane.owner() != Some(incarnation) {
+            self.over = true; // It had been given up before; nobody waits for its report.
+            return;
+        }
+        let restarted_as = self.may_restart().then(|| incarnation.next());
+        match restarted_as {
+            Some(next) => {
+                self.anchor.lane.give_to(Some(next));
+                self.life = Rc::new(Life::new(next, self.slot.stamp));
+                self.course = Course::new(self.course.is_starting());
+                self.start_failed = false;
+                self.begin_life();
+            }
+            None => {
+                self.anchor.lane.leave(incarnation);
+                self.over = true;
+            }
+        }
+        self.report_exit(incarnation, exit, restarted_as);
+    }
+
+    /// Draws on the standing order, if there is one.
+    fn may_restart(&mut self) -> bool {
+        let Some(StandingOrder { times, period, .. }) = self.anchor.record.order() else {
+            return false;
+        };
+        if self.course.is_ending() {
+            return false;
+        }
+        let now = platform::now();
+        while self.deaths.front().is_some_and(|&death| now - death > period) {
+            self.deaths.pop_front();
+        }
+        let allowed = self.deaths.len() < usize::try_from(times).unwrap_or(usize::MAX);
+        if allowed {
+            self.deaths.push_back(now);
+        }
+        allowed
+    }
+
+    /// Tells how a life has ended: the monitor, the supervisor, and those who watch.
+    fn report_exit(
+        &mut self,
+        incarnation: Incarnation,
+        exit: Exit,
+        restarted_as: Option<Incarnation>,
+    ) {
+        let record = &self.anchor.record;
+        let object = record.name.clone();
+        let ending = Ending::from(&exit);
+        record.mourners.tell(&Down { object: object.clone(), incarnation, ending });
+        let event = match (&exit, self.course.is_starting() && restarted_as.is_none()) {
+            (Exit::Stopped, _) => ChildEvent::Stopped,
+            (Exit::Panicked { text, at, .. }, true) => {
+                ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") }
+            }
+            _ => ChildEvent::Died { exit: exit.clone(), restarted_as },
+        };
+        // A life of which the supervisor knows that it never began does not die in addition.
+        let known = self.start_failed && matches!(event, ChildEvent::Died { .. });
+        let exited = Notice::Exited(Exited { object, incarnation, exit, restarted_as });
+        // A replacement's own news come after the end of the life that it replaces.
+        let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
+        let place = place.unwrap_or(self.outbox.len());
+        let child = (!known).then_some(Notice::Child(event, incarnation));
+        self.outbox.splice(place..place, [exited].into_iter().chain(child));
+    }
+
+    /// The life ends without a panic, its hooks done.
+    fn end(&mut self, end: End) {
+        let incarnation = self.life.incarnation;
+        self.over = true;
+        self.life.token.end();
+        self.bury();
+        let exit = match end {
+            End::Stopped => {
+                self.anchor.end();
+                Exit::Stopped
+            }
+            End::Returned | End::Fatal => {
+                self.anchor.lane.leave(incarnation);
+                Exit::Returned
+            }
+        };
+        self.anchor.record.set_state(Lifecycle::Finalized);
+        self.report_exit(incarnation, exit, None);
+    }
+
+    /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
+    fn bury(&mut self) {
+        let service = std::mem::replace(&mut self.service, Service::Idle);
+        let nests = std::mem::take(&mut self.nests);
+        self.followed = false;
+        dispose((service, nests));
+        dispose(self.chores.clear());
+        dispose(self.life.take_wishes());
+        dispose(self.home.take());
+    }
+
+    /// Somebody gave this life up and begins, or has begun, the next.
+    fn is_abandoned(&self) -> bool {
+        self.life.token.has_ended() && !self.over
+    }
+
+    /// Ends without a word, after having been given up.
+    fn leave(&mut self) {
+        self.over = true;
+        let _guarded = Guarded::enter();
+        self.bury();
+        self.outbox.clear();
+        if self.pulse.is_lost() {
+            self.seat.return_late();
+        } else {
+            self.pulse.lift();
+        }
+    }
+
+    fn flush(&mut self) {
+        if self.outbox.is_empty() {
+            return;
+        }
+        let record = &self.anchor.record;
+        let reports = &record.environment.reports;
+        for notice in self.outbox.drain(..) {
+            match notice {
+                Notice::Exited(exited) => tell(reports.exits.as_ref(), exited),
+                Notice::State(state) => tell(reports.states.as_ref(), state),
+                Notice::Child(event, incarnation) => {
+                    let object = record.name.clone();
+                    self.supervisor.do_send(ChildReport { object, incarnation, event });
+                }
+            }
+        }
+    }
+}
+
+impl Notice {
+    fn is_of_after(&self, incarnation: Incarnation) -> bool {
+        match self {
+            Notice::Exited(exited) => exited.incarnation > incarnation,
+            Notice::State(state) => state.incarnation > incarnation,
+            Notice::Child(_, of) => *of > incarnation,
+        }
+    }
+}
+
+fn tell<M>(recipient: Option<&Recipient<M>>, message: M)
+where
+    M: actix::Message + Send + 'static,
+    M::Result: Send,
+{
+    if let Some(recipient) = recipient {
+        recipient.do_send(message);
+    }
+}
+
+/// Drops a thing whose `Drop` is the user's.
+fn dispose<T>(thing: T) {
+    if let Err(payload) = catch_unwind(AssertUnwindSafe(move || drop(thing))) {
+        panics::text_of(payload); // What was thrown is the user's too.
+    }
+}
+
+// Holding the borrow across the await is the point: messages wait, and control does not borrow.
+#[allow(clippy::await_holding_refcell_ref)]
+async fn run_hook<C: Component>(home: Rc<Home<C>>, hook: Hook) -> Result<(), Failure> {
+    let mut chair = home.seat.borrow_mut();
+    let (component, cx) = chair.both();
+    match hook {
+        Hook::Initialize => component.on_initialize(cx).await,
+        Hook::Startup => component.on_startup(cx).await,
+        Hook::Activated => component.on_activated(cx).await,
+        Hook::Execute => component.on_execute(cx).await,
+        Hook::RateChanged => component.on_rate_changed(cx).await,
+        Hook::Deactivated => component.on_deactivated(cx).await,
+        Hook::Aborting => component.on_aborting(cx).await,
+        Hook::Error => component.on_error(cx).await,
+        Hook::Reset => component.on_reset(cx).await,
+        Hook::Shutdown => component.on_shutdown(cx).await,
+        Hook::Finalize => component.on_finalize(cx).await,
+    }
+}
+
+thread_local! {
+    /// The pumps of this arbiter, by the anchor that they serve, for its hubs.
+    static PUMPS: RefCell<BTreeMap<usize, Weak<dyn Any>>> = const { RefCell::new(BTreeMap::new()) };
+}
+
+/// The pump of a component that lives on this arbiter.
+pub(crate) fn local<C: Component>(anchor: &Arc<Anchor<C>>) -> Option<Weak<RefCell<Pump<C>>>> {
+    let key = Arc::as_ptr(anchor).addr();
+    let pump = PUMPS.with_borrow(|pumps| pumps.get(&key)?.upgrade())?;
+    let pump: Rc<RefCell<Pump<C>>> = pump.downcast().ok()?;
+    Some(Rc::downgrade(&pump))
+}
+
+/// The pump as a future, and as something that the arbiter's hubs can reach.
+pub(crate) struct SharedPump<C: Component>(pub(crate) Rc<RefCell<Pump<C>>>);
+
+impl<C: Component> SharedPump<C> {
+    pub(crate) fn new(pump: Pump<C>) -> Self {
+        let key = Arc::as_ptr(&pump.anchor).addr();
+        let pump = Rc::new(RefCell::new(pump));
+        let erased: Rc<dyn Any> = pump.clone();
+        PUMPS.with_borrow_mut(|pumps| pumps.insert(key, Rc::downgrade(&erased)));
+        SharedPump(pump)
+    }
+}
+
+impl<C: Component> Future for SharedPump<C> {
+    type Output = ();
+
+    fn poll(self: Pin<&mut Self>, cx: &mut task::Context<'_>) -> Poll<()> {
+        self.0.borrow_mut().run(cx)
+    }
+}
+
+impl<C: Component> Drop for SharedPump<C> {
+    fn drop(&mut self) {
+        let mut pump = self.0.borrow_mut();
+        let key = Arc::as_ptr(&pump.anchor).addr();
+        let _ = PUMPS.try_with(|pumps| {
+            let mut pumps = pumps.borrow_mut();
+            let mine = Rc::as_ptr(&self.0).addr();
+            let mine = pumps.get(&key).is_some_and(|known| {
+                known.upgrade().is_none_or(|known| Rc::as_ptr(&known).cast::<()>().addr() == mine)
+            });
+            if mine {
+                pumps.remove(&key);
+            }
+        });
+        pump.anchor.record.environment.watch_list.leave(pump.slot.index);
+        pump.drop_before_the_end();
+    }
+}
+
+impl<C: Component> Pump<C> {
+    /// The future is dropped: after its end, or because its arbiter goes away.
+    fn drop_before_the_end(&mut self) {
+        if self.over {
+            return;
+        }
+        if self.is_abandoned() {
+            return self.leave();
+        }
+        let incarnation = self.life.incarnation;
+        self.over = true;
+        self.life.token.end();
+        self.anchor.record.blame(incarnation);
+        self.bury();
+        self.anchor.lane.leave(incarnation);
+        self.report_exit(incarnation, Exit::Aborted, None);
+        self.flush();
+    }
+}

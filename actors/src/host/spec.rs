@@ -1,0 +1,225 @@
+//! How a component is to be run.
+
+use super::anchor::{Anchor, Record};
+use super::child::HostedChild;
+use super::environment::HostEnvironment;
+use crate::component::Component;
+use crate::lane::WhenFull;
+use crate::ports::Ports;
+use crate::reference::ActorRef;
+use crate::registry::NameTaken;
+use blastema_contract::child::Child;
+use blastema_core::detection::Watch;
+use blastema_core::{NameError, ObjectName, Why};
+use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Why a component cannot be added to a node.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SpecError {
+    /// Its name does not parse.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// Another object has its name.
+    #[error(transparent)]
+    Taken(#[from] NameTaken),
+    /// It listens to a topic that carries another contract of the same name.
+    #[error("{name} cannot listen to a topic: {why}")]
+    Topic {
+        /// The component.
+        name: ObjectName,
+        /// What differs.
+        why: Why,
+    },
+    /// A setting makes no sense.
+    #[error("{setting} of {name} is {value}: {cure}")]
+    Setting {
+        /// The component.
+        name: String,
+        /// The setting.
+        setting: &'static str,
+        /// Its value.
+        value: String,
+        /// What to write instead.
+        cure: &'static str,
+    },
+}
+
+/// The limits of one component's life.
+#[derive(Clone, Debug)]
+pub(crate) struct Limits {
+    pub(crate) interval: Option<Duration>,
+    pub(crate) watch: Watch,
+    pub(crate) max_block: Duration,
+    pub(crate) max_wait: Duration,
+    pub(crate) ready_within: Duration,
+    pub(crate) shutdown_within: Duration,
+    pub(crate) own_thread: bool,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Limits {
+            interval: None,
+            watch: Watch::Guard,
+            // Fifty beats: far beyond what a loaded machine adds, and short for a robot's standstill.
+            max_block: Duration::from_millis(500),
+            // Ten times the default deadline of a request that the handler may be waiting for.
+            max_wait: Duration::from_secs(10),
+            // A device that has to warm up, a map that has to be loaded.
+            ready_within: Duration::from_secs(10),
+            // Outputs are brought to rest within a second or two.
+            shutdown_within: Duration::from_secs(5),
+            own_thread: false,
+        }
+    }
+}
+
+/// What a component is called, how it is built, and how it is run and watched.
+#[must_use = "a child spec does nothing until it is given to a node or a supervisor"]
+pub struct ChildSpec<C: Component> {
+    name: String,
+    factory: Box<dyn Fn() -> C + Send + Sync>,
+    queue: (usize, WhenFull),
+    rate_hz: Option<f64>,
+    limits: Limits,
+    depends_on: Vec<String>,
+}
+
+impl<C: Component> fmt::Debug for ChildSpec<C> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ChildSpec").field("name", &self.name).finish_non_exhaustive()
+    }
+}
+
+impl<C: Component> ChildSpec<C> {
+    /// A component that `factory` builds anew for every life.
+    ///
+    /// Its queue holds 64 messages and refuses more; it shares an arbiter; its guard and the watch
+    /// thread look after it.
+    pub fn new(name: &str, factory: impl Fn() -> C + Send + Sync + 'static) -> Self {
+        ChildSpec {
+            name: name.to_owned(),
+            factory: Box::new(factory),
+            queue: (64, WhenFull::Refuse),
+            rate_hz: None,
+            limits: Limits::default(),
+            depends_on: Vec::new(),
+        }
+    }
+
+    /// Calls `on_execute` so many times a second while the component is active.
+    pub fn rate_hz(mut self, rate_hz: f64) -> Self {
+        self.rate_hz = Some(rate_hz);
+        self
+    }
+
+    /// How many messages may wait, and what happens to one more. A longer queue bridges longer
+    /// pauses and delivers older messages.
+    pub fn queue(mut self, capacity: usize, when_full: WhenFull) -> Self {
+        self.queue = (capacity, when_full);
+        self
+    }
+
+    /// How its signs of life come.
+    pub fn watch(mut self, watch: Watch) -> Self {
+        self.limits.watch = watch;
+        self
+    }
+
+    /// Gives it a thread of its own, for one that computes long or calls code that blocks.
+    pub fn on_own_thread(mut self) -> Self {
+        self.limits.own_thread = true;
+        self
+    }
+
+    /// How long a handler may keep its arbiter before it counts as hanging. Longer tolerates slow
+    /// handlers, and leaves neighbours standing longer behind one that really hangs.
+    pub fn max_block(mut self, span: Duration) -> Self {
+        self.limits.max_block = span;
+        self
+    }
+
+    /// How long a handler may await something before it counts as hanging.
+    pub fn max_wait(mut self, span: Duration) -> Self {
+        self.limits.max_wait = span;
+        self
+    }
+
+    /// How long a life may take to become active.
+    pub fn ready_within(mut self, span: Duration) -> Self {
+        self.limits.ready_within = span;
+        self
+    }
+
+    /// How long a life may take to end in order; after that it is ended out of order.
+    pub fn shutdown_within(mut self, span: Duration) -> Self {
+        self.limits.shutdown_within = span;
+        self
+    }
+
+    /// The objects, here or elsewhere, without which it cannot work: what it suffers while one of
+    /// them is down is taken for a symptom.
+    pub fn depends_on<'a>(mut self, names: impl IntoIterator<Item = &'a str>) -> Self {
+        self.depends_on.extend(names.into_iter().map(str::to_owned));
+        self
+    }
+
+    /// Its name, as it was written.
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// How its signs of life come.
+    pub(crate) fn watched_by(&self) -> Watch {
+        self.limits.watch
+    }
+
+    /// What it depends on, as it was written.
+    pub(crate) fn dependencies(&self) -> &[String] {
+        &self.depends_on
+    }
+
+    /// Gives the component its name and its ports. It lives when its supervisor starts it.
+    pub(crate) fn into_child(
+        self,
+        environment: &HostEnvironment,
+    ) -> Result<(Box<dyn Child>, ActorRef<C>), SpecError> {
+        let mut limits = self.limits.clone();
+        limits.interval = self.interval()?;
+        if self.queue.0 == 0 {
+            return Err(self.setting("the queue", "0", "a queue holds at least one message"));
+        }
+        let name = ObjectName::new(&self.name)?;
+        let ports = Ports::<C>::of();
+        let record = Record::new(name.clone(), limits, environment.clone());
+        let anchor = Arc::new(Anchor::new(record, self.queue, self.factory));
+        environment.registry.claim(&name, ports.doors(&anchor), anchor.clone())?;
+        // From here on the child gives the name back when it is dropped.
+        let child = HostedChild::new(anchor.clone());
+        let subscriptions = ports
+            .subscriptions(&environment.topics)
+            .map_err(|why| SpecError::Topic { name, why })?;
+        anchor.set_subscriptions(subscriptions);
+        Ok((Box::new(child), ActorRef(anchor)))
+    }
+
+    fn interval(&self) -> Result<Option<Duration>, SpecError> {
+        let Some(rate_hz) = self.rate_hz else { return Ok(None) };
+        // Faster than an arbiter can serve anything else beside it.
+        if !(rate_hz > 0.0 && rate_hz <= 100_000.0) {
+            let value = rate_hz.to_string();
+            return Err(self.setting("rate_hz", &value, "write a rate above 0 and up to 100000"));
+        }
+        let interval = Duration::try_from_secs_f64(1.0 / rate_hz);
+        interval.map(Some).map_err(|_| {
+            self.setting("rate_hz", &rate_hz.to_string(), "an interval that long cannot be kept")
+        })
+    }
+
+    fn setting(&self, setting: &'static str, value: &str, cure: &'static str) -> SpecError {
+        SpecError::Setting { name: self.name.clone(), setting, value: value.to_owned(), cure }
+    }
+}

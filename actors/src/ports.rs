@@ -1,0 +1,99 @@
+//! What a component takes, declared once for all its lives.
+
+use crate::component::{Component, Handle};
+use crate::host::anchor::Anchor;
+use crate::registry::Port;
+use crate::topic::{Condition, Listening, Subscription, Topics};
+use blastema_core::{Event, Request, Why};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+type OpenPort<C> = fn(&Arc<Anchor<C>>) -> Port;
+type Bind<C> = Box<dyn FnOnce(&Topics) -> Result<Arc<dyn Subscription<C>>, Why>>;
+
+/// The ports of one component: filled in `Component::ports`.
+pub struct Ports<C: Component> {
+    open: Vec<OpenPort<C>>,
+    listen: Vec<Bind<C>>,
+}
+
+impl<C: Component> Ports<C> {
+    /// What the component declares.
+    pub(crate) fn of() -> Self {
+        let mut ports = Ports { open: Vec::new(), listen: Vec::new() };
+        C::ports(&mut ports);
+        ports
+    }
+
+    /// Answers this request to anyone who knows the component's name, here and on other nodes.
+    pub fn serve<M: Request>(&mut self) -> &mut Self
+    where
+        C: Handle<M>,
+    {
+        self.open.push(Port::open::<C, M>);
+        self
+    }
+
+    /// Takes this event, or command, from anyone who knows the component's name.
+    pub fn accept<M: Event>(&mut self) -> &mut Self
+    where
+        C: Handle<M>,
+    {
+        self.open.push(Port::open::<C, M>);
+        self
+    }
+
+    /// Listens to the topic that has this event's contract name. The port that is returned takes a
+    /// condition and another topic.
+    pub fn listen<E: Event>(&mut self) -> ListenPort<'_, C, E>
+    where
+        C: Handle<E>,
+    {
+        ListenPort { ports: self, topic: E::NAME.to_owned(), only_if: None }
+    }
+
+    /// The doors by which others find the component, by contract.
+    pub(crate) fn doors(&self, anchor: &Arc<Anchor<C>>) -> BTreeMap<&'static str, Port> {
+        self.open.iter().map(|open| open(anchor)).map(|port| (port.identity.name, port)).collect()
+    }
+
+    /// The subscriptions, bound to their topics.
+    pub(crate) fn subscriptions(
+        self,
+        topics: &Topics,
+    ) -> Result<Arc<[Arc<dyn Subscription<C>>]>, Why> {
+        self.listen.into_iter().map(|bind| bind(topics)).collect()
+    }
+}
+
+/// One subscription that is being declared.
+pub struct ListenPort<'a, C: Handle<E>, E: Event> {
+    ports: &'a mut Ports<C>,
+    topic: String,
+    only_if: Option<Condition<E>>,
+}
+
+impl<C: Handle<E>, E: Event> ListenPort<'_, C, E> {
+    /// Only events for which the condition holds are delivered, or even queued. The condition is
+    /// called on the component's arbiter for every event; if it panics, the component has panicked.
+    pub fn only_if(mut self, condition: impl Fn(&E) -> bool + Send + Sync + 'static) -> Self {
+        self.only_if = Some(Arc::new(condition));
+        self
+    }
+
+    /// Listens to a topic with a name of its own.
+    pub fn on(mut self, topic: &str) -> Self {
+        topic.clone_into(&mut self.topic);
+        self
+    }
+}
+
+impl<C: Handle<E>, E: Event> Drop for ListenPort<'_, C, E> {
+    fn drop(&mut self) {
+        let (topic, only_if) = (std::mem::take(&mut self.topic), self.only_if.take());
+        self.ports.listen.push(Box::new(move |topics| {
+            let topic = topics.topic::<E>(&topic)?;
+            Ok(Arc::new(Listening::new(topic, only_if)))
+        }));
+    }
+}

@@ -1,0 +1,316 @@
+//! Who is called what on this node, and what they take.
+//!
+//! Local parties bind by type; the network binds through a [`Doorway`], which knows the contract but
+//! not the type behind it. Both compare the contract's identity first.
+
+use crate::component::Handle;
+use crate::death_watch::{Down, Ending, Mortal, Mourner};
+use crate::host::anchor::Anchor;
+use crate::reply::{Answer, Reply};
+use crate::sender::{Inlet, RequestError, SendError, Sender};
+use blastema_core::{
+    Contract, ContractIdentity, Incarnation, MessageId, NodeName, ObjectAddress, ObjectName, Why,
+    codec,
+};
+use bytes::Bytes;
+use std::any::Any;
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::marker::PhantomData;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Gets the encoded reply, or the reason why there is none. Called once, on any thread.
+pub(crate) type ReplyTo = Box<dyn FnOnce(Result<Bytes, Why>) + Send>;
+
+/// The way into an object for messages that come from outside the process.
+pub(crate) trait Doorway: Send + Sync {
+    /// Decodes the message and hands it over. Where `reply_to` is given it is called in every case;
+    /// the error then repeats what it was told.
+    fn deliver(
+        &self,
+        message: &[u8],
+        id: Option<MessageId>,
+        reply_to: Option<ReplyTo>,
+    ) -> Result<(), Why>;
+}
+
+/// The ways to objects of other nodes, provided by the network.
+pub(crate) trait RemoteDoors: Send + Sync {
+    /// A way to this object for this contract. What stands in its way is found when it is used.
+    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteDoor>;
+}
+
+/// The way to one object of another node, for one contract.
+pub(crate) trait RemoteDoor: Send + Sync {
+    /// Ships one encoded message. Where `reply_to` is given and the message was taken, it is called
+    /// once. Never waits.
+    ///
+    /// # Errors
+    /// Why the message was not taken.
+    fn send(
+        &self,
+        message: Bytes,
+        id: Option<MessageId>,
+        reply_to: Option<ReplyTo>,
+    ) -> Result<(), Why>;
+
+    /// Completes when there may be room for a message that was refused as [`Why::Full`].
+    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>>;
+}
+
+/// One contract that one object takes.
+pub(crate) struct Port {
+    pub(crate) identity: ContractIdentity,
+    /// A `Sender<M>`.
+    sender: Box<dyn Any + Send + Sync>,
+    doorway: Arc<dyn Doorway>,
+}
+
+impl Port {
+    pub(crate) fn open<C: Handle<M>, M: Contract>(anchor: &Arc<Anchor<C>>) -> Self {
+        Port {
+            identity: ContractIdentity::of::<M>(),
+            sender: Box::new(Sender::<M>(anchor.clone())),
+            doorway: Arc::new(LocalDoor::<C, M> { anchor: anchor.clone(), takes: PhantomData }),
+        }
+    }
+}
+
+struct LocalDoor<C: Handle<M>, M: Contract> {
+    anchor: Arc<Anchor<C>>,
+    takes: PhantomData<fn(M)>,
+}
+
+impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
+    fn hand_over(
+        &self,
+        message: M,
+        id: Option<MessageId>,
+        reply_to: Option<ReplyTo>,
+    ) -> Result<(), Why> {
+        match reply_to {
+            None => Inlet::tell(&*self.anchor, message).map_err(|error| error.why),
+            Some(reply_to) => {
+                let answer = Answer::called_back(Box::new(move |result| {
+                    reply_to(result.and_then(|reply| encoded_reply::<M>(&reply)));
+                }));
+                self.anchor.post(message, answer, id).map_err(|error| error.why)
+            }
+        }
+    }
+}
+
+fn encoded_reply<M: Contract>(reply: &M::Reply) -> Result<Bytes, Why> {
+    let mut bytes = Vec::new();
+    codec::encode_reply::<M>(reply, &mut bytes).map_err(|error| encoding(error, M::MAX_SIZE))?;
+    Ok(bytes.into())
+}
+
+fn encoding(error: codec::EncodeError, limit: usize) -> Why {
+    match error {
+        codec::EncodeError::TooLarge { .. } => Why::TooLarge { limit },
+        other => Why::Undecodable { reason: other.to_string() },
+    }
+}
+
+impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
+    fn deliver(
+        &self,
+        message: &[u8],
+        id: Option<MessageId>,
+        reply_to: Option<ReplyTo>,
+    ) -> Result<(), Why> {
+        match codec::decode::<M>(message) {
+            Ok(message) => self.hand_over(message, id, reply_to),
+            Err(error) => {
+                let why = Why::Undecodable { reason: error.to_string() };
+                self.anchor.record.bury(M::NAME, &why);
+                if let Some(reply_to) = reply_to {
+                    reply_to(Err(why.clone()));
+                }
+                Err(why)
+            }
+        }
+    }
+}
+
+/// Messages of one contract to an object of another node.
+struct Outlet<M: Contract> {
+    door: Arc<dyn RemoteDoor>,
+    sends: PhantomData<fn(M)>,
+}
+
+impl<M: Contract> Outlet<M> {
+    fn send(
+        &self,
+        message: &M,
+        id: Option<MessageId>,
+        reply_to: Option<ReplyTo>,
+    ) -> Result<(), Why> {
+        if let Some(why) = crate::host::pulse::forbidden() {
+            return Err(why);
+        }
+        let mut bytes = Vec::new();
+        codec::encode(message, &mut bytes).map_err(|error| encoding(error, M::MAX_SIZE))?;
+        self.door.send(bytes.into(), id, reply_to)
+    }
+}
+
+impl<M: Contract> Inlet<M> for Outlet<M> {
+    fn tell(&self, message: M) -> Result<(), SendError<M>> {
+        self.offer(message)
+    }
+
+    fn offer(&self, message: M) -> Result<(), SendError<M>> {
+        self.send(&message, None, None).map_err(|why| SendError { why, message })
+    }
+
+    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+        self.door.room()
+    }
+
+    fn ask(&self, message: M, id: Option<MessageId>) -> Result<Reply<M>, RequestError<M>> {
+        let (answer, reply) = Answer::awaited();
+        let id = id.unwrap_or_else(crate::sender::next_id);
+        let reply_to = move |result: Result<Bytes, Why>| {
+            let decoded = result.and_then(|bytes| {
+                codec::decode_reply::<M>(&bytes)
+                    .map_err(|error| Why::Undecodable { reason: error.to_string() })
+            });
+            match decoded {
+                Ok(reply) => answer.give(reply),
+                Err(why) => answer.refuse(why, None),
+            }
+        };
+        match self.send(&message, Some(id), Some(Box::new(reply_to))) {
+            Ok(()) => Ok(reply),
+            Err(why) => Err(RequestError { why, message: Some(message) }),
+        }
+    }
+}
+
+/// A name that is taken already.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the name {name} is taken by another object of this node; names are given once")]
+pub struct NameTaken {
+    /// The name.
+    pub name: ObjectName,
+}
+
+struct Entry {
+    ports: BTreeMap<&'static str, Port>,
+    mortal: Arc<dyn Mortal>,
+}
+
+#[derive(Default)]
+struct Inner {
+    /// As many as the node has objects.
+    objects: BTreeMap<ObjectName, Entry>,
+    node: Option<NodeName>,
+    remote: Option<Arc<dyn RemoteDoors>>,
+}
+
+/// The names of one node. Clones share them.
+#[derive(Clone, Default)]
+pub(crate) struct Registry(Arc<Mutex<Inner>>);
+
+impl Registry {
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Names of this node may be written with `node` in front; those of others lead to `remote`.
+    pub(crate) fn connect(&self, node: NodeName, remote: Option<Arc<dyn RemoteDoors>>) {
+        let mut inner = self.lock();
+        inner.node = Some(node);
+        inner.remote = remote;
+    }
+
+    /// Gives a name to an object.
+    pub(crate) fn claim(
+        &self,
+        name: &ObjectName,
+        ports: BTreeMap<&'static str, Port>,
+        mortal: Arc<dyn Mortal>,
+    ) -> Result<(), NameTaken> {
+        let mut inner = self.lock();
+        if inner.objects.contains_key(name) {
+            return Err(NameTaken { name: name.clone() });
+        }
+        inner.objects.insert(name.clone(), Entry { ports, mortal });
+        Ok(())
+    }
+
+    /// Takes the name away.
+    pub(crate) fn release(&self, name: &ObjectName) {
+        let released = self.lock().objects.remove(name);
+        drop(released);
+    }
+
+    /// Where messages of contract `M` can be sent to the object of this name.
+    pub(crate) fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
+        let unknown = || Why::Unknown { name: name.to_owned() };
+        let inner = self.lock();
+        let object = match name.split_once(':') {
+            None => ObjectName::new(name).map_err(|_| unknown())?,
+            Some(_) => {
+                let address: ObjectAddress = name.parse().map_err(|_| unknown())?;
+                if inner.node.as_ref() != Some(&address.node) {
+                    let remote = inner.remote.clone().ok_or_else(unknown)?;
+                    drop(inner);
+                    let door = remote.door(address, ContractIdentity::of::<M>());
+                    return Ok(Sender(Arc::new(Outlet::<M> { door, sends: PhantomData })));
+                }
+                address.object
+            }
+        };
+        let port = inner.objects.get(&object).and_then(|entry| entry.ports.get(M::NAME));
+        let port = port.ok_or_else(unknown)?;
+        match port.sender.downcast_ref::<Sender<M>>() {
+            Some(sender) => Ok(sender.clone()),
+            None => Err(differs(&port.identity, &ContractIdentity::of::<M>())),
+        }
+    }
+
+    /// The way from outside into the object, for the contract of this name.
+    pub(crate) fn doorway(
+        &self,
+        object: &ObjectName,
+        contract: &str,
+    ) -> Result<(ContractIdentity, Arc<dyn Doorway>), Why> {
+        let inner = self.lock();
+        let port = inner.objects.get(object).and_then(|entry| entry.ports.get(contract));
+        let port = port.ok_or_else(|| Why::Unknown { name: object.to_string() })?;
+        Ok((port.identity.clone(), port.doorway.clone()))
+    }
+
+    /// All objects of this node, and the contracts that they take.
+    pub(crate) fn objects(&self) -> Vec<(ObjectName, Vec<ContractIdentity>)> {
+        let inner = self.lock();
+        let identities = |entry: &Entry| entry.ports.values().map(|p| p.identity.clone()).collect();
+        inner.objects.iter().map(|(name, entry)| (name.clone(), identities(entry))).collect()
+    }
+
+    /// Tells `mourner` whenever a life of this object ends, and at once if it does not live.
+    pub(crate) fn watch(&self, object: ObjectName, mourner: Mourner) {
+        let mortal = self.lock().objects.get(&object).map(|entry| entry.mortal.clone());
+        match mortal {
+            Some(mortal) => mortal.watch(mourner),
+            None => (mourner.tell)(Down {
+                object,
+                incarnation: Incarnation(0),
+                ending: Ending::Unknown,
+            }),
+        }
+    }
+}
+
+/// Two contracts of one name that are not the same Rust type.
+pub(crate) fn differs(known: &ContractIdentity, wanted: &ContractIdentity) -> Why {
+    let difference = match known.check(&wanted.full()) {
+        Err(difference) => difference.to_string(),
+        Ok(()) => "same name and structure, but two types: share one of them".to_owned(),
+    };
+    Why::ContractDiffers { difference }
+}
