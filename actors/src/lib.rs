@@ -9,6 +9,7 @@ mod guardian;
 mod host;
 mod lane;
 mod letter;
+mod net;
 mod panics;
 pub mod platform;
 mod ports;

@@ -249,6 +249,11 @@ impl Exchange {
         self.peers.entry(peer).or_default().reachable = reachable;
     }
 
+    /// Whether a path to this node is known.
+    pub fn is_reachable(&self, peer: NodeId) -> bool {
+        self.peers.get(&peer).is_some_and(|peer| peer.reachable)
+    }
+
     /// A session with this peer has begun.
     pub fn handle_opened(&mut self, peer: NodeId) {
         self.epochs += 1;

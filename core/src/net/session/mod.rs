@@ -464,6 +464,27 @@ impl Session {
         }
     }
 
+    /// This end has lost its memory of the session: both ends begin a new one.
+    pub fn handle_begin_anew(&mut self, now: Instant) {
+        self.now = now;
+        if matches!(self.state, State::Open { .. }) {
+            // The peer's own tag is what it knows this session by.
+            self.transmit(Class::Control, Segment::Reset { tag: self.tag });
+            self.end(self.unreachable());
+        }
+    }
+
+    /// Takes out what was not acknowledged, when this machine is about to be replaced.
+    pub fn surrender(&mut self) -> Vec<(Stream, Bytes)> {
+        STREAMS
+            .into_iter()
+            .flat_map(|stream| {
+                let messages = self.streams[stream as usize].outbound.take_all();
+                messages.map(move |message| (stream, message))
+            })
+            .collect()
+    }
+
     /// A segment from the peer's node arrived.
     pub fn handle_segment(&mut self, segment: Bytes, now: Instant) {
         self.now = now;
