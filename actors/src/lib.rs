@@ -10,6 +10,7 @@ mod host;
 mod lane;
 mod letter;
 mod node;
+mod net;
 mod panics;
 pub mod platform;
 mod ports;
