@@ -351,6 +351,8 @@ impl Detector {
         if before == state {
             return;
         }
+        if !before.may_be_seen_as(state) {
+            let detail = format!("it went from {before} to {state}, and no such way exists");
         // A guard tells where a turn ended, not what was passed on the way.
         if !before.may_reach(state) {
             let detail = format!("it went from {before} to {state}, and no way leads there");
