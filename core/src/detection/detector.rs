@@ -241,7 +241,7 @@ impl Detector {
             self.behind.remove(object);
         }
         match finding {
-            Finding::Enrolled { depends_on } => self.needs.declare(object.clone(), depends_on),
+            Finding::Enrolled { depends_on } => self.needs.declare(object, depends_on),
             Finding::Exited { exit, restarted_as } => {
                 self.judge_exit(object, &scene, exit, restarted_as);
             }
@@ -505,6 +505,7 @@ impl Detector {
             Place::Object(address) => self.behind.get(&address.object) == Some(&id),
             _ => false,
         };
+        let users = self.needs.users_of(&place);
         let explained: Vec<FaultId> = self
             .chronicle
             .all_standing()
@@ -514,7 +515,7 @@ impl Detector {
                     && fault.id != id
                     && fault.found_at - Instant::ORIGIN >= since
                     && self.explicable.contains(&fault.id)
-                    && (is_behind(fault) || self.needs.needs_of(&fault.place).contains(&place))
+                    && (is_behind(fault) || users.contain(&fault.place))
             })
             .map(|fault| fault.id)
             .collect();
