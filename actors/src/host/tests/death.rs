@@ -275,6 +275,7 @@ fn who_watches_is_told_how_each_life_ends_until_its_own_does() {
 
         widow.tell(boom("grief")).unwrap();
         settle().await;
+        stage.reports.drain();
         assert_eq!(stage.begin(&mut *child, 3).await, ChildEvent::Started);
         child.stop();
         settle().await;
