@@ -3,28 +3,41 @@
 //! A transport is an actor that owns a medium and speaks [`blastema_contract::transport`], nothing
 //! else. Adding a medium is adding one file here. What all of them share:
 //!
-//! * `pump.rs`: reading and writing are polled on the actor's own arbiter, after its mailbox and with
-//!   a budget, so that a flooded medium still takes orders.
+//! * `medium.rs`: an actor's body around a medium. Reading and writing are polled on the actor's own
+//!   arbiter, after its mailbox and with a budget, so that a flooded medium still takes orders. After
+//!   a panic the next life opens at the same address and knows who is attached.
 //! * `outlet.rs`: frames go to whoever is attached, never more than a few hundred unconfirmed; a
 //!   receiver that hangs makes the medium's own buffers overflow, not the process.
-//! * `legacy.rs`: what one life leaves to the next. The factories ([`Udp::factory`] and the like)
-//!   build a transport anew after a panic; it takes its port again and knows who is attached.
 //! * `reopening.rs`: a medium that cannot be opened is tried again, with back-off.
+//! * `binding.rs`, `part.rs`: what the media with sockets share.
 //!
 //! Deliberately not here: who is a neighbour and whether it lives (the link), what a frame says
 //! (router, session), order and repetition (session).
 
-mod legacy;
+#[cfg(any(feature = "udp", feature = "tcp"))]
+mod binding;
+#[cfg(feature = "fault")]
+pub mod fault;
+#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
+mod medium;
 #[cfg(feature = "memory")]
 pub mod memory;
+#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
 mod outlet;
-mod pump;
+#[cfg(any(feature = "udp", feature = "tcp"))]
+mod part;
 #[cfg(any(feature = "memory", feature = "udp", feature = "tcp"))]
 mod reopening;
+#[cfg(feature = "tcp")]
+pub mod tcp;
 #[cfg(feature = "udp")]
 pub mod udp;
 
+#[cfg(feature = "fault")]
+pub use fault::{Faulty, FaultyConfig};
 #[cfg(feature = "memory")]
 pub use memory::{Memory, MemoryConfig, MemoryMedium};
+#[cfg(feature = "tcp")]
+pub use tcp::{Tcp, TcpConfig};
 #[cfg(feature = "udp")]
 pub use udp::{Udp, UdpConfig};

@@ -1,13 +1,10 @@
 //! Frames between actors of one process: for tests, and for nodes that share a process.
 
-use crate::legacy::{Count, Legacy};
+use crate::medium::{BUDGET, Medium, transport};
 use crate::outlet::Outlet;
-use crate::pump::{BUDGET, Pumped};
 use crate::reopening::Reopening;
-use actix::{Actor, ActorContext, Context, Handler, MessageResult};
-use blastema_contract::transport::{
-    Attach, Close, MediumAddress, ReadCounters, Transmit, TransportReport,
-};
+use actix::Context;
+use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -58,64 +55,41 @@ impl MemoryConfig {
 /// An end of a [`MemoryMedium`] as a transport. It opens no sockets and reads no clock, and so works
 /// under a paused one.
 ///
-/// It lives until it is sent [`Close`].
+/// It lives until it is sent [`Close`](blastema_contract::transport::Close).
 pub struct Memory {
     config: MemoryConfig,
-    legacy: Legacy,
     outlet: Outlet,
-    inbox: Option<Arc<Inbox>>,
     reopening: Reopening,
+    inbox: Option<Arc<Inbox>>,
 }
 
 impl Memory {
     /// A transport that opens when it is started.
     pub fn new(config: MemoryConfig) -> Self {
-        Memory::factory(config)()
+        Memory { config, outlet: Outlet::default(), reopening: Reopening::default(), inbox: None }
     }
 
-    /// Builds the transport, and builds it anew after a panic: the next life takes the same name and
-    /// serves whoever was attached.
-    pub fn factory(config: MemoryConfig) -> impl Fn() -> Memory + Clone + Send + Sync + 'static {
-        let legacy = Legacy::default();
-        move || Memory {
-            config: config.clone(),
-            outlet: Outlet::new(legacy.clone()),
-            legacy: legacy.clone(),
-            inbox: None,
-            reopening: Reopening::default(),
-        }
-    }
-
-    fn open(&mut self) {
-        let MemoryConfig { medium, name, mtu, queue_frames, queue_bytes } = &self.config;
-        let inbox =
-            Arc::new(Inbox { limits: (*mtu, *queue_frames, *queue_bytes), ..Inbox::default() });
+    fn try_open(&mut self) {
+        let MemoryConfig { medium, name, mtu, .. } = &self.config;
+        let inbox = Arc::new(Inbox::new(&self.config));
         if medium.enter(name, &inbox) {
             self.inbox = Some(inbox);
-            self.reopening = Reopening::default();
+            self.reopening.reset();
             let local = MediumAddress::Memory(name.clone());
             self.outlet.announce(TransportReport::Opened { local, mtu: *mtu });
         } else {
             self.reopening.failed();
-            self.outlet.announce(TransportReport::Closed {
-                reason: format!(
-                    "the memory end {name} is already open: close the other, or choose another \
-                     name; trying again"
-                ),
-            });
-        }
-    }
-
-    fn leave(&mut self) {
-        if let Some(inbox) = self.inbox.take() {
-            self.config.medium.leave(&self.config.name, &inbox);
+            self.outlet.announce_closed(format!(
+                "the memory end {name} is already open: close the other, or choose another name; \
+                 trying again"
+            ));
         }
     }
 }
 
 impl Drop for Memory {
     fn drop(&mut self) {
-        self.leave();
+        self.shut();
     }
 }
 
@@ -146,10 +120,10 @@ impl MemoryMedium {
 }
 
 /// What has arrived at an end and was not read yet.
-#[derive(Default)]
 struct Inbox {
-    /// The largest frame, and how many frames and bytes may wait.
-    limits: (usize, usize, usize),
+    mtu: usize,
+    most_frames: usize,
+    most_bytes: usize,
     waiting: Mutex<Waiting>,
 }
 
@@ -161,17 +135,25 @@ struct Waiting {
 }
 
 impl Inbox {
+    fn new(config: &MemoryConfig) -> Self {
+        Inbox {
+            mtu: config.mtu,
+            most_frames: config.queue_frames,
+            most_bytes: config.queue_bytes,
+            waiting: Mutex::default(),
+        }
+    }
+
     fn waiting(&self) -> MutexGuard<'_, Waiting> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes a frame in, if there is room.
     fn push(&self, from: Arc<str>, frame: Bytes) -> bool {
-        let (mtu, most_frames, most_bytes) = self.limits;
         let mut waiting = self.waiting();
-        if frame.len() > mtu
-            || waiting.frames.len() >= most_frames
-            || waiting.bytes + frame.len() > most_bytes
+        if frame.len() > self.mtu
+            || waiting.frames.len() >= self.most_frames
+            || waiting.bytes + frame.len() > self.most_bytes
         {
             return false;
         }
@@ -197,13 +179,41 @@ impl Inbox {
     }
 }
 
-impl Pumped for Memory {
-    fn pump(&mut self, _: &mut Context<Self>, task: &mut task::Context<'_>) {
+impl Medium for Memory {
+    fn outlet(&mut self) -> &mut Outlet {
+        &mut self.outlet
+    }
+
+    fn open(&mut self, _: &mut Context<Self>) {
+        self.reopening.reset();
+        self.try_open();
+    }
+
+    fn transmit(&mut self, message: Transmit) {
+        let Transmit { to, frame } = message;
+        let counters = &mut self.outlet.counters;
+        let MediumAddress::Memory(to) = to else {
+            counters.refused += 1;
+            return;
+        };
+        if frame.len() > self.config.mtu {
+            counters.refused += 1;
+            return;
+        }
+        let end = self.config.medium.end(&to).filter(|_| self.inbox.is_some());
+        if end.is_some_and(|end| end.push(self.config.name.clone(), frame)) {
+            counters.sent += 1;
+        } else {
+            counters.dropped += 1;
+        }
+    }
+
+    fn pump(&mut self, task: &mut task::Context<'_>) {
         while self.inbox.is_none() {
             if self.reopening.poll_due(task).is_pending() {
                 return;
             }
-            self.open();
+            self.try_open();
         }
         let Some(inbox) = self.inbox.clone() else { return };
         for _ in 0..BUDGET {
@@ -215,55 +225,12 @@ impl Pumped for Memory {
         }
         task.waker().wake_by_ref();
     }
-}
 
-impl Actor for Memory {
-    type Context = Context<Self>;
-
-    fn started(&mut self, context: &mut Context<Self>) {
-        self.open();
-        Self::start_pump(context);
-    }
-}
-
-impl Handler<Transmit> for Memory {
-    type Result = ();
-
-    fn handle(&mut self, message: Transmit, _: &mut Context<Self>) {
-        let Transmit { to, frame } = message;
-        let MediumAddress::Memory(to) = to else { return self.legacy.count(Count::Refused) };
-        if frame.len() > self.config.mtu {
-            return self.legacy.count(Count::Refused);
+    fn shut(&mut self) {
+        if let Some(inbox) = self.inbox.take() {
+            self.config.medium.leave(&self.config.name, &inbox);
         }
-        let open = self.inbox.is_some();
-        let end = self.config.medium.end(&to).filter(|_| open);
-        let taken = end.is_some_and(|end| end.push(self.config.name.clone(), frame));
-        self.legacy.count(if taken { Count::Sent } else { Count::Dropped });
     }
 }
 
-impl Handler<Attach> for Memory {
-    type Result = ();
-
-    fn handle(&mut self, message: Attach, _: &mut Context<Self>) {
-        self.outlet.attach(message);
-    }
-}
-
-impl Handler<Close> for Memory {
-    type Result = ();
-
-    fn handle(&mut self, _: Close, context: &mut Context<Self>) {
-        self.leave();
-        self.outlet.announce(TransportReport::Closed { reason: "closed as asked".into() });
-        context.stop();
-    }
-}
-
-impl Handler<ReadCounters> for Memory {
-    type Result = MessageResult<ReadCounters>;
-
-    fn handle(&mut self, _: ReadCounters, _: &mut Context<Self>) -> Self::Result {
-        MessageResult(self.legacy.counters())
-    }
-}
+transport!(Memory);

@@ -1,8 +1,9 @@
 //! Where a transport's frames and reports go.
 
-use crate::legacy::{Count, Legacy};
 use actix::dev::RecipientRequest;
-use blastema_contract::transport::{Attach, MediumAddress, Received, TransportReport};
+use blastema_contract::transport::{
+    Attach, MediumAddress, Received, TransportCounters, TransportReport,
+};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::future::Future;
@@ -16,12 +17,13 @@ const BATCH: usize = 64;
 /// more only lengthens the queue before a receiver that is too slow.
 const BATCHES: usize = 4;
 
-/// Hands frames and reports to whoever is attached.
+/// Hands frames and reports to whoever is attached, and counts.
 ///
 /// actix mailboxes have no bound. So the last frame of each batch is sent as a request, and no more
 /// than `BATCHES` of them are left unanswered: a receiver that is slow or hangs is not buried.
+#[derive(Default)]
 pub(crate) struct Outlet {
-    legacy: Legacy,
+    pub(crate) counters: TransportCounters,
     attach: Option<Attach>,
     state: Option<TransportReport>,
     unconfirmed: VecDeque<Pin<Box<RecipientRequest<Received>>>>,
@@ -29,14 +31,8 @@ pub(crate) struct Outlet {
 }
 
 impl Outlet {
-    pub(crate) fn new(legacy: Legacy) -> Self {
-        let attach = legacy.attached();
-        Outlet { legacy, attach, state: None, unconfirmed: VecDeque::new(), in_batch: 0 }
-    }
-
     /// Puts somebody else in the receiver's place, and tells them where the medium stands.
     pub(crate) fn attach(&mut self, attach: Attach) {
-        self.legacy.remember_attached(&attach);
         self.attach = Some(attach);
         self.unconfirmed.clear();
         self.in_batch = 0;
@@ -45,9 +41,23 @@ impl Outlet {
         }
     }
 
-    /// Reports where the medium stands, now and to whoever attaches later.
+    /// After a panic: whoever is attached stays so, and is told anew where the medium stands.
+    pub(crate) fn begin_next_life(&mut self) {
+        self.state = None;
+        self.unconfirmed.clear();
+        self.in_batch = 0;
+    }
+
+    /// Reports that the medium is closed, now and to whoever attaches later.
+    pub(crate) fn announce_closed(&mut self, reason: String) {
+        self.announce(TransportReport::Closed { reason });
+    }
+
+    /// Reports where the medium stands, now and to whoever attaches later, unless that is what was
+    /// reported last.
     pub(crate) fn announce(&mut self, state: TransportReport) {
         if self.state.as_ref() != Some(&state) {
+            tracing::debug!(?state, "a transport reports");
             self.state = Some(state.clone());
             self.report(state);
         }
@@ -73,13 +83,12 @@ impl Outlet {
 
     /// Hands one frame on.
     pub(crate) fn deliver(&mut self, from: MediumAddress, frame: Bytes) {
-        let Some(attach) = &self.attach else {
-            return self.legacy.count(Count::Dropped);
+        let attached = self.attach.as_ref().filter(|attach| attach.frames.connected());
+        let Some(attach) = attached else {
+            self.counters.dropped += 1;
+            return;
         };
-        if !attach.frames.connected() {
-            return self.legacy.count(Count::Dropped);
-        }
-        self.legacy.count(Count::Received);
+        self.counters.received += 1;
         self.in_batch += 1;
         let received = Received { from, frame };
         if self.in_batch < BATCH {
@@ -91,22 +100,4 @@ impl Outlet {
             self.unconfirmed.push_back(Box::pin(attach.frames.clone().send(received)));
         }
     }
-}
-
-/// Parts the first `length` bytes from a buffer that is read into again, in pieces of `chunk` bytes.
-///
-/// The frame shares the buffer unless it would keep more than four times its size from being freed.
-#[cfg(any(feature = "udp", feature = "tcp"))]
-pub(crate) fn part_frame(buffer: &mut bytes::BytesMut, length: usize, chunk: usize) -> Bytes {
-    if length >= chunk / 4 {
-        return buffer.split_to(length).freeze();
-    }
-    let frame = Bytes::copy_from_slice(&buffer[..length]);
-    if length == buffer.len() {
-        // All of the buffer is free again, from its beginning.
-        buffer.clear();
-    } else {
-        bytes::Buf::advance(buffer, length);
-    }
-    frame
 }

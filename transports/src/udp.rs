@@ -1,13 +1,12 @@
 //! Datagrams over IP: one frame is one datagram.
 
-use crate::legacy::{Count, Legacy};
-use crate::outlet::{Outlet, part_frame};
-use crate::pump::{BUDGET, Pumped};
-use crate::reopening::{Reopening, explain};
-use actix::{Actor, ActorContext, Context, Handler, MessageResult};
-use blastema_contract::transport::{
-    Attach, Close, MediumAddress, ReadCounters, Transmit, TransportReport,
-};
+use crate::binding::{Binding, explain};
+use crate::medium::{BUDGET, Medium, transport};
+use crate::outlet::Outlet;
+use crate::part::part_frame;
+use crate::reopening::Reopening;
+use actix::Context;
+use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use bytes::{BufMut, Bytes, BytesMut};
 use socket2::{Domain, Protocol, Socket, Type};
 use std::collections::VecDeque;
@@ -75,13 +74,13 @@ impl UdpConfig {
 
 /// A UDP socket as a transport, with no fixed peer.
 ///
-/// It lives until it is sent [`Close`].
+/// It lives until it is sent [`Close`](blastema_contract::transport::Close).
 pub struct Udp {
     config: UdpConfig,
-    legacy: Legacy,
     outlet: Outlet,
-    socket: Option<UdpSocket>,
+    binding: Binding,
     reopening: Reopening,
+    socket: Option<UdpSocket>,
     queue: VecDeque<(SocketAddr, Bytes)>,
     buffer: BytesMut,
     errors_in_a_row: u32,
@@ -90,65 +89,51 @@ pub struct Udp {
 impl Udp {
     /// A transport that opens when it is started.
     pub fn new(config: UdpConfig) -> Self {
-        Udp::factory(config)()
-    }
-
-    /// Builds the transport, and builds it anew after a panic: the next life takes the same port and
-    /// serves whoever was attached.
-    pub fn factory(config: UdpConfig) -> impl Fn() -> Udp + Clone + Send + Sync + 'static {
-        let legacy = Legacy::default();
-        move || Udp {
-            config: config.clone(),
-            outlet: Outlet::new(legacy.clone()),
-            legacy: legacy.clone(),
-            socket: None,
+        Udp {
+            binding: Binding::new(config.bind),
+            config,
+            outlet: Outlet::default(),
             reopening: Reopening::default(),
+            socket: None,
             queue: VecDeque::new(),
             buffer: BytesMut::new(),
             errors_in_a_row: 0,
         }
     }
 
-    fn open(&mut self) {
-        let address = self.reopening.wanted(self.config.bind, self.legacy.local());
+    fn try_open(&mut self) {
+        let address = self.binding.next_attempt();
         match bind(address, &self.config).and_then(|socket| Ok((socket.local_addr()?, socket))) {
             Ok((local, socket)) => {
-                tracing::debug!(%local, "udp is open");
-                self.legacy.remember_local(local);
+                self.binding.taken(local);
+                self.reopening.reset();
                 self.socket = Some(socket);
-                self.reopening = Reopening::default();
-                self.errors_in_a_row = 0;
-                self.outlet.announce(TransportReport::Opened {
-                    local: MediumAddress::Ip(local),
-                    mtu: self.config.mtu(),
-                });
+                let (local, mtu) = (MediumAddress::Ip(local), self.config.mtu());
+                self.outlet.announce(TransportReport::Opened { local, mtu });
             }
             Err(error) => self.lose(explain("udp", address, &error)),
         }
     }
 
     fn lose(&mut self, reason: String) {
-        tracing::debug!(reason, "udp is closed");
-        self.socket = None;
-        self.legacy.count_many(Count::Dropped, self.queue.len());
-        self.queue.clear();
+        self.shut();
         self.reopening.failed();
-        self.outlet.announce(TransportReport::Closed { reason });
+        self.outlet.announce_closed(reason);
     }
 
     /// Sends one datagram, or gives it back when the kernel has no room for it.
-    fn send(&self, to: SocketAddr, frame: Bytes) -> Option<Bytes> {
+    fn send(&mut self, to: SocketAddr, frame: Bytes) -> Option<Bytes> {
         let Some(socket) = &self.socket else {
-            self.legacy.count(Count::Dropped);
+            self.outlet.counters.dropped += 1;
             return None;
         };
         match socket.try_send_to(&frame, to) {
-            Ok(_) => self.legacy.count(Count::Sent),
+            Ok(_) => self.outlet.counters.sent += 1,
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Some(frame),
             Err(error) => {
                 tracing::trace!(%error, %to, "a datagram was not sent");
-                self.legacy.count(Count::Dropped);
-                self.legacy.count(Count::Errors);
+                self.outlet.counters.dropped += 1;
+                self.outlet.counters.errors += 1;
             }
         }
         None
@@ -181,7 +166,7 @@ impl Udp {
             match socket.try_recv_buf_from(&mut (&mut self.buffer).limit(room)) {
                 Ok((length, _)) if length > mtu => {
                     self.buffer.clear();
-                    self.legacy.count(Count::Refused);
+                    self.outlet.counters.refused += 1;
                 }
                 Ok((length, from)) => {
                     self.errors_in_a_row = 0;
@@ -196,11 +181,12 @@ impl Udp {
                 // An ICMP message about an earlier datagram comes back as an error of the socket. It
                 // is news of one peer, and no reason to give up the others.
                 Err(error) => {
-                    self.legacy.count(Count::Errors);
+                    self.outlet.counters.errors += 1;
                     self.errors_in_a_row += 1;
                     if self.errors_in_a_row >= ERRORS_IN_A_ROW {
-                        let local = self.legacy.local().unwrap_or(self.config.bind);
-                        return self.lose(explain("udp", local, &error));
+                        let local = socket.local_addr().unwrap_or(self.config.bind);
+                        self.lose(explain("udp", local, &error));
+                        break;
                     }
                 }
             }
@@ -208,6 +194,58 @@ impl Udp {
         task.waker().wake_by_ref();
     }
 }
+
+impl Medium for Udp {
+    fn outlet(&mut self) -> &mut Outlet {
+        &mut self.outlet
+    }
+
+    fn open(&mut self, _: &mut Context<Self>) {
+        self.reopening.reset();
+        self.try_open();
+    }
+
+    fn transmit(&mut self, message: Transmit) {
+        let Transmit { to, frame } = message;
+        let MediumAddress::Ip(to) = to else {
+            self.outlet.counters.refused += 1;
+            return;
+        };
+        if frame.len() > self.config.mtu() {
+            self.outlet.counters.refused += 1;
+            return;
+        }
+        // Nothing overtakes what waits already.
+        let left = if self.queue.is_empty() { self.send(to, frame) } else { Some(frame) };
+        let Some(frame) = left else { return };
+        if self.queue.len() < self.config.queue_frames {
+            self.queue.push_back((to, frame));
+        } else {
+            self.outlet.counters.dropped += 1;
+        }
+    }
+
+    fn pump(&mut self, task: &mut task::Context<'_>) {
+        while self.socket.is_none() {
+            if self.reopening.poll_due(task).is_pending() {
+                return;
+            }
+            self.try_open();
+        }
+        self.write(task);
+        self.read(task);
+    }
+
+    fn shut(&mut self) {
+        self.socket = None;
+        self.outlet.counters.dropped += self.queue.len() as u64;
+        self.queue.clear();
+        self.buffer = BytesMut::new();
+        self.errors_in_a_row = 0;
+    }
+}
+
+transport!(Udp);
 
 fn bind(address: SocketAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
     let socket = Socket::new(Domain::for_address(address), Type::DGRAM, Some(Protocol::UDP))?;
@@ -220,72 +258,4 @@ fn bind(address: SocketAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
     socket.set_send_buffer_size(config.send_buffer)?;
     socket.bind(&address.into())?;
     UdpSocket::from_std(socket.into())
-}
-
-impl Pumped for Udp {
-    fn pump(&mut self, _: &mut Context<Self>, task: &mut task::Context<'_>) {
-        while self.socket.is_none() {
-            if self.reopening.poll_due(task).is_pending() {
-                return;
-            }
-            self.open();
-        }
-        self.write(task);
-        self.read(task);
-    }
-}
-
-impl Actor for Udp {
-    type Context = Context<Self>;
-
-    fn started(&mut self, context: &mut Context<Self>) {
-        self.open();
-        Self::start_pump(context);
-    }
-}
-
-impl Handler<Transmit> for Udp {
-    type Result = ();
-
-    fn handle(&mut self, message: Transmit, _: &mut Context<Self>) {
-        let Transmit { to, frame } = message;
-        let MediumAddress::Ip(to) = to else { return self.legacy.count(Count::Refused) };
-        if frame.len() > self.config.mtu() {
-            return self.legacy.count(Count::Refused);
-        }
-        // Nothing overtakes what waits already.
-        let left = if self.queue.is_empty() { self.send(to, frame) } else { Some(frame) };
-        let Some(frame) = left else { return };
-        if self.queue.len() < self.config.queue_frames {
-            self.queue.push_back((to, frame));
-        } else {
-            self.legacy.count(Count::Dropped);
-        }
-    }
-}
-
-impl Handler<Attach> for Udp {
-    type Result = ();
-
-    fn handle(&mut self, message: Attach, _: &mut Context<Self>) {
-        self.outlet.attach(message);
-    }
-}
-
-impl Handler<Close> for Udp {
-    type Result = ();
-
-    fn handle(&mut self, _: Close, context: &mut Context<Self>) {
-        self.socket = None;
-        self.outlet.announce(TransportReport::Closed { reason: "closed as asked".into() });
-        context.stop();
-    }
-}
-
-impl Handler<ReadCounters> for Udp {
-    type Result = MessageResult<ReadCounters>;
-
-    fn handle(&mut self, _: ReadCounters, _: &mut Context<Self>) -> Self::Result {
-        MessageResult(self.legacy.counters())
-    }
 }

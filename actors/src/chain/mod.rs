@@ -5,5 +5,14 @@
 //! lost, and everything that was under way is sent again.
 
 pub(crate) mod detector;
+pub(crate) mod directory;
 pub(crate) mod monitor;
 pub(crate) mod notifier;
+pub(crate) mod recoverer;
+#[cfg(test)]
+pub(crate) mod scripted;
+pub(crate) mod strategy;
+pub(crate) mod supervisor;
+
+#[cfg(test)]
+mod tests;

@@ -1,8 +1,8 @@
 //! Between the recoverer and the strategies that carry its decisions out.
 
 use actix::Message;
-use blastema_core::Place;
 use blastema_core::recovery::{Done, Failed, Order};
+use blastema_core::{Fault, Place};
 
 /// Carry one measure out. Answered when it has worked or failed; a strategy that dies, or is silent
 /// for longer than the plan gives it, has failed.
@@ -16,4 +16,14 @@ pub struct CarryOut(pub Order);
 pub struct Reroute {
     /// What is not to be used any more.
     pub place: Place,
+}
+
+/// To the node: nothing else could contain this. Apply the safe outputs, stop everything, rest.
+#[derive(Clone, Debug, Message)]
+#[rtype(result = "()")]
+pub struct RestNode {
+    /// What could not be contained.
+    pub fault: Fault,
+    /// What was tried last, and what it said.
+    pub reason: String,
 }

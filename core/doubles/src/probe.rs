@@ -112,10 +112,13 @@ pub(crate) async fn patient<T>(wait: impl Future<Output = T>, what: &str) -> T {
     }
 }
 
+/// What a probe answers to a message.
+type Script<M> = Box<dyn FnMut(&M) -> <M as Message>::Result>;
+
 /// The probe's actor.
 struct Recorder<M: Message> {
     record: Record<M>,
-    script: Box<dyn FnMut(&M) -> M::Result>,
+    script: Script<M>,
 }
 
 impl<M: Message + 'static> Actor for Recorder<M> {

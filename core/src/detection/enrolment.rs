@@ -74,6 +74,26 @@ impl Enrolment {
     }
 }
 
+/// Why an object is not watched.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EnrolError {
+    /// Dismiss what is no longer needed, or raise the limit.
+    #[error("{object} is not watched: the monitor's table already has {limit} rows")]
+    TableFull {
+        /// Who was to be enrolled.
+        object: ObjectName,
+        /// How many rows there may be.
+        limit: usize,
+    },
+    /// Give `Enrol::inquiries`, or watch the object in another way.
+    #[error("{object} is to be asked for signs of life, but nothing says where it answers")]
+    NowhereToAsk {
+        /// Who was to be enrolled.
+        object: ObjectName,
+    },
+}
+
 /// What kind of thing a row of the monitor's table is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ObjectKind {

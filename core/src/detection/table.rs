@@ -39,6 +39,26 @@ pub struct Row {
     pub note: Option<String>,
 }
 
+impl Row {
+    /// A row of which nothing is known yet.
+    pub fn blank(place: Place, kind: ObjectKind) -> Self {
+        Row {
+            place,
+            kind,
+            incarnation: Incarnation::default(),
+            state: None,
+            opinion: Opinion::Unheard,
+            last_sign: None,
+            restarts: 0,
+            suspicions: 0,
+            queue: None,
+            current: None,
+            isolated: false,
+            note: None,
+        }
+    }
+}
+
 /// What the monitor thinks of an object.
 ///
 /// | opinion | meaning | what follows |

@@ -5,8 +5,6 @@ use crate::{
     FaultId, FaultKind, Incarnation, Lifecycle, NodeName, ObjectAddress, ObjectName, Place,
     Severity,
 };
-use serde::Serialize;
-use serde::de::DeserializeOwned;
 use std::any::TypeId;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -94,16 +92,21 @@ impl<K: Described + Ord, V: Described> Described for BTreeMap<K, V> {
     }
 }
 
-// The bounds on the array itself are there because serde knows arrays up to 32 elements only.
-impl<T: Described, const N: usize> Described for [T; N]
-where
-    [T; N]: Serialize + DeserializeOwned,
-{
-    const EMPTY: bool = <Self as ArrayField>::EMPTY;
+// One by one, because serde knows arrays up to 32 elements only, one by one too.
+macro_rules! arrays {
+    ($($length:literal)*) => {$(
+        impl<T: Described> Described for [T; $length] {
+            const EMPTY: bool = <Self as ArrayField>::EMPTY;
 
-    fn layout() -> &'static Layout {
-        <Self as ArrayField>::layout()
-    }
+            fn layout() -> &'static Layout {
+                <Self as ArrayField>::layout()
+            }
+        }
+    )*};
+}
+
+arrays! {
+    0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24 25 26 27 28 29 30 31 32
 }
 
 /// An array of any length as a field of its own, where [`Described`], as serde, ends at 32 elements.

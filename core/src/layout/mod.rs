@@ -141,6 +141,8 @@ pub struct Variant<R: Clone + 'static> {
     note = "types that differ between platforms or runs are left out on purpose: write `u32` or \
             `u64` for `usize`, `BTreeMap` for `HashMap`, `BTreeSet` for `HashSet`, and a \
             `Duration` since a stated event for `Instant`",
+    note = "an array of more than 32 elements stands in a field of its own, not in a `Vec` or `Option`: \
+            put it into a structure",
     note = "a message owns its data: write `String` for `&str`, `Vec<T>` for `&[T]`"
 )]
 pub trait Described: Serialize + DeserializeOwned + 'static {

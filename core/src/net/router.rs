@@ -166,8 +166,9 @@ pub struct Router {
     known: BTreeMap<NodeId, Known>,
     own: Advertisement,
     routes: BTreeMap<NodeId, Route>,
-    /// The paths must be computed anew.
-    outdated: bool,
+    /// The paths must be computed anew, then.
+    compute_at: Option<Instant>,
+    computed_at: Instant,
     refresh_at: Instant,
     /// The last pair told of, so that a collision is told once and not with every flood.
     told: Option<(NodeName, NodeName)>,
@@ -202,7 +203,8 @@ impl Router {
             known: BTreeMap::new(),
             own,
             routes: BTreeMap::new(),
-            outdated: false,
+            compute_at: None,
+            computed_at: Instant::ORIGIN,
             refresh_at,
             told: None,
             usurped: false,
@@ -388,7 +390,7 @@ impl Router {
             }
         }
         self.own.edges = edges.into_values().take(NEIGHBOURS_MAX).collect();
-        self.outdated = true;
+        self.outdate();
         self.renew();
     }
 
@@ -519,7 +521,9 @@ impl Router {
         let same = before.is_some_and(|before| {
             before.edges == now.edges && before.stamp.incarnation == now.stamp.incarnation
         });
-        self.outdated |= !same;
+        if !same {
+            self.outdate();
+        }
         if let Some(adjacent) = self.links.get_mut(&from) {
             adjacent.pending.remove(&origin);
         }
@@ -582,9 +586,16 @@ impl Router {
         }
     }
 
+    fn outdate(&mut self) {
+        // A change comes as a burst of floods: the first is acted on at once, the rest together.
+        const TOGETHER: Duration = Duration::from_millis(5);
+        self.compute_at.get_or_insert(self.now.max(self.computed_at + TOGETHER));
+    }
+
     /// Computes the paths anew and tells what has changed.
     fn compute(&mut self) {
-        self.outdated = false;
+        self.compute_at = None;
+        self.computed_at = self.now;
         let known = self.known.iter().map(|(id, known)| (*id, &known.advertisement));
         let topology = Topology::new(self.id, &self.links, known);
         let mut before = std::mem::replace(&mut self.routes, topology.routes());
@@ -618,7 +629,9 @@ impl Router {
     fn forget_the_old(&mut self) {
         let before = self.known.len();
         self.known.retain(|_, known| known.expires > self.now);
-        self.outdated |= self.known.len() != before;
+        if self.known.len() != before {
+            self.outdate();
+        }
     }
 }
 
@@ -630,7 +643,7 @@ impl Machine for Router {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        Some(if self.outdated { self.now } else { self.wake_at })
+        Some(self.compute_at.map_or(self.wake_at, |at| at.min(self.wake_at)))
     }
 
     fn handle_timeout(&mut self, now: Instant) {
@@ -652,7 +665,7 @@ impl Machine for Router {
                 self.compare(link);
             }
         }
-        if self.outdated {
+        if self.compute_at.is_some_and(|at| at <= now) {
             self.compute();
         }
         self.wake_at = self.earliest();

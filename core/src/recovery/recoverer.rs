@@ -14,6 +14,9 @@ use crate::{Fault, FaultId, FaultKind, Incarnation, Instant, Machine, NodeName, 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
+#[cfg(test)]
+mod tests;
+
 /// The detector latches by place and kind: a place with more faults than this is out of its mind.
 const FAULTS_LIMIT: usize = 32;
 
@@ -29,6 +32,8 @@ pub struct Order {
     pub fault: Fault,
     /// The how-manieth attempt at this measure, from 1.
     pub attempt: u32,
+    /// How long it is given. After that it has failed.
+    pub within: Duration,
 }
 
 /// A measure has worked.
@@ -382,9 +387,9 @@ impl Recoverer {
         let number = self.orders;
         let case = self.cases.get_mut(place).expect("a case in treatment is open");
         let step = &case.ladder.steps()[case.rung];
-        let (measure, attempt) = (step.measure.clone(), case.attempt);
+        let (measure, attempt, within) = (step.measure.clone(), case.attempt, step.within);
         case.order = number;
-        case.progress = Progress::Acting { due: now + step.within };
+        case.progress = Progress::Acting { due: now + within };
         let stuck =
             |noted: &Noted| matches!(noted.fault.kind, FaultKind::Hang | FaultKind::Silence);
         let telling = case.faults.iter().find(|noted| stuck(noted)).unwrap_or(&case.faults[0]);
@@ -396,7 +401,7 @@ impl Recoverer {
         self.open.insert(number, (place.clone(), measure.clone()));
         let idle = Engaged { orders: 0, idle_since: now };
         self.engaged.entry(measure.clone()).or_insert(idle).orders += 1;
-        let order = Order { number, measure, fault: telling, attempt };
+        let order = Order { number, measure, fault: telling, attempt, within };
         self.outputs.push_back(RecovererAction::CarryOut(order));
     }
 

@@ -3,6 +3,7 @@
 use super::injection::Injection;
 use super::protocol::Sabotage;
 use super::robot::{CABLES, Module, skin};
+use blastema::core::random::Random;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -16,28 +17,24 @@ pub(crate) const FLOOD_MESSAGES: u32 = 20_000;
 /// Victims that are left alone for a while, so that chance does not add up to a restart storm.
 const SPARED: usize = 6;
 
-/// A small generator of numbers that look random (SplitMix64, Steele, Lea and Flood 2014).
+/// Chance, the same for the same seed.
 #[derive(Clone, Debug)]
-pub(crate) struct Dice(u64);
+pub(crate) struct Dice(Random);
 
 impl Dice {
-    /// The same numbers for the same seed.
+    /// The same for the same seed.
     pub(crate) const fn new(seed: u64) -> Dice {
-        Dice(seed)
+        Dice(Random::new(seed))
     }
 
     /// One of `0..bound`; 0 if the bound is.
-    pub(crate) fn below(&mut self, bound: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut mixed = self.0;
-        mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (mixed ^ (mixed >> 31)).checked_rem(bound).unwrap_or_default()
+    fn below(&mut self, bound: u64) -> u64 {
+        self.0.next().checked_rem(bound).unwrap_or_default()
     }
 
     /// A pause of up to `longest`.
     pub(crate) fn pause(&mut self, longest: Duration) -> Duration {
-        Duration::from_millis(self.below(u64::try_from(longest.as_millis()).unwrap_or(u64::MAX)))
+        longest.mul_f64(self.0.unit())
     }
 
     fn one_of<T: Clone>(&mut self, choice: &[T]) -> T {

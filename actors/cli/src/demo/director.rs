@@ -1,0 +1,427 @@
+//! Carries the story out on three real processes.
+
+use super::control::{ControlError, Door, Reader, Writer};
+use super::display::{Display, Mode, NobodyReads};
+use super::launcher::{Ended, Process};
+use super::moment::Moment;
+use super::picture::{NEWS_LIMIT, Picture};
+use super::protocol::{Command, Event, VERSION};
+use super::report::Report;
+use super::robot::Module;
+use super::story::{News, Output, Plan, Story};
+use super::trial::Deed;
+use super::wiring::Wiring;
+use std::collections::{BTreeMap, VecDeque};
+use std::io;
+use std::time::Duration;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::mpsc::{Receiver, Sender, channel};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep, sleep_until, timeout};
+
+/// How often the picture is drawn.
+const FRAME: Duration = Duration::from_millis(100);
+/// What may wait between a module and the director: a second's worth of events in a storm.
+const QUEUE: usize = 1_024;
+/// How long a module may take from its start to its first line.
+const ENTRY: Duration = Duration::from_secs(5);
+/// How long modules may take to end in order before they are killed.
+const FAREWELL: Duration = Duration::from_secs(2);
+/// A module that was never ready is started so often before the run is given up; also how often
+/// ports are chosen anew.
+const ATTEMPTS: u32 = 5;
+/// Between two starts of a module that does not get ready.
+const BETWEEN_ATTEMPTS: Duration = Duration::from_millis(200);
+
+/// Why the demonstration was not run to its end.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum DemoError {
+    /// See [`ControlError`].
+    #[error(transparent)]
+    Control(#[from] ControlError),
+    /// The operating system refuses something that the demonstration cannot do without.
+    #[error("{what}: {source}")]
+    System {
+        /// What was tried.
+        what: &'static str,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// A module's process does not come up.
+    #[error("{module} does not start: {reason}")]
+    Module {
+        /// Which module.
+        module: Module,
+        /// What it said last.
+        reason: String,
+    },
+    /// A person, or the system, ended it.
+    #[error("ended by {0} before its time; all processes are ended")]
+    Interrupted(&'static str),
+    /// See [`NobodyReads`].
+    #[error(transparent)]
+    NobodyReads(#[from] NobodyReads),
+}
+
+/// What happens to the director.
+enum Happening {
+    Said(Module, i32, Event),
+    Ended(Ended),
+    Entered(i32, Reader, Writer),
+    EntryFailed(io::Error),
+    Due,
+    Frame,
+    Interrupted(&'static str),
+}
+
+/// Carries out the story and keeps its processes.
+pub(crate) struct Director {
+    story: Story,
+    news: VecDeque<News>,
+    wiring: Wiring,
+    rewired: u32,
+    door: Option<Door>,
+    crew: BTreeMap<Module, Member>,
+    said: (Sender<(Module, i32, Event)>, Receiver<(Module, i32, Event)>),
+    ended: (Sender<Ended>, Receiver<Ended>),
+    signals: Signals,
+}
+
+/// One module's process, as the director keeps it.
+struct Member {
+    process: Process,
+    commands: Option<Sender<Command>>,
+    entry_due: Instant,
+    failures: u32,
+    reason: String,
+}
+
+struct Signals {
+    interrupt: Signal,
+    terminate: Signal,
+    hang_up: Signal,
+}
+
+impl Director {
+    /// Starts the three processes.
+    ///
+    /// # Errors
+    /// See [`DemoError`].
+    pub(crate) fn start(plan: Plan) -> Result<Director, DemoError> {
+        // First of all, so that no signal finds processes that nobody would end.
+        let signals = Signals::catch()?;
+        let wiring = Wiring::choose().map_err(system("no free port on the loopback addresses"))?;
+        let mut director = Director {
+            story: Story::new(plan, Moment::now()),
+            news: VecDeque::new(),
+            wiring,
+            rewired: 0,
+            door: None,
+            crew: BTreeMap::new(),
+            said: channel(QUEUE),
+            ended: channel(QUEUE),
+            signals,
+        };
+        for module in Module::ALL {
+            director.launch(module, 0)?;
+        }
+        Ok(director)
+    }
+
+    /// Runs the story to its end, and ends all processes.
+    ///
+    /// # Errors
+    /// See [`DemoError`]; the processes are ended all the same.
+    pub(crate) async fn run(mut self, display: &Display) -> (Report, Result<(), DemoError>) {
+        let outcome = self.direct(display).await;
+        self.dismiss().await;
+        (self.story.report(), outcome)
+    }
+
+    async fn direct(&mut self, display: &Display) -> Result<(), DemoError> {
+        let mut frames = interval(FRAME);
+        frames.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        loop {
+            while let Some(output) = self.story.poll_output() {
+                match output {
+                    Output::Do(deed) => self.carry_out(deed),
+                    Output::Tell(news) => self.tell(news, display)?,
+                    Output::Finished => return Ok(()),
+                }
+            }
+            let due = self.next_due();
+            let happening = tokio::select! {
+                biased;
+                name = self.signals.next() => Happening::Interrupted(name),
+                Some((module, id, event)) = self.said.1.recv() => Happening::Said(module, id, event),
+                Some(ended) = self.ended.1.recv() => Happening::Ended(ended),
+                entered = admit(self.door.as_ref()) => match entered {
+                    Ok((process, reader, writer)) => Happening::Entered(process, reader, writer),
+                    Err(error) => Happening::EntryFailed(error),
+                },
+                () = wait(due) => Happening::Due,
+                _ = frames.tick() => Happening::Frame,
+            };
+            self.handle(happening, display)?;
+        }
+    }
+
+    fn handle(&mut self, happening: Happening, display: &Display) -> Result<(), DemoError> {
+        let now = Moment::now();
+        match happening {
+            Happening::Said(module, id, event) => self.handle_event(module, id, &event, now)?,
+            Happening::Ended(ended) => self.handle_ended(ended, now)?,
+            Happening::Entered(process, reader, writer) => self.enter(process, reader, writer),
+            Happening::EntryFailed(error) => return Err(ControlError::Socket(error).into()),
+            Happening::Due => {
+                self.kill_the_mute();
+                self.story.handle_timeout(now);
+            }
+            Happening::Frame if display.mode() == Mode::Live => {
+                display.picture(Picture::new(&self.story, &self.news, now))?;
+            }
+            Happening::Frame => {}
+            Happening::Interrupted(name) => return Err(DemoError::Interrupted(name)),
+        }
+        Ok(())
+    }
+
+    fn handle_event(
+        &mut self,
+        module: Module,
+        id: i32,
+        event: &Event,
+        now: Moment,
+    ) -> Result<(), DemoError> {
+        let Some(member) = self.crew.get_mut(&module).filter(|member| member.process.id == id)
+        else {
+            // The last words of a process that is gone.
+            return Ok(());
+        };
+        match event {
+            Event::Hello { name, version } if name != module.name() || *version != VERSION => {
+                let reason = "its executable is not the director's; start anew".into();
+                return Err(DemoError::Module { module, reason });
+            }
+            Event::StartFailed { reason, address_taken } => {
+                member.reason.clone_from(reason);
+                if *address_taken {
+                    self.rewire()?;
+                }
+            }
+            Event::Ready => {
+                member.failures = 0;
+                member.reason.clear();
+            }
+            _ => {}
+        }
+        self.story.handle_event(module, event, now);
+        Ok(())
+    }
+
+    /// Somebody took a port between its choice and its use: all begin again with other ports.
+    fn rewire(&mut self) -> Result<(), DemoError> {
+        self.rewired += 1;
+        if self.rewired <= ATTEMPTS {
+            self.wiring = Wiring::choose().map_err(system("no free port on loopback"))?;
+            self.crew.values_mut().for_each(|member| member.process.kill());
+        }
+        Ok(())
+    }
+
+    fn handle_ended(&mut self, ended: Ended, now: Moment) -> Result<(), DemoError> {
+        let Ended { module, id, how } = ended;
+        let Some(member) = self.crew.get(&module).filter(|member| member.process.id == id) else {
+            return Ok(());
+        };
+        let was_ready = self.story.known.module(module).is_some_and(|known| known.ready);
+        let failures = match (was_ready, member.process.is_killed()) {
+            (true, _) => 0,
+            (false, true) => member.failures,
+            (false, false) => member.failures + 1,
+        };
+        let unasked = (was_ready && !member.process.is_killed()).then_some(how.as_str());
+        if failures >= ATTEMPTS {
+            let reason = if member.reason.is_empty() { how } else { member.reason.clone() };
+            return Err(DemoError::Module { module, reason });
+        }
+        let reason = member.reason.clone();
+        self.story.handle_exit(module, unasked, now);
+        // The director is the launcher of its modules: whatever ended is started again.
+        self.launch(module, failures)?;
+        self.crew.entry(module).and_modify(|member| member.reason = reason);
+        Ok(())
+    }
+
+    fn launch(&mut self, module: Module, failures: u32) -> Result<(), DemoError> {
+        if self.door.is_none() {
+            self.door = Some(Door::open()?);
+        }
+        let path = self.door.as_ref().map(|door| door.path().to_owned()).unwrap_or_default();
+        let process = Process::launch(module, &path, self.ended.0.clone())
+            .map_err(system("a module's process cannot be started"))?;
+        let entry_due = Instant::now() + ENTRY;
+        let reason = String::new();
+        let member = Member { process, commands: None, entry_due, failures, reason };
+        self.crew.insert(module, member);
+        Ok(())
+    }
+
+    fn enter(&mut self, process: i32, reader: Reader, writer: Writer) {
+        let found = self.crew.iter_mut().find(|(_, member)| member.process.id == process);
+        // Of the same user, but none of ours: it is turned away.
+        let Some((&module, member)) = found else { return };
+        let delay = if member.failures == 0 { Duration::ZERO } else { BETWEEN_ATTEMPTS };
+        let (commands, queue) = channel(QUEUE);
+        tokio::spawn(speak(writer, queue, self.wiring.clone(), delay));
+        tokio::spawn(listen(module, process, reader, self.said.0.clone()));
+        member.commands = Some(commands);
+        if self.crew.values().all(|member| member.commands.is_some()) {
+            // From here on nothing of ours lies in the file system.
+            self.door = None;
+        }
+    }
+
+    fn carry_out(&mut self, deed: Deed) {
+        match deed {
+            Deed::Send(module, command) => {
+                let member = self.crew.get(&module);
+                // A module that does not read is about to be found lost; what it was told is void.
+                let _ = member
+                    .and_then(|member| member.commands.as_ref())
+                    .map(|commands| commands.try_send(command));
+            }
+            Deed::Kill(module) => {
+                let at = Moment::now();
+                if let Some(member) = self.crew.get_mut(&module) {
+                    member.process.kill();
+                }
+                self.story.handle_killed(at, at);
+            }
+        }
+    }
+
+    fn tell(&mut self, news: News, display: &Display) -> Result<(), DemoError> {
+        if self.news.len() == NEWS_LIMIT {
+            self.news.pop_front();
+        }
+        self.news.push_back(news.clone());
+        Ok(display.news(news)?)
+    }
+
+    fn next_due(&self) -> Option<Instant> {
+        let entry = self.crew.values().filter(|member| member.commands.is_none());
+        let story = self.story.poll_timeout().map(|at| Instant::now() + (at - Moment::now()));
+        entry.map(|member| member.entry_due).chain(story).min()
+    }
+
+    fn kill_the_mute(&mut self) {
+        let now = Instant::now();
+        for member in self.crew.values_mut() {
+            if member.commands.is_none() && member.entry_due <= now {
+                member.reason = "it did not report in time".into();
+                member.failures += 1;
+                member.entry_due = now + ENTRY;
+                member.process.kill();
+            }
+        }
+    }
+
+    /// Ends all processes, in order if they can.
+    async fn dismiss(&mut self) {
+        for member in self.crew.values_mut() {
+            match &member.commands {
+                Some(commands) if commands.try_send(Command::Shutdown).is_ok() => {}
+                _ => member.process.kill(),
+            }
+        }
+        // A second signal shortens the farewell.
+        tokio::select! {
+            () = all_ended(&mut self.crew, &mut self.ended.1, &mut self.said.1) => {}
+            () = sleep(FAREWELL) => {}
+            _ = self.signals.next() => {}
+        }
+        self.crew.values_mut().for_each(|member| member.process.kill());
+        // Signal 9 cannot be refused; the bound is for a kernel in trouble.
+        let end = all_ended(&mut self.crew, &mut self.ended.1, &mut self.said.1);
+        let _ = timeout(FAREWELL, end).await;
+        self.door = None;
+    }
+}
+
+async fn all_ended(
+    crew: &mut BTreeMap<Module, Member>,
+    ended: &mut Receiver<Ended>,
+    said: &mut Receiver<(Module, i32, Event)>,
+) {
+    while !crew.is_empty() {
+        tokio::select! {
+            Some(Ended { module, id, .. }) = ended.recv() => {
+                if crew.get(&module).is_some_and(|member| member.process.id == id) {
+                    crew.remove(&module);
+                }
+            }
+            // What is said now interests nobody, but must not stop the module's writer.
+            Some(_) = said.recv() => {}
+        }
+    }
+}
+
+/// Sends what the director wants of a module, beginning with its start.
+async fn speak(mut writer: Writer, mut queue: Receiver<Command>, wiring: Wiring, delay: Duration) {
+    sleep(delay).await;
+    let mut command = Some(Command::Start { wiring });
+    while let Some(next) = command {
+        // A module that is gone is reported by its end.
+        if writer.send(&next).await.is_err() {
+            break;
+        }
+        command = queue.recv().await;
+    }
+}
+
+/// Takes in what a module says, until it ends.
+async fn listen(module: Module, id: i32, mut reader: Reader, said: Sender<(Module, i32, Event)>) {
+    // A channel that fails is closed; the module notices and ends, which is reported.
+    while let Ok(Some(event)) = reader.next().await {
+        if said.send((module, id, event)).await.is_err() {
+            break;
+        }
+    }
+}
+
+async fn admit(door: Option<&Door>) -> io::Result<(i32, Reader, Writer)> {
+    match door {
+        Some(door) => door.admit().await,
+        None => std::future::pending().await,
+    }
+}
+
+async fn wait(due: Option<Instant>) {
+    match due {
+        Some(due) => sleep_until(due).await,
+        None => std::future::pending().await,
+    }
+}
+
+impl Signals {
+    fn catch() -> Result<Signals, DemoError> {
+        let catch = |kind| signal(kind).map_err(system("signals cannot be caught"));
+        Ok(Signals {
+            interrupt: catch(SignalKind::interrupt())?,
+            terminate: catch(SignalKind::terminate())?,
+            hang_up: catch(SignalKind::hangup())?,
+        })
+    }
+
+    async fn next(&mut self) -> &'static str {
+        tokio::select! {
+            _ = self.interrupt.recv() => "Ctrl-C",
+            _ = self.terminate.recv() => "SIGTERM",
+            _ = self.hang_up.recv() => "SIGHUP",
+        }
+    }
+}
+
+fn system(what: &'static str) -> impl Fn(io::Error) -> DemoError {
+    move |source| DemoError::System { what, source }
+}

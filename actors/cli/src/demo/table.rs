@@ -1,0 +1,289 @@
+//! The table at the end, beside the paper's figures.
+
+use super::ink::{Ink, Line};
+use super::report::{Delivery, Figures, Report, Response, Row, millis, paper_figure};
+use std::time::Duration;
+
+/// What the wide form takes; narrower terminals get a paragraph for each row.
+const WIDE: usize = 124;
+
+/// The table as lines; none is wider than `columns` where that can be.
+pub(crate) fn draw(report: &Report, columns: usize) -> Vec<Line> {
+    let mut lines = vec![Line::default()];
+    if columns >= WIDE {
+        lines.push(Line::of(Ink::Strong, wide_heading()));
+        lines.extend(report.rows.iter().flat_map(wide_row));
+    } else {
+        lines.extend(report.rows.iter().flat_map(narrow_row));
+    }
+    if report.rows_left_out > 0 {
+        let text = format!("({} earlier rows in which nothing broke)", report.rows_left_out);
+        lines.push(Line::of(Ink::Faint, text));
+    }
+    lines.extend(report.problems.iter().map(|problem| Line::of(Ink::Bad, format!("! {problem}"))));
+    lines.push(Line::default());
+    lines.extend(responses(&report.responses));
+    lines.extend(events(&report.events));
+    lines.push(Line::default());
+    for note in &report.notes {
+        lines.extend(
+            wrapped(note, columns.clamp(40, WIDE))
+                .into_iter()
+                .map(|text| Line::of(Ink::Faint, text)),
+        );
+    }
+    lines.push(Line::default());
+    lines.push(verdict(report));
+    lines
+}
+
+fn wide_heading() -> String {
+    format!(
+        "{:>3}  {:<24} {:<30} {:<24} {:>9} {:>11} {:>5} {:>8}  {}",
+        "", "fault", "where", "named as", "detected", "recovered", "lost", "doubled", "paper"
+    )
+}
+
+fn wide_row(row: &Row) -> Vec<Line> {
+    let figures = Line::of(
+        Ink::Plain,
+        format!(
+            "{:>3}  {:<24} {:<30} {:<24} {:>9} {:>10}{} ",
+            row.number,
+            row.fault,
+            row.place,
+            name(row),
+            figure(row.detected_after),
+            figure(row.recovered_after),
+            if row.from_repair { "r" } else { " " },
+        ),
+    )
+    .and(count_ink(row.lost), format!("{:>5}", row.lost))
+    .and(count_ink(row.doubled), format!("{:>9}", row.doubled))
+    .and(Ink::Plain, format!("  {}{}", perished(row), paper_figure(row.fault).unwrap_or_default()));
+    let problems = row.problems.iter().map(|text| Line::of(Ink::Bad, format!("     ! {text}")));
+    std::iter::once(figures).chain(problems).collect()
+}
+
+fn narrow_row(row: &Row) -> Vec<Line> {
+    let mut lines = vec![
+        Line::of(Ink::Strong, format!("{:>3} {} in {}", row.number, row.fault, row.place)),
+        Line::of(
+            Ink::Plain,
+            format!(
+                "    {}, detected {}, recovered {}{}",
+                name(row),
+                figure(row.detected_after),
+                figure(row.recovered_after),
+                if row.from_repair { " r" } else { "" },
+            ),
+        ),
+        Line::of(count_ink(row.lost), format!("    lost {}, ", row.lost))
+            .and(count_ink(row.doubled), format!("doubled {}", row.doubled))
+            .and(Ink::Plain, format!("  {}", perished(row))),
+    ];
+    if let Some(paper) = paper_figure(row.fault) {
+        lines.push(Line::of(Ink::Plain, format!("    paper: {paper}")));
+    }
+    lines.extend(row.problems.iter().map(|text| Line::of(Ink::Bad, format!("    ! {text}"))));
+    lines
+}
+
+fn responses(responses: &[Response]) -> Vec<Line> {
+    let heading = format!(
+        "{:<18} {:<9} {:>8} {:>9} {:>9} {:>9} {:>9}  {}",
+        "response time", "over", "times", "mean", "median", "99 %", "worst", "paper's mean c"
+    );
+    let line = |response: &Response| {
+        let [one, other] = response.modules;
+        let between = format!("{one}-{other}");
+        let text = format!("{:<18} {:<9} {}", between, response.over, row_of(&response.figures));
+        Line::of(Ink::Plain, format!("{text}  {:.3}", response.paper_mean_ms))
+    };
+    std::iter::once(Line::of(Ink::Strong, heading)).chain(responses.iter().map(line)).collect()
+}
+
+fn events(events: &[Delivery]) -> Vec<Line> {
+    let line = |delivery: &Delivery| {
+        let what = if delivery.filtered { "filtered" } else { "unfiltered" };
+        let figures = row_of(&delivery.figures);
+        Line::of(Ink::Plain, format!("{:<28} {figures}", format!("event delivery, {what}")))
+    };
+    events.iter().map(line).collect()
+}
+
+fn row_of(figures: &Figures) -> String {
+    format!(
+        "{:>8} {:>9} {:>9} {:>9} {:>9}",
+        figures.count,
+        figure(figures.mean),
+        figure(figures.median),
+        figure(figures.p99),
+        figure(figures.worst),
+    )
+}
+
+fn verdict(report: &Report) -> Line {
+    let sum = &report.messages;
+    let rows = report.rows.len() as u64 + report.rows_left_out;
+    let counted = format!(
+        "{rows} faults in {:.1} s, seed {}; reliable messages: {} lost, {} doubled.",
+        report.took.as_secs_f64(),
+        report.seed,
+        sum.lost,
+        sum.doubled
+    );
+    if report.promises_kept {
+        Line::of(Ink::Good, format!("Every promise was kept: {counted}"))
+    } else {
+        Line::of(Ink::Bad, format!("A promise was broken: {counted}"))
+    }
+}
+
+fn name(row: &Row) -> String {
+    match &row.named {
+        Some(named) => format!("{} {}", named.code, named.text),
+        None => "-".into(),
+    }
+}
+
+fn perished(row: &Row) -> String {
+    if row.perished == 0 { String::new() } else { format!("{} p ", row.perished) }
+}
+
+fn count_ink(count: u64) -> Ink {
+    if count == 0 { Ink::Plain } else { Ink::Bad }
+}
+
+/// Milliseconds, with as many places as say something.
+fn figure(span: Option<Duration>) -> String {
+    let Some(span) = span else { return "-".into() };
+    match millis(span) {
+        millis if millis >= 100.0 => format!("{millis:.0}"),
+        millis if millis >= 10.0 => format!("{millis:.1}"),
+        millis => format!("{millis:.3}"),
+    }
+}
+
+fn wrapped(text: &str, columns: usize) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split(' ') {
+        let last = lines.last_mut().expect("there is always a line");
+        if last.chars().count() + 1 + word.chars().count() > columns && !last.is_empty() {
+            lines.push(format!("   {word}"));
+        } else {
+            if !last.is_empty() {
+                last.push(' ');
+            }
+            last.push_str(word);
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::demo::ink::Palette;
+    use crate::demo::known::Measured;
+    use crate::demo::ledger::Losses;
+    use crate::demo::report::{NOTES, Named};
+    use crate::demo::robot::Module;
+    use crate::demo::timings::Timings;
+    use crate::golden;
+
+    fn row(number: u32, fault: &'static str, place: &str, named: (&str, &str)) -> Row {
+        let (code, text) = named;
+        Row {
+            number,
+            fault,
+            place: place.into(),
+            named: Some(Named {
+                code: code.into(),
+                text: text.into(),
+                place: place.into(),
+                detail: String::new(),
+            }),
+            detected_after: Some(Duration::from_nanos(21_400)),
+            recovered_after: Some(Duration::from_micros(65)),
+            from_repair: false,
+            lost: 0,
+            doubled: 0,
+            perished: 0,
+            problems: vec![],
+        }
+    }
+
+    pub(crate) fn report() -> Report {
+        let mut rows = vec![
+            row(1, "panic", "module1:skin/17", ("B01", "panic")),
+            row(2, "cable cut", "module1 -ethernet- module2", ("B11", "link down")),
+            row(3, "both cables cut, return", "module1 - module2", ("B13", "node lost")),
+            row(4, "kill -9, rejoin", "module3", ("B13", "node lost")),
+        ];
+        rows[2].from_repair = true;
+        rows[3].recovered_after = None;
+        rows[3].lost = 2;
+        rows[3].perished = 14;
+        rows[3].problems = vec!["service is not back".into(), "2 messages were lost".into()];
+        let mut timings = Timings::default();
+        for micros in [40, 55, 1_200] {
+            timings.record(Duration::from_micros(micros));
+        }
+        let pairs = [(Module::Module1, Module::Module2), (Module::Module2, Module::Module3)];
+        let measured = Measured {
+            responses: pairs.map(|pair| (pair, timings.clone())).into(),
+            unfiltered: timings,
+            ..Measured::default()
+        };
+        let mut report = Report {
+            promises_kept: false,
+            seed: 1,
+            chaos: false,
+            took: Duration::from_millis(21_345),
+            rows,
+            rows_left_out: 3,
+            problems: vec!["module2 named hang in module2:laser, where nothing was done".into()],
+            messages: Losses { lost: 2, doubled: 0, perished: 14 },
+            received: 9_000,
+            given_back: 5,
+            responses: vec![],
+            events: vec![],
+            notes: NOTES.into(),
+        };
+        report.take_measured(&measured);
+        report
+    }
+
+    fn text(columns: usize) -> String {
+        draw(&report(), columns).iter().map(|line| line.paint(Palette::Plain) + "\n").collect()
+    }
+
+    #[test]
+    fn the_table_stands_beside_the_papers_figures() {
+        golden::check("table.txt", &text(140));
+    }
+
+    #[test]
+    fn a_narrow_terminal_gets_a_paragraph_for_each_row() {
+        golden::check("table_narrow.txt", &text(80));
+    }
+
+    #[test]
+    fn the_document_holds_what_the_table_shows() {
+        let mut document = serde_json::to_string_pretty(&report()).expect("plain data");
+        document.push('\n');
+        golden::check("report.json", &document);
+    }
+
+    #[test]
+    fn a_figure_has_as_many_places_as_say_something() {
+        let check = |nanos, wanted| assert_eq!(figure(Some(Duration::from_nanos(nanos))), wanted);
+        check(0, "0.000");
+        check(21_400, "0.021");
+        check(9_999_000, "9.999");
+        check(11_123_000, "11.1");
+        check(1_234_567_000, "1235");
+        assert_eq!(figure(None), "-");
+    }
+}

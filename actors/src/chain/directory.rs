@@ -1,0 +1,84 @@
+//! Which supervisor keeps which object.
+
+use super::supervisor::Supervisor;
+use actix::prelude::*;
+use blastema_contract::supervisor::{IsolateChild, ReadTree, ResetChild, RestartChild, SafeStop};
+use blastema_core::ObjectName;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// What a strategy may ask of a supervisor.
+#[derive(Clone)]
+pub(crate) struct SupervisorPorts {
+    pub(crate) restart: Recipient<RestartChild>,
+    pub(crate) reset: Recipient<ResetChild>,
+    pub(crate) isolate: Recipient<IsolateChild>,
+    pub(crate) safe_stop: Recipient<SafeStop>,
+    pub(crate) read: Recipient<ReadTree>,
+}
+
+impl SupervisorPorts {
+    pub(crate) fn of(supervisor: &Addr<Supervisor>) -> Self {
+        SupervisorPorts {
+            restart: supervisor.clone().recipient(),
+            reset: supervisor.clone().recipient(),
+            isolate: supervisor.clone().recipient(),
+            safe_stop: supervisor.clone().recipient(),
+            read: supervisor.clone().recipient(),
+        }
+    }
+}
+
+/// Kept by the supervisors themselves, read by the strategies; holds as many entries as the node has
+/// supervised objects.
+#[derive(Clone, Default)]
+pub(crate) struct Directory(Arc<Mutex<Entries>>);
+
+#[derive(Default)]
+struct Entries {
+    keepers: BTreeMap<ObjectName, Arc<SupervisorPorts>>,
+    supervisors: BTreeMap<ObjectName, Arc<SupervisorPorts>>,
+}
+
+impl Directory {
+    /// The supervisor `name` has come up and keeps `children`.
+    pub(crate) fn enter<'a>(
+        &self,
+        name: &ObjectName,
+        ports: SupervisorPorts,
+        children: impl Iterator<Item = &'a ObjectName>,
+    ) {
+        let ports = Arc::new(ports);
+        let mut entries = self.entries();
+        entries.supervisors.insert(name.clone(), ports.clone());
+        entries.keepers.extend(children.map(|child| (child.clone(), ports.clone())));
+    }
+
+    /// The supervisor `name` keeps one more child.
+    pub(crate) fn add(&self, name: &ObjectName, child: ObjectName) {
+        let mut entries = self.entries();
+        if let Some(ports) = entries.supervisors.get(name).cloned() {
+            entries.keepers.insert(child, ports);
+        }
+    }
+
+    /// Nobody keeps this child any more.
+    pub(crate) fn remove(&self, child: &ObjectName) {
+        self.entries().keepers.remove(child);
+    }
+
+    /// Who keeps this object.
+    pub(crate) fn keeper_of(&self, object: &ObjectName) -> Option<Arc<SupervisorPorts>> {
+        self.entries().keepers.get(object).cloned()
+    }
+
+    /// The supervisor of this name.
+    pub(crate) fn supervisor(&self, name: &ObjectName) -> Option<Arc<SupervisorPorts>> {
+        self.entries().supervisors.get(name).cloned()
+    }
+
+    fn entries(&self) -> MutexGuard<'_, Entries> {
+        // Every change is a single insertion or removal: a panic in between leaves nothing half done.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,12 @@
+//! Isolation: the object's sending and receiving is forbidden.
+
+use super::{RecoveryStrategy, Tools};
+use blastema_core::recovery::{Done, Failed, Order};
+
+pub(super) struct Isolate;
+
+impl RecoveryStrategy for Isolate {
+    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+        tools.isolate(&order.fault.place).await
+    }
+}

@@ -1,0 +1,56 @@
+//! Strategies: one actor per mechanism of recovery, made when it is first needed and let go when it has
+//! had nothing to do for a while.
+//!
+//! ```text
+//! Recoverer ──CarryOut{order}──► StrategyHost ──► RecoveryStrategy::carry_out(order, tools)
+//!           ◄──Done | Failed───┘                        │
+//!                          Supervisor ◄──RestartChild…──┤ tools
+//!                          Router     ◄──Reroute────────┘
+//! ```
+
+mod host;
+mod isolate;
+mod reroute;
+mod reset;
+mod restart;
+mod safe_stop;
+mod table;
+mod tools;
+
+pub(crate) use table::StrategyTable;
+pub use tools::Tools;
+pub(crate) use tools::{SafeOutputs, ToolBox};
+
+use blastema_core::recovery::{Done, Failed, Order};
+
+/// A way to recover that the application brings along.
+///
+/// It is handed to the node by name, and called for the faults that the plan answers by that name. It
+/// is made when it is first needed, and dropped when it has had nothing to do for a while.
+///
+/// Orders for different places are carried out at the same time: whatever must be remembered between
+/// them is kept in a cell. A strategy that panics, or takes longer than [`Order::within`], has failed, and
+/// the recoverer goes on up its ladder. It runs beside the rest of the fault chain and must not block.
+///
+/// ```
+/// use blastema::core::recovery::{Done, Failed, Order};
+/// use blastema::{RecoveryStrategy, Tools};
+///
+/// /// Lets a joint go limp before it is restarted.
+/// struct LimpFirst;
+///
+/// impl RecoveryStrategy for LimpFirst {
+///     async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+///         tools.isolate(&order.fault.place).await?;
+///         tools.restart(&order.fault).await
+///     }
+/// }
+/// ```
+pub trait RecoveryStrategy: 'static {
+    /// Carries one measure out.
+    ///
+    /// # Errors
+    /// [`Failed`] says why it did not help; a text converts into it.
+    fn carry_out(&self, order: &Order, tools: &Tools)
+    -> impl Future<Output = Result<Done, Failed>>;
+}

@@ -1,0 +1,143 @@
+//! What a strategy can do.
+
+use crate::chain::directory::{Directory, SupervisorPorts};
+use crate::panics;
+use actix::prelude::*;
+use blastema_contract::strategy::{Reroute, RestNode};
+use blastema_contract::supervisor::{
+    GaveUp, IsolateChild, Recovered, ResetChild, RestartChild, SafeStop,
+};
+use blastema_core::recovery::{Done, Failed};
+use blastema_core::{Fault, NodeName, ObjectName, Place};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+/// The application's declared safe outputs: called whenever something comes to safe rest. It must not
+/// block.
+pub(crate) type SafeOutputs = Arc<dyn Fn(&Fault) + Send + Sync>;
+
+/// Where the tools reach to.
+pub(crate) struct ToolBox {
+    pub(crate) node: NodeName,
+    pub(crate) directory: Directory,
+    /// `None` in a node without a network.
+    pub(crate) router: Option<Recipient<Reroute>>,
+    pub(crate) safe_outputs: Option<SafeOutputs>,
+    pub(crate) rest_node: Recipient<RestNode>,
+}
+
+/// What a [`RecoveryStrategy`](super::RecoveryStrategy) can do: ask the supervisors and the router of its
+/// own node.
+#[derive(Clone)]
+pub struct Tools(Arc<ToolBox>);
+
+impl Tools {
+    pub(crate) fn new(tools: ToolBox) -> Self {
+        Tools(Arc::new(tools))
+    }
+
+    /// Replaces the life that the fault struck by the next one; its siblings fare as their supervisor's
+    /// strategy says. Resolves when all of them are at work.
+    ///
+    /// # Errors
+    /// The new life did not come to be, or the supervisor has given up.
+    pub async fn restart(&self, fault: &Fault) -> Result<Done, Failed> {
+        let (object, keeper) = self.keeper(&fault.place)?;
+        let fault = Some(fault.clone());
+        judge(keeper.restart.send(RestartChild { object, fault }).await)
+    }
+
+    /// Lets an object that is in error recover by itself.
+    ///
+    /// # Errors
+    /// It could not, or has no life.
+    pub async fn reset(&self, place: &Place) -> Result<Done, Failed> {
+        let (object, keeper) = self.keeper(place)?;
+        // It is the same life as before.
+        judge(keeper.reset.send(ResetChild { object }).await).map(|_| Done::default())
+    }
+
+    /// Forbids an object to send and receive.
+    ///
+    /// # Errors
+    /// The place is no object that a supervisor keeps.
+    pub async fn isolate(&self, place: &Place) -> Result<Done, Failed> {
+        self.set_isolated(place, true).await
+    }
+
+    /// Allows an object to send and receive again.
+    ///
+    /// # Errors
+    /// The place is no object that a supervisor keeps.
+    pub async fn admit(&self, place: &Place) -> Result<Done, Failed> {
+        self.set_isolated(place, false).await
+    }
+
+    /// Finds another way over the network than this link, or to this node.
+    ///
+    /// # Errors
+    /// There is no other way, or no network.
+    pub async fn reroute(&self, place: &Place) -> Result<Done, Failed> {
+        let router = self.0.router.as_ref().ok_or("this node has no network")?;
+        match router.send(Reroute { place: place.clone() }).await {
+            Ok(outcome) => outcome,
+            Err(_) => Err("the router did not answer".into()),
+        }
+    }
+
+    /// Applies the safe outputs, and puts the object to rest: its life ends, it is isolated, and only a
+    /// person brings it back. A fault that is in no object puts the whole node to rest.
+    ///
+    /// # Errors
+    /// The object is not kept by any supervisor.
+    pub async fn safe_stop(&self, fault: &Fault) -> Result<Done, Failed> {
+        self.apply_safe_outputs(fault);
+        if !matches!(fault.place, Place::Object(_)) {
+            self.rest_node(fault, "the plan says so");
+            return Ok(Done::default());
+        }
+        let (object, keeper) = self.keeper(&fault.place)?;
+        let fault = Some(fault.clone());
+        judge(keeper.safe_stop.send(SafeStop { object, fault }).await)
+    }
+
+    /// Applies the safe outputs and puts the whole node to rest.
+    pub(crate) fn rest_node(&self, fault: &Fault, reason: &str) {
+        let (fault, reason) = (fault.clone(), reason.into());
+        self.0.rest_node.do_send(RestNode { fault, reason });
+    }
+
+    fn apply_safe_outputs(&self, fault: &Fault) {
+        let Some(apply) = &self.0.safe_outputs else { return };
+        let _guarded = panics::Guarded::enter();
+        if let Err(payload) = catch_unwind(AssertUnwindSafe(|| apply(fault))) {
+            // Rest goes on: an object that stops can do less harm than one that does not.
+            tracing::error!(text = panics::text_of(payload), "the safe outputs panicked");
+        }
+    }
+
+    async fn set_isolated(&self, place: &Place, isolated: bool) -> Result<Done, Failed> {
+        let (object, keeper) = self.keeper(place)?;
+        judge(keeper.isolate.send(IsolateChild { object, isolated }).await)
+    }
+
+    fn keeper(&self, place: &Place) -> Result<(ObjectName, Arc<SupervisorPorts>), Failed> {
+        let Place::Object(address) = place else {
+            return Err(format!("{place} is no object").into());
+        };
+        if address.node != self.0.node {
+            return Err(format!("{address} is an object of another node").into());
+        }
+        let keeper = self.0.directory.keeper_of(&address.object);
+        let keeper = keeper.ok_or_else(|| format!("no supervisor keeps {address}"))?;
+        Ok((address.object.clone(), keeper))
+    }
+}
+
+fn judge(answer: Result<Result<Recovered, GaveUp>, MailboxError>) -> Result<Done, Failed> {
+    match answer {
+        Ok(Ok(Recovered { incarnation, .. })) => Ok(Done { incarnation }),
+        Ok(Err(GaveUp { object, why })) => Err(format!("{object}: {why}").into()),
+        Err(_) => Err("the supervisor did not answer".into()),
+    }
+}

@@ -1,0 +1,515 @@
+//! The supervisor's body: it holds the children, and does to them what its machine decides.
+
+use super::directory::{Directory, SupervisorPorts};
+use crate::drive::{Body, Wake};
+use crate::guardian::Guardian;
+use crate::platform;
+use actix::prelude::*;
+use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
+use blastema_contract::reports::{Exit, Exited, FaultDeclared, StateReported};
+use blastema_contract::supervisor::{
+    AddChild, Begin, Branch, End, Forsake, GaveUp, IsolateAll, IsolateChild, Leaf, ReadTree,
+    Recovered, RemoveChild, ResetChild, RestartChild, SafeStop,
+};
+use blastema_core::recovery::{
+    Cause, ChildRules, GiveUpReason, Supervision, SupervisorAction, SupervisorRules, Ticket,
+};
+use blastema_core::{Fault, FaultKind, Incarnation, Instant, Lifecycle, ObjectName};
+use std::collections::BTreeMap;
+use std::time::Duration;
+use tokio::sync::oneshot;
+use tracing::{error, info, warn};
+
+/// A supervisor below that does not say how it stands within this time is shown without its children.
+const READ_LIMIT: Duration = Duration::from_millis(500);
+
+type Outcome = Result<Recovered, GaveUp>;
+
+/// What a supervisor is made of.
+pub(crate) struct SupervisorSetup {
+    /// Its name.
+    pub(crate) name: ObjectName,
+    /// How it decides.
+    pub(crate) rules: SupervisorRules,
+    /// Its children in their start order.
+    pub(crate) children: Vec<(Box<dyn Child>, ChildRules)>,
+    /// Is told of starts that took too long, and when it gives up.
+    pub(crate) faults: Recipient<FaultDeclared>,
+    /// Is told when it is at work, and when it has ended.
+    pub(crate) states: Recipient<StateReported>,
+    /// Where strategies find who keeps an object.
+    pub(crate) directory: Directory,
+}
+
+/// One node of the supervision tree.
+pub(crate) struct Supervisor {
+    name: ObjectName,
+    machine: Supervision,
+    wake: Wake,
+    children: BTreeMap<ObjectName, Box<dyn Child>>,
+    /// Who waits for the outcome of a request; bounded by the machine.
+    waiting: BTreeMap<Ticket, oneshot::Sender<Outcome>>,
+    tickets: u64,
+    parent: Option<Recipient<ChildReport>>,
+    faults: Recipient<FaultDeclared>,
+    states: Recipient<StateReported>,
+    directory: Directory,
+}
+
+impl Supervisor {
+    /// Starts a supervisor under the guardian. It does nothing until it is told to begin, by its
+    /// parent, or by the node if it is the root.
+    pub(crate) fn start(
+        guardian: &Guardian,
+        arbiter: Option<&ArbiterHandle>,
+        setup: SupervisorSetup,
+    ) -> SupervisorChild {
+        let name = setup.name.clone();
+        // The guardian counts the lives of this actor, the parent those of the supervisor that it plays:
+        // they must not be taken for each other.
+        let body = ObjectName::new(&format!("chain/supervisor/{name}"));
+        let body = body.unwrap_or_else(|_| name.clone());
+        let address = guardian.start(body, arbiter, move |_: &mut Context<Self>| Self::new(setup));
+        SupervisorChild { name, address, report: None }
+    }
+
+    fn new(setup: SupervisorSetup) -> Self {
+        let SupervisorSetup { name, rules, children: given, faults, states, directory } = setup;
+        let mut supervisor = Supervisor {
+            name,
+            machine: Supervision::new(rules),
+            wake: Wake::default(),
+            children: BTreeMap::new(),
+            waiting: BTreeMap::new(),
+            tickets: 0,
+            parent: None,
+            faults,
+            states,
+            directory,
+        };
+        for (child, rules) in given {
+            let name = child.name().clone();
+            if let Err(why) = supervisor.take_in(child, rules) {
+                error!(supervisor = %supervisor.name, child = %name, %why, "a child was refused");
+            }
+        }
+        supervisor
+    }
+
+    fn take_in(&mut self, child: Box<dyn Child>, rules: ChildRules) -> Result<(), GiveUpReason> {
+        let name = child.name().clone();
+        self.machine.add_child(name.clone(), rules, platform::now())?;
+        self.children.insert(name, child);
+        Ok(())
+    }
+
+    /// Hands a request to the machine, and resolves when the machine has answered it.
+    fn ask(
+        &mut self,
+        context: &mut Context<Self>,
+        object: ObjectName,
+        input: impl FnOnce(&mut Supervision, &ObjectName, Ticket, Instant),
+    ) -> ResponseFuture<Outcome> {
+        self.tickets += 1;
+        let ticket = Ticket(self.tickets);
+        let (answer, outcome) = oneshot::channel();
+        self.waiting.insert(ticket, answer);
+        input(&mut self.machine, &object, ticket, platform::now());
+        self.drive(context);
+        Box::pin(async move {
+            outcome.await.unwrap_or(Err(GaveUp { object, why: GiveUpReason::Forgotten }))
+        })
+    }
+
+    fn answer(&mut self, ticket: Ticket, outcome: Outcome) {
+        if let Some(waiting) = self.waiting.remove(&ticket) {
+            // Whoever asked may have stopped waiting; the deed is done all the same.
+            let _ = waiting.send(outcome);
+        }
+    }
+
+    fn tell_parent(&self, event: ChildEvent) {
+        if let Some(parent) = &self.parent {
+            let (object, incarnation) = (self.name.clone(), self.machine.incarnation());
+            parent.do_send(ChildReport { object, incarnation, event });
+        }
+    }
+
+    /// Its own state, so that its faults are over for the detector when its next life is at work.
+    fn report_state(&self, state: Lifecycle) {
+        let (object, incarnation) = (self.name.clone(), self.machine.incarnation());
+        self.states.do_send(StateReported { object, incarnation, state, reason: None });
+    }
+
+    fn declare(
+        &self,
+        object: ObjectName,
+        incarnation: Incarnation,
+        kind: FaultKind,
+        detail: String,
+    ) {
+        self.faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+    }
+
+    fn child(&mut self, name: &ObjectName) -> Option<&mut Box<dyn Child>> {
+        self.children.get_mut(name)
+    }
+
+    /// The table without what stands below supervisors.
+    fn branch(&self) -> Branch {
+        let leaf = |status: blastema_core::recovery::ChildStatus| Leaf {
+            name: status.name,
+            incarnation: status.incarnation,
+            state: status.state,
+            restarts: status.restarts,
+            isolated: status.isolated,
+            below: None,
+        };
+        Branch {
+            name: self.name.clone(),
+            incarnation: self.machine.incarnation(),
+            strategy: self.machine.rules().strategy,
+            restarts_left: self.machine.restarts_left(platform::now()),
+            children: self.machine.children().map(leaf).collect(),
+        }
+    }
+}
+
+impl Body for Supervisor {
+    type Machine = Supervision;
+
+    fn machine(&mut self) -> &mut Supervision {
+        &mut self.machine
+    }
+
+    fn wake(&mut self) -> &mut Wake {
+        &mut self.wake
+    }
+
+    fn carry_out(&mut self, action: SupervisorAction, context: &mut Context<Self>) {
+        match action {
+            SupervisorAction::Start { child, incarnation } => {
+                let report = context.address().recipient();
+                if let Some(child) = self.child(&child) {
+                    child.start(incarnation, report);
+                }
+            }
+            SupervisorAction::Stop { child } => {
+                if let Some(child) = self.child(&child) {
+                    child.stop();
+                }
+            }
+            SupervisorAction::Abandon { child } => {
+                if let Some(child) = self.child(&child) {
+                    child.abandon();
+                }
+            }
+            SupervisorAction::Reset { child } => {
+                if let Some(child) = self.child(&child) {
+                    child.reset();
+                }
+            }
+            SupervisorAction::Isolate { child, isolated } => {
+                if let Some(child) = self.child(&child) {
+                    child.isolate(isolated);
+                }
+            }
+            SupervisorAction::StandingOrder { child, order } => {
+                if let Some(child) = self.child(&child) {
+                    child.standing_order(order);
+                }
+            }
+            SupervisorAction::Recovered { ticket, child, incarnation } => {
+                self.answer(ticket, Ok(Recovered { object: child, incarnation }));
+            }
+            SupervisorAction::GaveUp { ticket, child, why } => {
+                self.answer(ticket, Err(GaveUp { object: child, why }));
+            }
+            SupervisorAction::Overdue { child, incarnation, limit } => {
+                let detail = format!("it was not at work within {limit:?}");
+                self.declare(child, incarnation, FaultKind::InitializationFailed, detail);
+            }
+            SupervisorAction::Left { child } => {
+                self.children.remove(&child);
+                self.directory.remove(&child);
+            }
+            SupervisorAction::Escalate { reason } => {
+                error!(supervisor = %self.name, reason, "restarts are not worth it any more");
+                let (name, incarnation) = (self.name.clone(), self.machine.incarnation());
+                self.declare(name, incarnation, FaultKind::RestartStorm, reason.clone());
+                self.tell_parent(ChildEvent::Escalated { reason });
+            }
+            SupervisorAction::AllStarted => {
+                info!(supervisor = %self.name, "all children are at work");
+                self.report_state(Lifecycle::Initialized);
+                self.report_state(Lifecycle::Active);
+                self.tell_parent(ChildEvent::Started);
+            }
+            SupervisorAction::AllStopped => {
+                self.report_state(Lifecycle::Finalized);
+                self.tell_parent(ChildEvent::Stopped);
+            }
+        }
+    }
+}
+
+impl Actor for Supervisor {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        let ports = SupervisorPorts::of(&context.address());
+        self.directory.enter(&self.name, ports, self.children.keys());
+        self.drive(context);
+    }
+}
+
+impl Supervised for Supervisor {
+    fn restarting(&mut self, _: &mut Context<Self>) {
+        warn!(supervisor = %self.name, "begins anew: children in between two lives are started again");
+        self.wake = Wake::default();
+        self.waiting.clear();
+        self.machine.handle_own_restart(platform::now());
+    }
+}
+
+impl Handler<Begin> for Supervisor {
+    type Result = ();
+
+    fn handle(&mut self, message: Begin, context: &mut Context<Self>) {
+        let Begin { incarnation, report } = message;
+        self.parent = Some(report);
+        self.machine.handle_begin(incarnation, platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<End> for Supervisor {
+    type Result = ();
+
+    fn handle(&mut self, _: End, context: &mut Context<Self>) {
+        self.machine.handle_end(platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<Forsake> for Supervisor {
+    type Result = ();
+
+    fn handle(&mut self, _: Forsake, context: &mut Context<Self>) {
+        self.machine.handle_forsake(platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<IsolateAll> for Supervisor {
+    type Result = ();
+
+    fn handle(&mut self, message: IsolateAll, context: &mut Context<Self>) {
+        let IsolateAll { isolated } = message;
+        self.machine.handle_isolate_all(isolated, platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<ChildReport> for Supervisor {
+    type Result = ();
+
+    fn handle(&mut self, message: ChildReport, context: &mut Context<Self>) {
+        let ChildReport { object, incarnation, event } = message;
+        let now = platform::now();
+        let machine = &mut self.machine;
+        match event {
+            ChildEvent::Started => machine.handle_started(&object, incarnation, now),
+            ChildEvent::StartFailed { reason } => {
+                machine.handle_start_failed(&object, incarnation, reason, now);
+            }
+            ChildEvent::Stopped => machine.handle_stopped(&object, incarnation, now),
+            ChildEvent::Reset => machine.handle_reset_done(&object, incarnation, Ok(())),
+            ChildEvent::ResetFailed { reason } => {
+                machine.handle_reset_done(&object, incarnation, Err(reason));
+            }
+            ChildEvent::Died { exit, restarted_as } => {
+                machine.handle_died(&object, incarnation, in_order(&exit), restarted_as, now);
+            }
+            ChildEvent::Escalated { reason } => {
+                machine.handle_escalated(&object, incarnation, reason, now);
+            }
+        }
+        self.drive(context);
+    }
+}
+
+/// What a guard told the monitor may be told to the supervisor too; it counts a death only once.
+impl Handler<Exited> for Supervisor {
+    type Result = ();
+
+    fn handle(&mut self, message: Exited, context: &mut Context<Self>) {
+        let Exited { object, incarnation, exit, restarted_as } = message;
+        let now = platform::now();
+        self.machine.handle_died(&object, incarnation, in_order(&exit), restarted_as, now);
+        self.drive(context);
+    }
+}
+
+fn in_order(exit: &Exit) -> bool {
+    matches!(exit, Exit::Returned | Exit::Stopped)
+}
+
+impl Handler<RestartChild> for Supervisor {
+    type Result = ResponseFuture<Outcome>;
+
+    fn handle(&mut self, message: RestartChild, context: &mut Context<Self>) -> Self::Result {
+        let RestartChild { object, fault } = message;
+        let cause = fault.as_ref().map_or(Cause::Faulty, Cause::of);
+        let struck = fault.map(|fault| fault.incarnation);
+        self.ask(context, object, |machine, object, ticket, now| {
+            machine.handle_restart(object, ticket, cause, struck, now);
+        })
+    }
+}
+
+impl Handler<ResetChild> for Supervisor {
+    type Result = ResponseFuture<Outcome>;
+
+    fn handle(&mut self, message: ResetChild, context: &mut Context<Self>) -> Self::Result {
+        let ResetChild { object } = message;
+        self.ask(context, object, Supervision::handle_reset)
+    }
+}
+
+impl Handler<IsolateChild> for Supervisor {
+    type Result = ResponseFuture<Outcome>;
+
+    fn handle(&mut self, message: IsolateChild, context: &mut Context<Self>) -> Self::Result {
+        let IsolateChild { object, isolated } = message;
+        self.ask(context, object, |machine, object, ticket, now| {
+            machine.handle_isolate(object, isolated, ticket, now);
+        })
+    }
+}
+
+impl Handler<SafeStop> for Supervisor {
+    type Result = ResponseFuture<Outcome>;
+
+    fn handle(&mut self, message: SafeStop, context: &mut Context<Self>) -> Self::Result {
+        let SafeStop { object, fault } = message;
+        let cause = fault.as_ref().map_or(Cause::Faulty, cause_of_rest);
+        self.ask(context, object, |machine, object, ticket, now| {
+            machine.handle_rest(object, ticket, cause, now);
+        })
+    }
+}
+
+/// Several measures may have been tried since a panic: whether the present life, if there is one, ends
+/// is found out by asking it. Only one that does not answer is not asked.
+fn cause_of_rest(fault: &Fault) -> Cause {
+    match Cause::of(fault) {
+        Cause::Stuck => Cause::Stuck,
+        Cause::Died | Cause::Faulty => Cause::Faulty,
+    }
+}
+
+impl Handler<RemoveChild> for Supervisor {
+    type Result = ResponseFuture<Outcome>;
+
+    fn handle(&mut self, message: RemoveChild, context: &mut Context<Self>) -> Self::Result {
+        let RemoveChild { object } = message;
+        self.ask(context, object, Supervision::handle_remove)
+    }
+}
+
+impl Handler<AddChild> for Supervisor {
+    type Result = Result<(), GaveUp>;
+
+    fn handle(&mut self, message: AddChild, context: &mut Context<Self>) -> Self::Result {
+        let AddChild { child, rules } = message;
+        let object = child.name().clone();
+        let taken = self.take_in(child, rules);
+        if taken.is_ok() {
+            self.directory.add(&self.name, object.clone());
+        }
+        self.drive(context);
+        taken.map_err(|why| GaveUp { object, why })
+    }
+}
+
+impl Handler<ReadTree> for Supervisor {
+    type Result = ResponseFuture<Branch>;
+
+    fn handle(&mut self, _: ReadTree, _: &mut Context<Self>) -> Self::Result {
+        let mut branch = self.branch();
+        let below: Vec<_> = (branch.children.iter().enumerate())
+            .filter_map(|(at, leaf)| Some((at, self.directory.supervisor(&leaf.name)?)))
+            .collect();
+        Box::pin(async move {
+            for (at, supervisor) in below {
+                let read = supervisor.read.send(ReadTree).timeout(READ_LIMIT).await;
+                branch.children[at].below = read.ok();
+            }
+            branch
+        })
+    }
+}
+
+/// A supervisor as its parent, or the node, sees it.
+pub(crate) struct SupervisorChild {
+    name: ObjectName,
+    address: Addr<Supervisor>,
+    report: Option<(Incarnation, Recipient<ChildReport>)>,
+}
+
+impl SupervisorChild {
+    /// Where its tree can be read.
+    pub(crate) fn tree(&self) -> Recipient<ReadTree> {
+        self.address.clone().recipient()
+    }
+
+    /// Where children can be added while it is at work.
+    pub(crate) fn additions(&self) -> Recipient<AddChild> {
+        self.address.clone().recipient()
+    }
+
+    /// Where children can be removed while it is at work.
+    pub(crate) fn removals(&self) -> Recipient<RemoveChild> {
+        self.address.clone().recipient()
+    }
+}
+
+impl Child for SupervisorChild {
+    fn name(&self) -> &ObjectName {
+        &self.name
+    }
+
+    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) {
+        self.report = Some((incarnation, report.clone()));
+        self.address.do_send(Begin { incarnation, report });
+    }
+
+    fn stop(&mut self) {
+        self.address.do_send(End);
+    }
+
+    fn abandon(&mut self) {
+        self.address.do_send(Forsake);
+    }
+
+    fn reset(&mut self) {
+        if let Some((incarnation, report)) = &self.report {
+            let reason = "a supervisor is restarted, not reset".into();
+            let (object, incarnation) = (self.name.clone(), *incarnation);
+            let event = ChildEvent::ResetFailed { reason };
+            report.do_send(ChildReport { object, incarnation, event });
+        }
+    }
+
+    fn isolate(&mut self, isolated: bool) {
+        self.address.do_send(IsolateAll { isolated });
+    }
+
+    fn standing_order(&mut self, _: Option<StandingOrder>) {
+        // The guardian restarts it by reflex; it needs no permission.
+    }
+}
+
+#[cfg(test)]
+mod tests;

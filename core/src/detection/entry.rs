@@ -1,0 +1,99 @@
+//! What the monitor remembers of one object.
+
+use super::{Current, Exit, ObjectKind, Opinion, Row, Watch};
+use crate::{Incarnation, Instant, Lifecycle, Place};
+
+/// One line of the monitor's table, as it is kept.
+#[derive(Clone, Debug)]
+pub(super) struct Entry {
+    pub(super) kind: ObjectKind,
+    pub(super) watch: Watch,
+    pub(super) incarnation: Incarnation,
+    pub(super) state: Option<Lifecycle>,
+    pub(super) last_sign: Option<Instant>,
+    pub(super) restarts: u32,
+    pub(super) suspicions: u32,
+    /// A sign of life is overdue, or it stands behind somebody else's hang.
+    pub(super) suspect: bool,
+    /// Silence was observed and not yet broken.
+    pub(super) silent: bool,
+    /// What it has been doing for too long, and since when.
+    pub(super) current: Option<(&'static str, Instant)>,
+    pub(super) end: Option<Ending>,
+    pub(super) isolated: bool,
+    pub(super) note: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Ending {
+    /// It reached `Finalized`; its guard has not yet said how it ended.
+    Finalized,
+    /// Its guard saw it end as it was told.
+    Stopped,
+    /// Its guard saw it die.
+    Died,
+}
+
+impl Entry {
+    pub(super) fn new(kind: ObjectKind, incarnation: Incarnation) -> Self {
+        Entry {
+            kind,
+            watch: Watch::Guard,
+            incarnation,
+            state: None,
+            last_sign: None,
+            restarts: 0,
+            suspicions: 0,
+            suspect: false,
+            silent: false,
+            current: None,
+            end: None,
+            isolated: false,
+            note: None,
+        }
+    }
+
+    /// Empties the history: what was known was known of another life. Isolation outlives a restart.
+    pub(super) fn begin(&mut self, incarnation: Incarnation) {
+        let (kind, watch, isolated) = (self.kind, self.watch, self.isolated);
+        let restarts = self.restarts.saturating_add(1);
+        *self = Entry { watch, isolated, restarts, ..Entry::new(kind, incarnation) };
+    }
+
+    fn opinion(&self) -> Opinion {
+        match self.end {
+            Some(Ending::Died) => Opinion::Failed,
+            Some(Ending::Stopped | Ending::Finalized) => Opinion::AtRest,
+            None if self.silent || self.current.is_some() => Opinion::Failed,
+            None if self.suspect => Opinion::Suspect,
+            None if self.last_sign.is_none() => Opinion::Unheard,
+            None => Opinion::Trusted,
+        }
+    }
+
+    /// The row of the table, but for what only the watchdog and the inquiry know.
+    pub(super) fn row(&self, place: Place, now: Instant) -> Row {
+        Row {
+            incarnation: self.incarnation,
+            state: self.state,
+            opinion: self.opinion(),
+            last_sign: self.last_sign.map(|sign| now - sign),
+            restarts: self.restarts,
+            suspicions: self.suspicions,
+            current: self.current.map(|(during, since)| Current { during, age: now - since }),
+            isolated: self.isolated,
+            note: self.note.clone(),
+            ..Row::blank(place, self.kind)
+        }
+    }
+}
+
+/// How a life ended, as a note.
+pub(super) fn describe(exit: &Exit) -> String {
+    match exit {
+        Exit::Returned => "it ended itself".into(),
+        Exit::Panicked { text, at, during } => format!("panicked in {during} at {at}: {text}"),
+        Exit::Aborted => "its arbiter went away".into(),
+        Exit::Stopped => "it was told to stop".into(),
+    }
+}

@@ -1,0 +1,233 @@
+//! What this node sees of its links and of other nodes.
+
+use super::{Finding, LinkCondition, NodeCondition, ObjectKind, Opinion, Row};
+use crate::{Incarnation, Instant, NodeName, Place};
+use std::collections::BTreeMap;
+use std::mem::discriminant;
+use std::sync::Arc;
+
+/// The table of links and nodes. It tells what is news from what was said before.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Neighbourhood {
+    links: BTreeMap<(NodeName, Arc<str>), LinkSeen>,
+    nodes: BTreeMap<NodeName, NodeSeen>,
+}
+
+/// Something that was not known before.
+pub(super) struct News {
+    pub(super) place: Place,
+    pub(super) incarnation: Incarnation,
+    pub(super) finding: Finding,
+}
+
+#[derive(Clone, Debug)]
+struct LinkSeen {
+    neighbour: Option<NodeName>,
+    condition: LinkCondition,
+    last_sign: Option<Instant>,
+}
+
+#[derive(Clone, Debug)]
+struct NodeSeen {
+    incarnation: Incarnation,
+    /// Why it is thought to be lost, if it is.
+    lost: Option<String>,
+    last_sign: Option<Instant>,
+    restarts: u32,
+}
+
+impl Neighbourhood {
+    /// How many rows it has.
+    pub(super) fn len(&self) -> usize {
+        self.links.len() + self.nodes.len()
+    }
+
+    pub(super) fn knows_link(&self, node: &NodeName, link: &Arc<str>) -> bool {
+        self.links.contains_key(&(node.clone(), link.clone()))
+    }
+
+    pub(super) fn knows_node(&self, node: &NodeName) -> bool {
+        self.nodes.contains_key(node)
+    }
+
+    /// A link reports how it is. The same condition again is no news.
+    pub(super) fn handle_link(
+        &mut self,
+        node: NodeName,
+        link: Arc<str>,
+        neighbour: Option<NodeName>,
+        condition: LinkCondition,
+        now: Instant,
+    ) -> Option<News> {
+        let carries = !matches!(condition, LinkCondition::Down { .. });
+        let before = self.links.remove(&(node.clone(), link.clone()));
+        let known = before.as_ref().map(|seen| discriminant(&seen.condition));
+        let last_sign = if carries { Some(now) } else { before.as_ref().and_then(|b| b.last_sign) };
+        // A link that is down does not say who was at its other end.
+        let neighbour = neighbour.or(before.and_then(|seen| seen.neighbour));
+        let place =
+            Place::Link { node: node.clone(), link: link.clone(), neighbour: neighbour.clone() };
+        let is_news = known != Some(discriminant(&condition));
+        let finding = Finding::Link(condition.clone());
+        self.links.insert((node, link), LinkSeen { neighbour, condition, last_sign });
+        is_news.then_some(News { place, incarnation: Incarnation::default(), finding })
+    }
+
+    /// The router reports how a node is. The same condition again is no news, a newer life is. Answers
+    /// an error for a life that is over.
+    pub(super) fn handle_node(
+        &mut self,
+        node: NodeName,
+        incarnation: Incarnation,
+        condition: NodeCondition,
+        now: Instant,
+    ) -> Result<Option<News>, Incarnation> {
+        let before = self.nodes.get(&node);
+        if let Some(seen) = before
+            && incarnation < seen.incarnation
+        {
+            return Err(seen.incarnation);
+        }
+        // The first that is heard of a node is no restart, whatever it is called; nor is a life of which
+        // nothing but the loss was ever known.
+        let restarted = before.is_some_and(|seen| {
+            incarnation > seen.incarnation && seen.incarnation != Incarnation::default()
+        });
+        let condition = match condition {
+            NodeCondition::Lost { reason } => NodeCondition::Lost { reason },
+            NodeCondition::Reachable | NodeCondition::Restarted if restarted => {
+                NodeCondition::Restarted
+            }
+            NodeCondition::Reachable | NodeCondition::Restarted => NodeCondition::Reachable,
+        };
+        let lost = match &condition {
+            NodeCondition::Lost { reason } => Some(reason.clone()),
+            NodeCondition::Reachable | NodeCondition::Restarted => None,
+        };
+        let is_news = restarted || before.is_none_or(|seen| seen.lost.is_some() != lost.is_some());
+        let last_sign = if lost.is_none() { Some(now) } else { before.and_then(|b| b.last_sign) };
+        let restarts = before.map_or(0, |seen| seen.restarts) + u32::from(restarted);
+        self.nodes.insert(node.clone(), NodeSeen { incarnation, lost, last_sign, restarts });
+        let finding = Finding::Node(condition);
+        Ok(is_news.then_some(News { place: Place::Node(node), incarnation, finding }))
+    }
+
+    /// Links, then nodes.
+    pub(super) fn rows(&self, now: Instant) -> impl Iterator<Item = Row> {
+        let links = self.links.iter().map(move |((node, link), seen)| {
+            let (opinion, note) = match &seen.condition {
+                LinkCondition::Up => (Opinion::Trusted, None),
+                LinkCondition::Degraded { reason } => (Opinion::Suspect, Some(reason)),
+                LinkCondition::Down { reason } => (Opinion::Failed, Some(reason)),
+            };
+            let (node, link, neighbour) = (node.clone(), link.clone(), seen.neighbour.clone());
+            Row {
+                opinion,
+                note: note.cloned(),
+                last_sign: seen.last_sign.map(|sign| now - sign),
+                ..Row::blank(Place::Link { node, link, neighbour }, ObjectKind::Link)
+            }
+        });
+        let nodes = self.nodes.iter().map(move |(node, seen)| Row {
+            incarnation: seen.incarnation,
+            opinion: if seen.lost.is_some() { Opinion::Failed } else { Opinion::Trusted },
+            note: seen.lost.clone(),
+            last_sign: seen.last_sign.map(|sign| now - sign),
+            restarts: seen.restarts,
+            ..Row::blank(Place::Node(node.clone()), ObjectKind::Node)
+        });
+        links.chain(nodes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn node(name: &str) -> NodeName {
+        NodeName::new(name).expect("a name")
+    }
+
+    fn at(millis: u64) -> Instant {
+        Instant::from_millis(millis)
+    }
+
+    fn conditions() -> [LinkCondition; 3] {
+        let reason = "because".to_string();
+        [
+            LinkCondition::Up,
+            LinkCondition::Degraded { reason: reason.clone() },
+            LinkCondition::Down { reason },
+        ]
+    }
+
+    #[test]
+    fn every_change_of_a_link_is_news_and_no_repetition_is() {
+        for from in conditions() {
+            for to in conditions() {
+                let mut around = Neighbourhood::default();
+                let mut report = |condition: &LinkCondition, neighbour| {
+                    let condition = condition.clone();
+                    around.handle_link(node("a"), "eth".into(), neighbour, condition, at(1))
+                };
+                assert!(report(&from, Some(node("b"))).is_some(), "the first is always news");
+
+                let news = report(&to, None);
+
+                assert_eq!(news.is_some(), from != to, "{from:?} to {to:?}");
+                if let Some(News { place: Place::Link { neighbour, .. }, .. }) = news {
+                    assert_eq!(neighbour, Some(node("b")), "who was there is remembered");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn every_condition_of_a_node_after_every_other_is_told_right() {
+        use NodeCondition::{Lost, Reachable, Restarted};
+        let lost = || Lost { reason: "gone".into() };
+        let check = |before: Option<(u64, NodeCondition)>, then: (u64, NodeCondition), told| {
+            let mut around = Neighbourhood::default();
+            if let Some((life, condition)) = before {
+                let first = around.handle_node(node("b"), Incarnation(life), condition, at(1));
+                assert!(first.is_ok_and(|news| news.is_some()));
+            }
+            let news = around.handle_node(node("b"), Incarnation(then.0), then.1, at(2));
+            let finding = news.map(|news| news.map(|news| news.finding));
+            assert_eq!(finding, told);
+        };
+        let says = |condition| Ok(Some(Finding::Node(condition)));
+
+        check(None, (5, Restarted), says(Reachable));
+        check(None, (5, lost()), says(lost()));
+        for before in [Reachable, Restarted] {
+            check(Some((5, before.clone())), (5, Reachable), Ok(None));
+            check(Some((5, before.clone())), (5, Restarted), Ok(None));
+            check(Some((5, before.clone())), (6, Reachable), says(Restarted));
+            check(Some((5, before.clone())), (6, Restarted), says(Restarted));
+            check(Some((5, before.clone())), (5, lost()), says(lost()));
+            check(Some((5, before)), (4, lost()), Err(Incarnation(5)));
+        }
+        check(Some((5, lost())), (5, lost()), Ok(None));
+        check(Some((5, lost())), (5, Reachable), says(Reachable));
+        check(Some((5, lost())), (6, Reachable), says(Restarted));
+        // Only its loss was ever known: that it now has a number is no restart.
+        check(Some((0, lost())), (6, Reachable), says(Reachable));
+    }
+
+    #[test]
+    fn rows_show_what_is_down_and_for_how_long_nothing_was_heard() {
+        let mut around = Neighbourhood::default();
+        let [up, _, down] = conditions();
+        around.handle_link(node("a"), "eth".into(), Some(node("b")), up, at(0));
+        around.handle_link(node("a"), "eth".into(), None, down, at(50));
+        let _ = around.handle_node(node("b"), Incarnation(7), NodeCondition::Reachable, at(60));
+
+        let rows: Vec<Row> = around.rows(at(100)).collect();
+
+        let shown = |row: &Row| (row.opinion, row.last_sign.map(|age| age.as_millis()));
+        assert_eq!(shown(&rows[0]), (Opinion::Failed, Some(100)));
+        assert_eq!(shown(&rows[1]), (Opinion::Trusted, Some(40)));
+        assert_eq!((rows[0].place.to_string(), around.len()), ("a -eth- b".into(), 2));
+    }
+}

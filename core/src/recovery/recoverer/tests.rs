@@ -1,0 +1,416 @@
+//! Decisions in words: outputs are compared as lines such as `#1 restart laser, attempt 2`.
+
+use super::*;
+use crate::ObjectAddress;
+use crate::recovery::Backoff;
+use std::sync::Arc;
+
+struct Rig {
+    machine: Recoverer,
+    now: Instant,
+}
+
+fn node() -> NodeName {
+    NodeName::new("here").expect("a good name")
+}
+
+fn at(object: &str) -> Place {
+    Place::Object(format!("here:{object}").parse::<ObjectAddress>().expect("a good name"))
+}
+
+fn fault(id: u64, kind: FaultKind, place: Place, life: u64) -> Fault {
+    Fault {
+        id: FaultId(id),
+        severity: kind.severity(),
+        kind,
+        place,
+        incarnation: Incarnation(life),
+        detail: String::new(),
+        found_at: Instant::ORIGIN,
+        symptom_of: None,
+        count: 1,
+    }
+}
+
+fn panic_of(id: u64, object: &str, life: u64) -> Fault {
+    fault(id, FaultKind::Panic, at(object), life)
+}
+
+fn symptom(id: u64, object: &str, root: u64) -> Fault {
+    Fault { symptom_of: Some(FaultId(root)), ..fault(id, FaultKind::Silence, at(object), 1) }
+}
+
+fn works(life: u64) -> Result<Done, Failed> {
+    Ok(Done { incarnation: Some(Incarnation(life)) })
+}
+
+fn fails() -> Result<Done, Failed> {
+    Err("broken".into())
+}
+
+impl Rig {
+    fn new() -> Self {
+        Rig::with(Plan::default(), RecovererLimits::default())
+    }
+
+    fn with(plan: Plan, limits: RecovererLimits) -> Self {
+        Rig { machine: Recoverer::new(node(), plan, limits, 7), now: Instant::from_millis(1000) }
+    }
+
+    fn said(&mut self) -> Vec<String> {
+        let mut said = Vec::new();
+        while let Some(action) = self.machine.poll_output() {
+            said.push(match action {
+                RecovererAction::CarryOut(order) => {
+                    let Order { number, measure, fault, attempt, .. } = order;
+                    format!("#{number} {measure} {} against {}, {attempt}", fault.place, fault.kind)
+                }
+                RecovererAction::Settle { fault: FaultId(id), settled, .. } => match settled {
+                    Settled::Decided { .. } => continue,
+                    Settled::Observed => format!("{id} observed"),
+                    Settled::Recovered { incarnation: Some(life) } => {
+                        format!("{id} recovered {life}")
+                    }
+                    Settled::Recovered { incarnation: None } => format!("{id} recovered"),
+                    Settled::GaveUp { reason } => format!("{id} given up: {reason}"),
+                    Settled::Contained { measure } => format!("{id} contained by {measure}"),
+                    Settled::RootSettled => format!("{id} may pass"),
+                },
+                RecovererAction::Release { measure } => format!("release {measure}"),
+                RecovererAction::LastResort { fault, reason } => {
+                    format!("last resort for {}: {reason}", fault.id.0)
+                }
+            });
+        }
+        said
+    }
+
+    fn find(&mut self, fault: Fault) -> Vec<String> {
+        self.machine.handle_fault(fault, self.now);
+        self.said()
+    }
+
+    fn outcome(&mut self, number: u64, outcome: Result<Done, Failed>) -> Vec<String> {
+        self.machine.handle_outcome(number, outcome, self.now);
+        self.said()
+    }
+
+    fn stand_down(&mut self, id: u64, object: &str) -> Vec<String> {
+        self.machine.handle_stand_down(FaultId(id), &at(object), self.now);
+        self.said()
+    }
+
+    fn pass(&mut self, span: Duration) -> Vec<String> {
+        self.now = self.now + span;
+        self.machine.handle_timeout(self.now);
+        self.said()
+    }
+
+    fn pass_to_due(&mut self) -> Vec<String> {
+        self.now = self.machine.poll_timeout().expect("something is due");
+        self.machine.handle_timeout(self.now);
+        self.said()
+    }
+}
+
+#[test]
+fn a_panic_is_answered_by_a_restart_at_once() {
+    let mut rig = Rig::new();
+
+    assert_eq!(rig.find(panic_of(1, "laser", 1)), ["#1 restart here:laser against panic, 1"]);
+    assert_eq!(rig.outcome(1, works(2)), ["1 recovered #2"]);
+    assert_eq!(rig.machine.open_cases(), 0);
+}
+
+#[test]
+fn a_fault_that_is_reported_again_is_treated_once() {
+    let mut rig = Rig::new();
+    rig.find(panic_of(1, "laser", 1));
+
+    assert_eq!(rig.find(panic_of(1, "laser", 1)), [""; 0]);
+    assert_eq!(rig.outcome(1, works(2)), ["1 recovered #2"]);
+    assert_eq!(rig.outcome(1, works(2)), [""; 0]);
+}
+
+#[test]
+fn the_ladder_is_climbed_with_back_off_until_safe_stop_holds() {
+    let mut rig = Rig::new();
+    rig.find(panic_of(1, "laser", 1));
+
+    assert_eq!(rig.outcome(1, fails()), [""; 0]);
+    let wait = rig.machine.poll_timeout().expect("a second attempt") - rig.now;
+    assert!(wait >= Duration::from_millis(9) && wait <= Duration::from_millis(11), "{wait:?}");
+    assert_eq!(rig.pass_to_due(), ["#2 restart here:laser against panic, 2"]);
+    assert_eq!(rig.outcome(2, fails()), [""; 0]);
+    assert_eq!(rig.pass_to_due(), ["#3 restart here:laser against panic, 3"]);
+    assert_eq!(rig.outcome(3, fails()), ["#4 safe stop here:laser against panic, 1"]);
+    assert_eq!(rig.outcome(4, Ok(Done::default())), ["1 contained by safe stop"]);
+}
+
+#[test]
+fn what_not_even_safe_stop_can_contain_is_the_nodes_to_end() {
+    let plan = Plan::default().on(FaultKind::Panic, Ladder::first(Measure::Restart));
+    let mut rig = Rig::with(plan, RecovererLimits::default());
+    rig.find(panic_of(1, "laser", 1));
+
+    assert_eq!(
+        rig.outcome(1, fails()),
+        ["1 given up: broken", "#2 safe stop here:laser against panic, 1"]
+    );
+    assert_eq!(rig.outcome(2, fails()), ["last resort for 1: broken"]);
+    assert_eq!(rig.machine.open_cases(), 0);
+}
+
+#[test]
+fn a_strategy_that_is_silent_for_too_long_has_failed() {
+    let mut rig = Rig::new();
+    rig.find(panic_of(1, "laser", 1));
+
+    assert_eq!(rig.pass(Duration::from_secs(29)), [""; 0]);
+    rig.pass(Duration::from_secs(1));
+    assert_eq!(rig.outcome(1, works(2)), [""; 0]);
+    assert_eq!(rig.pass_to_due(), ["#2 restart here:laser against panic, 2"]);
+}
+
+#[test]
+fn an_error_state_is_reset_first_and_restarted_when_it_comes_back() {
+    let mut rig = Rig::new();
+    let error = |id| fault(id, FaultKind::ErrorState, at("arm"), 1);
+
+    assert_eq!(rig.find(error(1)), ["#1 reset here:arm against error state, 1"]);
+    assert_eq!(rig.outcome(1, Ok(Done::default())), ["1 recovered"]);
+    assert_eq!(rig.find(error(2)), ["#2 restart here:arm against error state, 1"]);
+    assert_eq!(rig.outcome(2, works(2)), ["2 recovered #2"]);
+    assert_eq!(rig.find(error(3)), ["#3 reset here:arm against error state, 1"]);
+    rig.outcome(3, Ok(Done::default()));
+    rig.pass(Duration::from_secs(11));
+    assert_eq!(rig.find(error(4)), ["#4 reset here:arm against error state, 1"]);
+}
+
+#[test]
+fn a_second_fault_of_a_place_joins_its_case() {
+    let mut rig = Rig::new();
+    rig.find(fault(1, FaultKind::ErrorState, at("arm"), 1));
+
+    assert_eq!(rig.find(fault(2, FaultKind::Hang, at("arm"), 1)), [""; 0]);
+    assert_eq!(rig.outcome(1, fails()), ["#2 restart here:arm against hang, 1"]);
+    assert_eq!(rig.outcome(2, works(2)), ["1 recovered #2", "2 recovered #2"]);
+}
+
+#[test]
+fn a_fault_that_the_measure_cannot_have_cured_is_treated_next() {
+    let mut rig = Rig::new();
+    rig.find(fault(1, FaultKind::ErrorState, at("arm"), 1));
+    rig.find(panic_of(2, "arm", 1));
+
+    assert_eq!(
+        rig.outcome(1, Ok(Done::default())),
+        ["1 recovered", "#2 restart here:arm against panic, 1"]
+    );
+
+    rig.find(fault(3, FaultKind::Hang, at("arm"), 2));
+    assert_eq!(rig.outcome(2, works(2)), ["2 recovered #2", "#3 restart here:arm against hang, 1"]);
+}
+
+#[test]
+fn a_symptom_waits_for_its_root_and_may_then_pass() {
+    let mut rig = Rig::new();
+    rig.find(fault(1, FaultKind::Hang, at("planner"), 1));
+
+    assert_eq!(rig.find(symptom(2, "laser", 1)), [""; 0]);
+    assert_eq!(rig.find(symptom(2, "laser", 1)), [""; 0]);
+    assert_eq!(rig.find(symptom(3, "scan", 2)), [""; 0]);
+    assert_eq!(rig.outcome(1, works(2)), ["1 recovered #2", "2 may pass"]);
+    assert_eq!(rig.stand_down(2, "laser"), ["3 may pass"]);
+    assert_eq!(rig.stand_down(3, "scan"), [""; 0]);
+    assert_eq!(rig.pass(Duration::from_secs(1)), [""; 0]);
+}
+
+#[test]
+fn a_symptom_that_stays_is_treated_itself() {
+    let mut rig = Rig::new();
+    rig.find(fault(1, FaultKind::Hang, at("planner"), 1));
+    rig.find(symptom(2, "laser", 1));
+    rig.outcome(1, works(2));
+
+    assert_eq!(rig.pass(Duration::from_millis(200)), ["#2 restart here:laser against silence, 1"]);
+    assert_eq!(rig.find(symptom(4, "scan", 1)), ["#3 restart here:scan against silence, 1"]);
+}
+
+#[test]
+fn a_fault_that_passes_while_it_waits_is_let_go_and_one_under_way_is_finished() {
+    let mut rig = Rig::new();
+    rig.find(panic_of(1, "laser", 1));
+    assert_eq!(rig.stand_down(1, "laser"), [""; 0]);
+    assert_eq!(rig.machine.open_cases(), 1);
+    rig.outcome(1, fails());
+
+    rig.stand_down(1, "laser");
+
+    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.pass(Duration::from_secs(1)), [""; 0]);
+}
+
+#[test]
+fn kinds_without_a_measure_are_observed_and_do_not_hold_symptoms_back() {
+    let mut rig = Rig::new();
+
+    assert_eq!(rig.find(fault(1, FaultKind::Overload, at("laser"), 1)), ["1 observed"]);
+    assert_eq!(rig.find(fault(2, FaultKind::RestartStorm, at("drive"), 1)), ["2 observed"]);
+    assert_eq!(rig.find(symptom(3, "scan", 1)).len(), 1);
+}
+
+#[test]
+fn a_lost_node_is_observed_when_no_other_way_leads_there() {
+    let mut rig = Rig::new();
+    let there = Place::Node(NodeName::new("there").expect("a good name"));
+
+    assert_eq!(
+        rig.find(fault(1, FaultKind::NodeLost, there, 1)),
+        ["#1 reroute there against node lost, 1"]
+    );
+    assert_eq!(rig.outcome(1, fails()), ["1 observed"]);
+}
+
+#[test]
+fn faults_of_other_nodes_are_left_to_them_unless_the_plan_takes_over() {
+    let there = Place::Object("there:laser".parse().expect("a good name"));
+    let mut rig = Rig::new();
+    assert_eq!(rig.find(fault(1, FaultKind::Panic, there.clone(), 1)), ["1 observed"]);
+
+    let take_over = Ladder::first(Measure::Custom(Arc::from("take over")));
+    let plan = Plan::default().on_other_nodes(FaultKind::Panic, take_over);
+    let mut rig = Rig::with(plan, RecovererLimits::default());
+    assert_eq!(
+        rig.find(fault(1, FaultKind::Panic, there, 1)),
+        ["#1 take over there:laser against panic, 1"]
+    );
+}
+
+#[test]
+fn isolation_contains_and_does_not_recover() {
+    let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(Measure::Isolate));
+    let mut rig = Rig::with(plan, RecovererLimits::default());
+    rig.find(fault(1, FaultKind::CheckFailed, at("gps"), 1));
+
+    assert_eq!(rig.outcome(1, Ok(Done::default())), ["1 contained by isolate"]);
+}
+
+#[test]
+fn a_strategy_without_work_is_released_and_one_at_work_is_not() {
+    let limits = RecovererLimits { idle: Duration::from_secs(5), ..RecovererLimits::default() };
+    let mut rig = Rig::with(Plan::default(), limits);
+    rig.find(panic_of(1, "laser", 1));
+    rig.find(fault(2, FaultKind::ErrorState, at("arm"), 1));
+    rig.outcome(2, Ok(Done::default()));
+
+    assert_eq!(rig.pass(Duration::from_secs(5)), ["release reset"]);
+    rig.outcome(1, works(2));
+    assert_eq!(rig.pass(Duration::from_secs(4)), [""; 0]);
+    assert_eq!(rig.pass(Duration::from_secs(1)), ["release restart"]);
+    assert_eq!(rig.machine.poll_timeout(), None);
+}
+
+#[test]
+fn more_places_than_it_can_treat_are_given_up_loudly() {
+    let limits = RecovererLimits { cases: 1, symptoms: 0, ..RecovererLimits::default() };
+    let mut rig = Rig::with(Plan::default(), limits);
+    rig.find(panic_of(1, "laser", 1));
+
+    assert_eq!(rig.find(panic_of(2, "arm", 1)), ["2 given up: 1 places are being treated already"]);
+    assert_eq!(rig.find(symptom(3, "laser", 1)), [""; 0]);
+    assert_eq!(rig.outcome(1, works(2)), ["1 recovered #2", "3 recovered #2"]);
+}
+
+#[test]
+fn a_place_with_too_many_faults_gives_the_further_ones_up() {
+    let mut rig = Rig::new();
+    for id in 1..=FAULTS_LIMIT as u64 {
+        rig.find(fault(id, FaultKind::Custom(format!("F{id}").into()), at("arm"), 1));
+    }
+
+    assert!(rig.find(panic_of(99, "arm", 1))[0].starts_with("99 given up: 32 faults of here:arm"));
+}
+
+#[test]
+fn a_recoverer_that_begins_anew_takes_up_what_was_open() {
+    let mut rig = Rig::new();
+    rig.find(fault(1, FaultKind::Hang, at("planner"), 1));
+    rig.find(symptom(2, "laser", 1));
+
+    rig.machine = rig.machine.begun_anew(rig.now);
+
+    assert_eq!(rig.said(), ["#2 restart here:planner against hang, 1"]);
+    assert_eq!(rig.outcome(1, fails()), [""; 0]);
+    assert_eq!(rig.outcome(2, works(2)), ["1 recovered #2", "2 may pass"]);
+}
+
+#[test]
+fn a_custom_strategy_is_called_by_name_and_not_for_ever() {
+    let ladder = Ladder::first(Measure::Custom("homing".into())).backoff(Backoff::NONE).times(2);
+    let plan = Plan::default().on(FaultKind::CheckFailed, ladder);
+    let mut rig = Rig::with(plan, RecovererLimits::default());
+    let check = |id| fault(id, FaultKind::CheckFailed, at("arm"), 1);
+
+    assert_eq!(rig.find(check(1)), ["#1 homing here:arm against check failed, 1"]);
+    rig.outcome(1, Ok(Done::default()));
+    assert_eq!(rig.find(check(2)), ["#2 homing here:arm against check failed, 2"]);
+    rig.outcome(2, Ok(Done::default()));
+    assert_eq!(
+        rig.find(check(3)),
+        [
+            "3 given up: it came back after it had been recovered",
+            "#3 safe stop here:arm against check failed, 1"
+        ]
+    );
+}
+
+/// Every kind of fault, every answer: whatever the strategies say or do not say, every fault comes to
+/// a final outcome in bounded time.
+#[test]
+fn every_fault_is_settled_whatever_the_strategies_do() {
+    let places = [
+        at("arm"),
+        Place::Node(NodeName::new("there").expect("a good name")),
+        Place::Link { node: node(), link: "ethernet".into(), neighbour: None },
+    ];
+    for kind in FaultKind::BUILT_IN {
+        for place in &places {
+            for answers in 0..81 {
+                let mut rig = Rig::new();
+                let mut open = vec![1, 2];
+                let second = FaultKind::BUILT_IN[answers % 14].clone();
+                rig.machine.handle_fault(fault(1, kind.clone(), place.clone(), 1), rig.now);
+                rig.machine.handle_fault(fault(2, second, place.clone(), 1), rig.now);
+                let mut answers = answers;
+                for _ in 0..60 {
+                    while let Some(action) = rig.machine.poll_output() {
+                        match action {
+                            RecovererAction::CarryOut(order) => {
+                                let answer = answers % 3;
+                                answers /= 3;
+                                match answer {
+                                    0 => rig.machine.handle_outcome(order.number, fails(), rig.now),
+                                    1 => {
+                                        rig.machine.handle_outcome(order.number, works(2), rig.now)
+                                    }
+                                    _ => {}
+                                }
+                            }
+                            RecovererAction::Settle { fault, settled, .. } => match settled {
+                                Settled::Decided { .. } | Settled::RootSettled => {}
+                                _ => open.retain(|&id| id != fault.0),
+                            },
+                            _ => {}
+                        }
+                    }
+                    if let Some(due) = rig.machine.poll_timeout() {
+                        rig.now = due;
+                        rig.machine.handle_timeout(due);
+                    }
+                }
+                assert!(open.is_empty() && rig.machine.open_cases() == 0, "{kind} at {place}");
+            }
+        }
+    }
+}

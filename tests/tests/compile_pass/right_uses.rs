@@ -1,0 +1,34 @@
+//! What the other files do wrong, done right, through the facade and without serde.
+
+use blastema::{Event, Request, Structure};
+use std::collections::BTreeMap;
+
+#[derive(Clone, Debug, Event)]
+#[contract(name = "laser/scan", version = 2, max_size = 4096, max_age = "100ms")]
+pub struct Scan {
+    #[contract(unit = "m", frame = "laser")]
+    pub ranges: Vec<f32>,
+    pub poses: BTreeMap<u32, Pose>,
+}
+
+#[derive(Clone, Debug, Structure)]
+pub struct Pose {
+    pub x: f64,
+    pub covariance: [f64; 36],
+}
+
+#[derive(Clone, Debug, Event)]
+#[contract(name = "stamped")]
+pub struct Stamped<T>(pub u64, pub T);
+
+#[derive(Debug, Request)]
+#[contract(reply = Option<Pose>)]
+pub struct WhereAmI;
+
+fn main() {
+    fn is_event<E: blastema::core::Event>() {}
+    fn is_request<R: blastema::core::Request<Reply = Option<Pose>>>() {}
+    is_event::<Scan>();
+    is_event::<Stamped<Pose>>();
+    is_request::<WhereAmI>();
+}

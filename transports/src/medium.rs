@@ -1,0 +1,138 @@
+//! What every transport does in the same way: live, take orders, poll its medium.
+
+use crate::outlet::Outlet;
+use actix::fut::ActorFuture;
+use actix::{Actor, AsyncContext, Context, Supervised};
+use blastema_contract::transport::Transmit;
+use std::pin::Pin;
+use std::task::{self, Poll};
+
+/// How many frames are moved in one turn before the mailbox, and the arbiter's other actors, come to
+/// their right. 64 small datagrams take about a tenth of a millisecond.
+pub(crate) const BUDGET: usize = 64;
+
+/// An actor that owns a medium. [`transport!`] makes it one that speaks the contract.
+pub(crate) trait Medium: Actor<Context = Context<Self>> + Supervised {
+    /// Where its frames and reports go, and where it counts.
+    fn outlet(&mut self) -> &mut Outlet;
+
+    /// Tries once to open the medium, and announces what came of it.
+    fn open(&mut self, context: &mut Context<Self>);
+
+    /// Takes a frame that is to go out. It must not wait: the pump follows at once.
+    fn transmit(&mut self, message: Transmit);
+
+    /// Moves what can be moved, within [`BUDGET`], and leaves a waker for the rest. It is called after
+    /// every message too.
+    fn pump(&mut self, task: &mut task::Context<'_>);
+
+    /// Lets go of the medium: its port is free when this returns. What waits is thrown away, for a
+    /// panic may have left it half-done; what the next life needs is kept.
+    fn shut(&mut self);
+
+    /// Closes the medium for good.
+    fn close(&mut self) {
+        self.shut();
+    }
+}
+
+/// Polls the medium for as long as the actor lives.
+pub(crate) struct Pump;
+
+impl Pump {
+    pub(crate) fn start<A: Medium>(context: &mut Context<A>) {
+        context.spawn(Pump);
+    }
+}
+
+impl<A: Medium> ActorFuture<A> for Pump {
+    type Output = ();
+
+    fn poll(
+        self: Pin<&mut Self>,
+        actor: &mut A,
+        _: &mut A::Context,
+        task: &mut task::Context<'_>,
+    ) -> Poll<()> {
+        actor.pump(task);
+        Poll::Pending
+    }
+}
+
+/// Makes an actor of a [`Medium`]: its beginning, its next life after a panic, and its orders.
+macro_rules! transport {
+    ($medium:ty) => {
+        crate::medium::transport!($medium, counted elsewhere);
+
+        impl actix::Handler<blastema_contract::transport::ReadCounters> for $medium {
+            type Result = actix::MessageResult<blastema_contract::transport::ReadCounters>;
+
+            fn handle(
+                &mut self,
+                _: blastema_contract::transport::ReadCounters,
+                _: &mut actix::Context<Self>,
+            ) -> Self::Result {
+                actix::MessageResult(crate::medium::Medium::outlet(self).counters)
+            }
+        }
+    };
+    ($medium:ty, counted elsewhere) => {
+        impl actix::Actor for $medium {
+            type Context = actix::Context<Self>;
+
+            fn started(&mut self, context: &mut actix::Context<Self>) {
+                crate::medium::Medium::open(self, context);
+                crate::medium::Pump::start(context);
+            }
+        }
+
+        /// The next life opens at the same address and serves whoever was attached.
+        impl actix::Supervised for $medium {
+            fn restarting(&mut self, context: &mut actix::Context<Self>) {
+                crate::medium::Medium::shut(self);
+                crate::medium::Medium::outlet(self).begin_next_life();
+                actix::Actor::started(self, context);
+            }
+        }
+
+        impl actix::Handler<blastema_contract::transport::Transmit> for $medium {
+            type Result = ();
+
+            fn handle(
+                &mut self,
+                message: blastema_contract::transport::Transmit,
+                _: &mut actix::Context<Self>,
+            ) {
+                crate::medium::Medium::transmit(self, message);
+            }
+        }
+
+        impl actix::Handler<blastema_contract::transport::Attach> for $medium {
+            type Result = ();
+
+            fn handle(
+                &mut self,
+                message: blastema_contract::transport::Attach,
+                _: &mut actix::Context<Self>,
+            ) {
+                crate::medium::Medium::outlet(self).attach(message);
+            }
+        }
+
+        impl actix::Handler<blastema_contract::transport::Close> for $medium {
+            type Result = ();
+
+            fn handle(
+                &mut self,
+                _: blastema_contract::transport::Close,
+                context: &mut actix::Context<Self>,
+            ) {
+                crate::medium::Medium::close(self);
+                crate::medium::Medium::outlet(self).announce_closed("closed as asked".into());
+                actix::ActorContext::stop(context);
+            }
+        }
+    };
+}
+
+pub(crate) use transport;

@@ -1,0 +1,198 @@
+//! Frames in a stream of bytes: pure functions, given bytes from outside.
+//!
+//! ```text
+//! each side:  preamble ─ frame ─ frame ─ …
+//!
+//! preamble    0       4        5       6      8
+//!             │ "BLST"│ version│ zero  │ port │   the port on which the speaker listens
+//!
+//! frame       0        4
+//!             │ length │ bytes …                  numbers are big-endian
+//! ```
+
+use crate::part::part_frame;
+use bytes::{Bytes, BytesMut};
+
+/// How long a preamble is, in bytes.
+pub const PREAMBLE: usize = 8;
+/// How long the length before each frame is, in bytes.
+pub const HEADER: usize = 4;
+/// Memory is taken in pieces of this size, and shared by the frames in it.
+pub(super) const CHUNK: usize = 64 * 1024;
+
+const MAGIC: [u8; 4] = *b"BLST";
+const VERSION: u8 = 1;
+
+/// Why bytes are not ours. The connection they came on cannot be understood any further.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum FramingError {
+    /// The other side speaks another protocol.
+    #[error("the peer does not speak this protocol")]
+    Foreign,
+    /// The other side speaks another version of this protocol. Bring both nodes to the same.
+    #[error("the peer speaks version {version} of the framing, we speak {VERSION}")]
+    Version {
+        /// What it speaks.
+        version: u8,
+    },
+    /// The other side says that it listens on no port.
+    #[error("the peer listens on no port")]
+    NoPort,
+    /// A frame larger than agreed is announced. Raise the limit on this side if it is wanted.
+    #[error("a frame of {length} bytes is announced, the limit is {limit}")]
+    TooLarge {
+        /// As announced.
+        length: usize,
+        /// As configured.
+        limit: usize,
+    },
+}
+
+/// What a node says first on every connection: the port on which it listens. Its address needs no
+/// word: the connection comes from there.
+pub fn encode_preamble(port: u16) -> [u8; PREAMBLE] {
+    let [high, low] = port.to_be_bytes();
+    let [a, b, c, d] = MAGIC;
+    [a, b, c, d, VERSION, 0, high, low]
+}
+
+/// Reads the port from a preamble.
+///
+/// # Errors
+/// The bytes are no preamble of ours.
+pub fn decode_preamble(bytes: [u8; PREAMBLE]) -> Result<u16, FramingError> {
+    let [a, b, c, d, version, zero, high, low] = bytes;
+    if [a, b, c, d] != MAGIC {
+        return Err(FramingError::Foreign);
+    }
+    if (version, zero) != (VERSION, 0) {
+        return Err(FramingError::Version { version });
+    }
+    match u16::from_be_bytes([high, low]) {
+        0 => Err(FramingError::NoPort),
+        port => Ok(port),
+    }
+}
+
+/// What stands before a frame of this length.
+///
+/// # Panics
+/// When the length is above 4 GiB, which no limit allows.
+pub fn encode_header(length: usize) -> [u8; HEADER] {
+    u32::try_from(length).expect("frames are far below 4 GiB").to_be_bytes()
+}
+
+/// Takes the first frame from the buffer, if it is all there.
+///
+/// A buffer without a whole frame in it is shorter than `HEADER + limit`, whatever came from outside:
+/// who reads only then never holds more than that and one read.
+///
+/// # Errors
+/// The announced frame is larger than `limit`.
+pub fn decode(buffer: &mut BytesMut, limit: usize) -> Result<Option<Bytes>, FramingError> {
+    let Some(header) = buffer.first_chunk::<HEADER>() else { return Ok(None) };
+    // On machines where this does not fit, the frame does not either.
+    let length = usize::try_from(u32::from_be_bytes(*header)).unwrap_or(usize::MAX);
+    if length > limit {
+        return Err(FramingError::TooLarge { length, limit });
+    }
+    if buffer.len() - HEADER < length {
+        return Ok(None);
+    }
+    bytes::Buf::advance(buffer, HEADER);
+    Ok(Some(part_frame(buffer, length, CHUNK)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_core::random::Random;
+
+    fn stream(frames: &[Bytes]) -> Vec<u8> {
+        frames.iter().flat_map(|frame| [&encode_header(frame.len())[..], frame].concat()).collect()
+    }
+
+    fn decode_in_pieces(bytes: &[u8], piece: usize, limit: usize) -> Vec<Bytes> {
+        let (mut buffer, mut frames) = (BytesMut::new(), vec![]);
+        for piece in bytes.chunks(piece) {
+            buffer.extend_from_slice(piece);
+            while let Some(frame) = decode(&mut buffer, limit).unwrap() {
+                frames.push(frame);
+            }
+        }
+        assert!(buffer.is_empty());
+        frames
+    }
+
+    #[test]
+    fn frames_come_out_as_they_went_in_however_the_stream_is_cut() {
+        let frames = [0, 1, 4, 300, 0, 20_000, 65_536]
+            .map(|length| Bytes::from((0..length).map(|i| (i % 251) as u8).collect::<Vec<_>>()));
+        let bytes = stream(&frames);
+
+        for piece in [1, 3, 4, 5, 1000, 16_384, bytes.len()] {
+            assert_eq!(decode_in_pieces(&bytes, piece, 65_536), frames, "in pieces of {piece}");
+        }
+    }
+
+    #[test]
+    fn the_wire_format_is_this() {
+        assert_eq!(stream(&[Bytes::from("hello")]), b"\0\0\0\x05hello");
+        assert_eq!(encode_preamble(7400), *b"BLST\x01\0\x1c\xe8");
+    }
+
+    #[test]
+    fn a_frame_above_the_limit_is_refused_before_it_arrives() {
+        let mut buffer = BytesMut::from(&encode_header(101)[..]);
+
+        let refused = decode(&mut buffer, 100).unwrap_err();
+
+        assert_eq!(refused, FramingError::TooLarge { length: 101, limit: 100 });
+    }
+
+    #[test]
+    fn garbage_never_panics_and_never_makes_the_buffer_grow() {
+        const LIMIT: usize = 1000;
+        for seed in 0..2000 {
+            let mut random = Random::new(seed);
+            let mut buffer = BytesMut::new();
+            for _ in 0..50 {
+                let read = (random.next() % 600) as usize;
+                // Small lengths now and then, so that some garbage passes for frames.
+                let plausible = random.chance(0.5);
+                buffer.extend((0..read).map(|i| match (plausible, i % 4) {
+                    (true, 0 | 1) => 0,
+                    _ => random.next() as u8,
+                }));
+                let refused = loop {
+                    match decode(&mut buffer, LIMIT) {
+                        Ok(Some(frame)) => assert!(frame.len() <= LIMIT),
+                        Ok(None) => break false,
+                        Err(_) => break true,
+                    }
+                };
+                if refused {
+                    break;
+                }
+                assert!(buffer.len() < HEADER + LIMIT, "seed {seed}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_preamble_is_read_back_and_anything_else_refused() {
+        let check = |bytes: &[u8; PREAMBLE], expected| {
+            assert_eq!(decode_preamble(*bytes), expected, "{bytes:?}");
+        };
+        check(&encode_preamble(7400), Ok(7400));
+        check(b"GET / HT", Err(FramingError::Foreign));
+        check(b"BLST\x02\0\x1c\xe8", Err(FramingError::Version { version: 2 }));
+        check(b"BLST\x01\x07\x1c\xe8", Err(FramingError::Version { version: 1 }));
+        check(b"BLST\x01\0\0\0", Err(FramingError::NoPort));
+        let mut random = Random::new(7);
+        for _ in 0..100_000 {
+            let _ = decode_preamble(random.next().to_be_bytes());
+        }
+    }
+}

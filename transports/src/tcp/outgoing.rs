@@ -1,0 +1,134 @@
+//! Frames that wait for a connection to take them.
+
+use super::framing::{HEADER, encode_header};
+use bytes::Bytes;
+use std::collections::VecDeque;
+use std::io::{self, IoSlice};
+use std::task::{self, Poll};
+use tokio::net::TcpStream;
+
+/// So many frames go into one system call.
+const AT_ONCE: usize = 32;
+/// What a frame costs beside its bytes, so that empty frames have a bound too.
+const OVERHEAD: usize = 64;
+
+/// A bounded queue of frames before one peer.
+#[derive(Default)]
+pub(super) struct Outgoing {
+    frames: VecDeque<Bytes>,
+    /// What the frames cost together.
+    cost: usize,
+    /// How much of the first frame, with its header, is written already.
+    written: usize,
+}
+
+impl Outgoing {
+    /// Takes a frame, unless the queue would cost more than `limit` bytes.
+    pub(super) fn push(&mut self, frame: Bytes, limit: usize) -> bool {
+        let cost = self.cost + frame.len() + OVERHEAD;
+        if cost > limit {
+            return false;
+        }
+        self.cost = cost;
+        self.frames.push_back(frame);
+        true
+    }
+
+    /// Throws everything away; the answer is how many frames that were.
+    pub(super) fn clear(&mut self) -> u64 {
+        let frames = self.frames.len();
+        *self = Outgoing::default();
+        frames as u64
+    }
+
+    /// A new connection begins with a whole frame.
+    pub(super) fn rewind(&mut self) {
+        self.written = 0;
+    }
+
+    /// Writes until all is written or the kernel has no more room; the answer is how many frames went
+    /// out whole.
+    pub(super) fn write(
+        &mut self,
+        stream: &TcpStream,
+        task: &mut task::Context<'_>,
+    ) -> io::Result<u64> {
+        let mut sent = 0;
+        while !self.frames.is_empty() {
+            match self.write_once(stream) {
+                Ok(frames) => sent += frames,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    match stream.poll_write_ready(task) {
+                        Poll::Ready(ready) => ready?,
+                        Poll::Pending => break,
+                    }
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(sent)
+    }
+
+    fn write_once(&mut self, stream: &TcpStream) -> io::Result<u64> {
+        let mut headers = [[0; HEADER]; AT_ONCE];
+        for (header, frame) in headers.iter_mut().zip(&self.frames) {
+            *header = encode_header(frame.len());
+        }
+        let mut slices = [IoSlice::new(&[]); 2 * AT_ONCE];
+        for (pair, (header, frame)) in
+            slices.chunks_exact_mut(2).zip(headers.iter().zip(&self.frames))
+        {
+            pair[0] = IoSlice::new(header);
+            pair[1] = IoSlice::new(frame);
+        }
+        let mut slices = &mut slices[..2 * self.frames.len().min(AT_ONCE)];
+        IoSlice::advance_slices(&mut slices, self.written);
+        match stream.try_write_vectored(slices)? {
+            0 => Err(io::ErrorKind::WriteZero.into()),
+            written => Ok(self.advance(written)),
+        }
+    }
+
+    /// So many bytes more have gone out; the answer is how many frames they completed.
+    fn advance(&mut self, bytes: usize) -> u64 {
+        self.written += bytes;
+        let mut completed = 0;
+        while let Some(first) = self.frames.front()
+            && self.written >= HEADER + first.len()
+        {
+            self.written -= HEADER + first.len();
+            self.cost -= first.len() + OVERHEAD;
+            self.frames.pop_front();
+            completed += 1;
+        }
+        completed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_complete_when_their_last_byte_is_written() {
+        let mut outgoing = Outgoing::default();
+        for frame in ["", "abc", "", "de"] {
+            assert!(outgoing.push(frame.into(), 1 << 20));
+        }
+
+        let completed = [3, 1, 6, 1, 4, 6].map(|bytes| outgoing.advance(bytes));
+
+        assert_eq!(completed, [0, 1, 0, 1, 1, 1]);
+        assert_eq!((outgoing.cost, outgoing.written, outgoing.frames.len()), (0, 0, 0));
+    }
+
+    #[test]
+    fn the_queue_is_bounded_for_empty_frames_too() {
+        let mut outgoing = Outgoing::default();
+
+        let taken = (0..10_000).filter(|_| outgoing.push(Bytes::new(), 64 * 100)).count();
+
+        assert_eq!(taken, 100);
+        assert_eq!(outgoing.clear(), 100);
+    }
+}

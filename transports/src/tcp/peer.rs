@@ -1,0 +1,165 @@
+//! One peer of a TCP transport, and how the connection with it stands.
+
+use super::framing::{CHUNK, decode};
+use super::handshake::Underway;
+use super::outgoing::Outgoing;
+use crate::medium::BUDGET;
+use crate::outlet::Outlet;
+use blastema_contract::transport::MediumAddress;
+use blastema_core::recovery::Backoff;
+use bytes::BytesMut;
+use std::future::Future;
+use std::io;
+use std::net::SocketAddr;
+use std::pin::Pin;
+use std::task::{self, Poll};
+use std::time::Duration;
+use tokio::net::TcpStream;
+use tokio::time::Sleep;
+
+/// The limit is how late a peer that is back, and does not dial us itself, may be noticed. With jitter,
+/// so that many who lost the same peer do not come back as one.
+const BACKOFF: Backoff = Backoff {
+    first: Duration::from_millis(20),
+    factor: 2,
+    limit: Duration::from_secs(1),
+    jitter_percent: 10,
+};
+
+/// A peer, known by the address at which it listens.
+pub(super) struct Peer {
+    pub(super) address: SocketAddr,
+    pub(super) state: State,
+    pub(super) outgoing: Outgoing,
+    failures: u32,
+}
+
+/// ```text
+///          frame             kept                broken
+/// Absent ─────────► Dialing ───────► Connected ─────────┐
+///    ▲                 │ failed                         ▼
+///    └─────────────────┴────────── pause over ─────── Resting
+/// ```
+/// A connection that the peer makes leads to `Connected` from anywhere.
+pub(super) enum State {
+    /// The next frame dials.
+    Absent,
+    /// A connection is being made; frames wait for it.
+    Dialing(Underway<TcpStream>),
+    /// Frames flow.
+    Connected(Connection),
+    /// It failed or broke a moment ago; frames are dropped.
+    Resting(Pin<Box<Sleep>>),
+}
+
+/// A connection on which both sides have introduced themselves.
+pub(super) struct Connection {
+    stream: TcpStream,
+    buffer: BytesMut,
+}
+
+/// Why a connection is no more.
+pub(super) enum Broken {
+    /// The other side closed it, or the network did.
+    Lost,
+    /// The other side sent what is no frame.
+    Refused,
+}
+
+impl Peer {
+    pub(super) fn new(address: SocketAddr) -> Self {
+        Peer { address, state: State::Absent, outgoing: Outgoing::default(), failures: 0 }
+    }
+
+    pub(super) fn is_connected(&self) -> bool {
+        matches!(self.state, State::Connected(_))
+    }
+
+    /// Whether nothing is lost when its place is given to another.
+    pub(super) fn is_dispensable(&self) -> bool {
+        matches!(self.state, State::Absent | State::Resting(_))
+    }
+
+    /// Frames flow over this connection from now on, beginning with a whole one.
+    pub(super) fn adopt(&mut self, stream: TcpStream) {
+        self.failures = 0;
+        self.outgoing.rewind();
+        self.state = State::Connected(Connection { stream, buffer: BytesMut::new() });
+    }
+
+    /// The connection failed or broke: a pause begins, twice as long after each failure. The answer is
+    /// how many frames are lost with it.
+    pub(super) fn rest(&mut self) -> u64 {
+        self.failures = self.failures.saturating_add(1);
+        let seed = u64::from(self.address.port());
+        let pause = BACKOFF.delay(self.failures.saturating_add(1), seed);
+        self.state = State::Resting(Box::pin(tokio::time::sleep(pause)));
+        self.outgoing.clear()
+    }
+
+    /// Looks whether a connection is made, or a pause is over.
+    pub(super) fn poll_progress(&mut self, task: &mut task::Context<'_>) -> io::Result<()> {
+        match &mut self.state {
+            State::Dialing(dial) => match dial.as_mut().poll(task) {
+                Poll::Ready(stream) => {
+                    self.adopt(stream?);
+                    Ok(())
+                }
+                Poll::Pending => Ok(()),
+            },
+            State::Resting(pause) => {
+                if pause.as_mut().poll(task).is_ready() {
+                    self.state = State::Absent;
+                }
+                Ok(())
+            }
+            State::Absent | State::Connected(_) => Ok(()),
+        }
+    }
+
+    /// Writes what waits, as far as the kernel takes it.
+    pub(super) fn write(
+        &mut self,
+        task: &mut task::Context<'_>,
+        outlet: &mut Outlet,
+    ) -> Result<(), Broken> {
+        let State::Connected(connection) = &self.state else { return Ok(()) };
+        outlet.counters.sent +=
+            self.outgoing.write(&connection.stream, task).map_err(|_| Broken::Lost)?;
+        Ok(())
+    }
+
+    /// Reads frames, up to the budget. The answer is whether the outlet is full.
+    pub(super) fn read(
+        &mut self,
+        task: &mut task::Context<'_>,
+        limit: usize,
+        outlet: &mut Outlet,
+    ) -> Result<bool, Broken> {
+        let State::Connected(Connection { stream, buffer }) = &mut self.state else {
+            return Ok(false);
+        };
+        for _ in 0..BUDGET {
+            if outlet.poll_room(task).is_pending() {
+                return Ok(true);
+            }
+            if let Some(frame) = decode(buffer, limit).map_err(|_| Broken::Refused)? {
+                outlet.deliver(MediumAddress::Ip(self.address), frame);
+                continue;
+            }
+            buffer.reserve(CHUNK);
+            match stream.try_read_buf(buffer) {
+                Ok(0) => return Err(Broken::Lost),
+                Ok(_) => {}
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    if stream.poll_read_ready(task).is_pending() {
+                        return Ok(false);
+                    }
+                }
+                Err(_) => return Err(Broken::Lost),
+            }
+        }
+        task.waker().wake_by_ref();
+        Ok(false)
+    }
+}

@@ -1,0 +1,170 @@
+//! What the fault wrapper does when it is told to, in virtual time.
+
+use actix::prelude::*;
+use blastema_contract::transport::{
+    Attach, Cut, Direction, Impair, InjectedFaults, ReadInjectedFaults, Received, Restore,
+    Transmit, Transport, TransportReport,
+};
+use blastema_core::impairment::Impairment;
+use blastema_doubles::{MockTransport, Probe, advance, now, paused};
+use blastema_transports::{Faulty, FaultyConfig};
+use std::time::Duration;
+
+const MS: fn(u64) -> Duration = Duration::from_millis;
+
+/// A cable with a mock behind it and probes before it.
+struct Bench {
+    medium: MockTransport,
+    cable: Addr<Faulty>,
+    frames: Probe<Received>,
+    reports: Probe<TransportReport>,
+}
+
+impl Bench {
+    async fn new(seed: u64) -> Self {
+        let medium = MockTransport::start("here");
+        let cable = Faulty::new(medium.transport(), FaultyConfig::new(seed, now)).start();
+        let (frames, reports) = (Probe::start(), Probe::start());
+        let (to_frames, to_reports) = (frames.recipient(), reports.recipient());
+        cable.do_send(Attach { frames: to_frames, reports: to_reports });
+        let opened: TransportReport = reports.expect().await;
+        assert!(matches!(opened, TransportReport::Opened { .. }));
+        Bench { medium, cable, frames, reports }
+    }
+
+    fn transmit(&self, numbers: std::ops::Range<u8>) {
+        for number in numbers {
+            let frame = vec![number].into();
+            Transport::from(self.cable.clone())
+                .transmit
+                .do_send(Transmit { to: self.medium.local(), frame });
+        }
+    }
+
+    fn sent(&self) -> Vec<u8> {
+        self.medium.sent().iter().map(|sent| sent.frame[0]).collect()
+    }
+
+    fn receive(&self, numbers: std::ops::Range<u8>) {
+        numbers.for_each(|number| self.medium.receive(self.medium.local(), vec![number]));
+    }
+
+    fn received(&self) -> Vec<u8> {
+        self.frames.drain().iter().map(|received| received.frame[0]).collect()
+    }
+
+    async fn injected(&self) -> InjectedFaults {
+        self.cable.send(ReadInjectedFaults).await.unwrap()
+    }
+}
+
+#[test]
+fn a_good_cable_passes_everything_both_ways() {
+    paused(async {
+        let bench = Bench::new(1).await;
+
+        bench.transmit(0..100);
+        bench.receive(100..200);
+        advance(Duration::ZERO).await;
+
+        assert_eq!(bench.sent(), (0..100).collect::<Vec<_>>());
+        assert_eq!(bench.received(), (100..200).collect::<Vec<_>>());
+        let InjectedFaults { outgoing, incoming } = bench.injected().await;
+        assert_eq!((outgoing.passed, incoming.passed), (100, 100));
+    });
+}
+
+#[test]
+fn each_direction_is_as_bad_as_told() {
+    paused(async {
+        let bench = Bench::new(1).await;
+        let lossy = Impairment { loss: 1.0, ..Impairment::NONE };
+        bench.cable.do_send(Impair { direction: Direction::Outgoing, impairment: lossy });
+        let slow = Impairment { delay: MS(20), ..Impairment::NONE };
+        bench.cable.do_send(Impair { direction: Direction::Incoming, impairment: slow });
+
+        bench.transmit(0..10);
+        bench.receive(0..10);
+        advance(MS(19)).await;
+        assert_eq!((bench.sent(), bench.received()), (vec![], vec![]));
+
+        advance(MS(1)).await;
+        assert_eq!((bench.sent(), bench.received()), (vec![], (0..10).collect()));
+        let InjectedFaults { outgoing, incoming } = bench.injected().await;
+        assert_eq!((outgoing.lost, incoming.delayed), (10, 10));
+    });
+}
+
+#[test]
+fn a_silent_cut_says_nothing_and_a_mended_cable_passes_again() {
+    paused(async {
+        let bench = Bench::new(1).await;
+
+        bench.cable.do_send(Cut { direction: Direction::Both, reported: false });
+        bench.transmit(0..10);
+        bench.receive(0..10);
+        advance(Duration::from_secs(3600)).await;
+        assert_eq!((bench.sent(), bench.received()), (vec![], vec![]));
+        assert!(bench.reports.drain().is_empty());
+
+        bench.cable.do_send(Restore);
+        bench.transmit(10..20);
+        bench.receive(10..20);
+        advance(Duration::ZERO).await;
+        assert_eq!((bench.sent(), bench.received()), ((10..20).collect(), (10..20).collect()));
+        let InjectedFaults { outgoing, incoming } = bench.injected().await;
+        assert_eq!((outgoing.cut, incoming.cut), (10, 10));
+        assert!(bench.reports.drain().is_empty());
+    });
+}
+
+#[test]
+fn a_cut_in_one_direction_leaves_the_other() {
+    paused(async {
+        let bench = Bench::new(1).await;
+
+        bench.cable.do_send(Cut { direction: Direction::Incoming, reported: false });
+        bench.transmit(0..10);
+        bench.receive(0..10);
+        advance(MS(1)).await;
+
+        assert_eq!((bench.sent(), bench.received()), ((0..10).collect(), vec![]));
+    });
+}
+
+#[test]
+fn a_cut_that_is_noticed_is_reported_and_so_is_its_end() {
+    paused(async {
+        let bench = Bench::new(1).await;
+
+        bench.cable.do_send(Cut { direction: Direction::Both, reported: true });
+        assert!(matches!(bench.reports.expect().await, TransportReport::Closed { .. }));
+        // What the transport itself says meanwhile is what holds afterwards.
+        let closed = TransportReport::Closed { reason: "unplugged".into() };
+        bench.medium.report(closed.clone());
+        bench.reports.expect_none_for(MS(1)).await;
+
+        bench.cable.do_send(Restore);
+        assert_eq!(bench.reports.expect().await, closed);
+    });
+}
+
+#[test]
+fn one_seed_gives_one_run() {
+    let run = |seed| {
+        paused(async move {
+            let bench = Bench::new(seed).await;
+            let bad = Impairment { loss: 0.3, duplication: 0.2, delay: MS(5), jitter: MS(20) };
+            bench.cable.do_send(Impair { direction: Direction::Both, impairment: bad });
+            bench.transmit(0..200);
+            bench.receive(0..200);
+            advance(MS(100)).await;
+            (bench.sent(), bench.received())
+        })
+    };
+
+    assert_eq!(run(7), run(7));
+    assert_ne!(run(7), run(8));
+    let (sent, received) = run(7);
+    assert_ne!(sent, received, "the directions have fates of their own");
+}
