@@ -34,6 +34,7 @@ use blastema_contract::naming::{NodeRow, ReadNames};
 use blastema_contract::recoverer::Recover;
 use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
 use blastema_contract::session::{AddGateway, Leave, ReadSessions, SessionRow};
+use blastema_contract::strategy::Reroute;
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::{LinkNumber, NodeId};
 use blastema_core::{Incarnation, NodeName, ObjectName};
@@ -258,6 +259,11 @@ impl NetHandle {
 
     /// Takes [`PanicOnPurpose`], for the demonstration and tests.
     pub(crate) fn router(&self) -> Recipient<PanicOnPurpose> {
+        self.router.clone().recipient()
+    }
+
+    /// Takes requests for another way, from the recovery strategy.
+    pub(crate) fn reroute(&self) -> Recipient<Reroute> {
         self.router.clone().recipient()
     }
 
