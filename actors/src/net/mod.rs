@@ -22,8 +22,11 @@ mod links;
 mod notice;
 mod router;
 mod sessions;
+#[cfg(test)]
+mod tests;
 
 use crate::guardian::Guardian;
+use crate::host::office::DeadLetterOffice;
 use crate::registry::{Registry, RemoteDoors};
 use crate::topic::Topics;
 use actix::prelude::*;
@@ -96,6 +99,8 @@ pub(crate) struct NetEnvironment {
     pub(crate) registry: Registry,
     /// Its topics.
     pub(crate) topics: Topics,
+    /// Gets what was accepted and did not arrive.
+    pub(crate) dead_letters: DeadLetterOffice,
     /// Gets faults that other nodes tell us of.
     pub(crate) recoverer: Option<Recipient<Recover>>,
     /// Is told how links are.
