@@ -1,5 +1,9 @@
 //! Fault-tolerant middleware for robots: typed actors that grow back.
 
+// The derives write `::blastema`, also where they are used within it.
+#[cfg(test)]
+extern crate self as blastema;
+
 mod chain;
 mod component;
 mod context;
@@ -9,6 +13,8 @@ mod guardian;
 mod host;
 mod lane;
 mod letter;
+mod node;
+mod net;
 mod panics;
 pub mod platform;
 mod ports;
@@ -37,8 +43,30 @@ pub use host::life::TimerId;
 pub use host::office::DeadLetterOffice;
 pub use host::spec::{ChildSpec, SpecError};
 pub use lane::WhenFull;
+pub use node::{FaultEvents, Node, NodeBuilder, NodeState, StartError, SupervisorSpec};
 pub use ports::{ListenPort, Ports};
 pub use reference::ActorRef;
 pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
 pub use serde;
 pub use topic::Publisher;
+
+pub use blastema_contract::detector::FaultEvent;
+pub use blastema_core::{Event, Fault, FaultKind, Lifecycle, Place, Request, Severity};
+
+/// Everything that an application usually needs.
+pub mod prelude {
+    pub use crate::core::detection::Watch;
+    pub use crate::core::recovery::{Ladder, Measure, Plan, Restart, Strategy};
+    pub use crate::{
+        ActorRef, ChildSpec, Component, Context, Event, Failure, FaultKind, Handle, Node,
+        NodeState, Ports, Publisher, Request, Sender, StartError, Structure, SupervisorSpec,
+        WhenFull, Why,
+    };
+}
+
+/// Runs a future on this thread until it is done, with everything that nodes need around it.
+///
+/// `#[blastema::main]` does the same to a whole program.
+pub fn run<F: Future>(future: F) -> F::Output {
+    actix_rt::System::new().block_on(future)
+}

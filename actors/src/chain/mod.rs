@@ -13,3 +13,6 @@ pub(crate) mod recoverer;
 pub(crate) mod scripted;
 pub(crate) mod strategy;
 pub(crate) mod supervisor;
+
+#[cfg(test)]
+mod tests;

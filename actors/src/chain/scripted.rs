@@ -152,7 +152,7 @@ impl Bench {
         Bench {
             script: Script::default(),
             directory: Directory::default(),
-            guardian: Guardian::new(deaths.recipient()),
+            guardian: Guardian::reporting_to(deaths.recipient()),
             deaths,
             faults: Probe::start(),
             states: Probe::start(),

@@ -172,10 +172,12 @@ impl Story {
         self.known.handle_exit(module);
         if let Some(how) = unasked {
             match &mut self.scene {
-                Scene::Trying(trial) => trial.handle_exit(module, how),
+                Scene::Trying(trial) => {
+                    trial.handle_exit(module, how);
+                    self.say(Tone::Alarm, format!("{module} ended by itself: {how}"));
+                }
                 _ => self.complain(format!("{module} ended by itself: {how}")),
             }
-            self.say(Tone::Alarm, format!("{module} ended by itself: {how}"));
         }
         self.advance();
     }

@@ -1,0 +1,48 @@
+//! A cell of the robot's skin: one of a hundred small objects. Some receive a flow.
+
+use super::gauges::Gauges;
+use super::messages::Numbered;
+use super::wounds::{Wounds, declare, vulnerable};
+use crate::demo::moment::Moment;
+use crate::demo::robot::Flow;
+use crate::demo::tally::Sample;
+use blastema::prelude::*;
+
+/// Feels pressure, ten times a second.
+#[derive(Debug)]
+pub(super) struct Cell {
+    pub(super) wounds: Wounds,
+    pub(super) gauges: Gauges,
+    /// The flow that ends here.
+    pub(super) flow: Option<&'static Flow>,
+    pub(super) pressure: f32,
+}
+
+impl Component for Cell {
+    fn ports(ports: &mut Ports<Self>) {
+        declare(ports);
+        ports.accept::<Numbered>();
+    }
+
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        self.wounds.initialize()
+    }
+
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.pressure = 0.9 * self.pressure + 0.01;
+        cx.check_range("pressure", &self.pressure, 0.0..1.0);
+        self.wounds.execute()
+    }
+}
+
+impl Handle<Numbered> for Cell {
+    async fn handle(&mut self, numbered: Numbered, _: &mut Context<Self>) {
+        let Numbered { epoch, number, made_ns } = numbered;
+        if let Some(flow) = self.flow {
+            let sample = Sample { epoch, number, sent: Moment::from_nanos(made_ns) };
+            self.gauges.arrived(flow, sample);
+        }
+    }
+}
+
+vulnerable!(Cell);

@@ -1,0 +1,139 @@
+//! What the robot's objects say to each other.
+
+use blastema::prelude::*;
+
+/// One sweep of the laser, from right to left.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "laser/scan", max_age = "200ms")]
+pub(super) struct Scan {
+    /// Distance to the next obstacle in each direction.
+    #[contract(unit = "m", frame = "laser")]
+    pub(super) ranges: Vec<f32>,
+}
+
+/// Where the robot believes to be.
+#[derive(Clone, Copy, Debug, Default, Event)]
+#[contract(name = "odometry/pose", max_age = "200ms")]
+pub(super) struct Pose {
+    /// Forward from the start.
+    #[contract(unit = "m", frame = "map")]
+    pub(super) x: f64,
+    /// To the left.
+    #[contract(unit = "m", frame = "map")]
+    pub(super) y: f64,
+    /// Counter-clockwise.
+    #[contract(unit = "rad", frame = "map")]
+    pub(super) heading: f64,
+}
+
+/// Where the operator wants the robot to go.
+#[derive(Clone, Copy, Debug, Event)]
+#[contract(name = "operator/goal", max_age = "1s")]
+pub(super) struct Goal {
+    /// Forward from the start.
+    #[contract(unit = "m", frame = "map")]
+    pub(super) x: f64,
+    /// To the left.
+    #[contract(unit = "m", frame = "map")]
+    pub(super) y: f64,
+}
+
+/// How fast the robot is to move. A command: the motors take it by name.
+#[derive(Clone, Copy, Debug, Default, Event)]
+#[contract(name = "motors/velocity", max_age = "100ms")]
+pub(super) struct Velocity {
+    /// Forward.
+    #[contract(unit = "m/s", frame = "base")]
+    pub(super) forward: f64,
+    /// Counter-clockwise.
+    #[contract(unit = "rad/s", frame = "base")]
+    pub(super) turning: f64,
+}
+
+/// Something is too near: stop, whatever the planner says.
+#[derive(Clone, Copy, Debug, Event)]
+#[contract(name = "safety/stop")]
+pub(super) struct Stop {
+    /// How near.
+    #[contract(unit = "m")]
+    pub(super) distance: f32,
+}
+
+/// How far the wheels have turned since the last time.
+#[derive(Clone, Copy, Debug, Event)]
+#[contract(name = "motors/wheels", max_age = "200ms")]
+pub(super) struct Wheels {
+    /// Way of the robot's middle.
+    #[contract(unit = "m")]
+    pub(super) way: f64,
+    /// Turn of the robot.
+    #[contract(unit = "rad")]
+    pub(super) turn: f64,
+}
+
+/// One message of a numbered flow.
+#[derive(Clone, Copy, Debug, Event)]
+#[contract(name = "demo/sample")]
+pub(super) struct Numbered {
+    /// Which process of the source.
+    pub(super) epoch: u64,
+    /// From 1.
+    pub(super) number: u64,
+    /// When it was made, in nanoseconds of the machine's clock.
+    pub(super) made_ns: u64,
+}
+
+/// A question that is answered at once, to measure response times.
+#[derive(Clone, Copy, Debug, Request)]
+#[contract(name = "demo/echo", reply = u64)]
+pub(super) struct Echo {
+    /// Comes back.
+    pub(super) number: u64,
+}
+
+/// An event whose way is measured.
+#[derive(Clone, Copy, Debug, Event)]
+#[contract(name = "demo/tick")]
+pub(super) struct Tick {
+    /// Counts up.
+    pub(super) number: u64,
+    /// When it was published, in nanoseconds of the machine's clock.
+    pub(super) made_ns: u64,
+}
+
+/// Do yourself harm.
+#[derive(Clone, Copy, Debug, Request)]
+#[contract(name = "demo/harm", reply = ())]
+pub(super) struct Harm {
+    /// Which.
+    pub(super) wound: Wound,
+}
+
+/// The harm that an object can do to itself.
+#[derive(Clone, Copy, Debug, Structure)]
+pub(super) enum Wound {
+    /// Panic.
+    Panic,
+    /// Block the thread.
+    Hang {
+        /// For so long.
+        #[contract(unit = "ms")]
+        millis: u64,
+    },
+    /// Report an error from the next execution.
+    Error,
+    /// End, and fail the next initialisation.
+    FailInitialization,
+    /// Give no sign of life any more.
+    Silence,
+}
+
+/// Who answers?
+#[derive(Clone, Copy, Debug, Request)]
+#[contract(name = "demo/poke", reply = u64)]
+pub(super) struct Poke {}
+
+/// One message of a flood: of no use to anybody.
+#[derive(Clone, Copy, Debug, Event)]
+#[contract(name = "demo/noise")]
+pub(super) struct Noise {}

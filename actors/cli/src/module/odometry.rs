@@ -1,0 +1,39 @@
+//! Odometry: where the wheels have carried the robot.
+
+use super::messages::{Pose, Wheels};
+use super::wounds::{Wounds, declare, vulnerable};
+use blastema::prelude::*;
+
+/// Adds up the turns of the wheels.
+#[derive(Debug)]
+pub(super) struct Odometry {
+    pub(super) wounds: Wounds,
+    pub(super) pose: Pose,
+}
+
+impl Component for Odometry {
+    fn ports(ports: &mut Ports<Self>) {
+        declare(ports);
+        ports.listen::<Wheels>();
+    }
+
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        self.wounds.initialize()
+    }
+
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.wounds.execute()?;
+        cx.publish(self.pose);
+        Ok(())
+    }
+}
+
+impl Handle<Wheels> for Odometry {
+    async fn handle(&mut self, wheels: Wheels, _: &mut Context<Self>) {
+        self.pose.heading += wheels.turn;
+        self.pose.x += wheels.way * self.pose.heading.cos();
+        self.pose.y += wheels.way * self.pose.heading.sin();
+    }
+}
+
+vulnerable!(Odometry);

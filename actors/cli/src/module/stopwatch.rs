@@ -1,0 +1,51 @@
+//! Measures how long other modules take to answer.
+
+use super::gauges::Gauges;
+use super::messages::Echo;
+use crate::demo::moment::Moment;
+use crate::demo::robot::Module;
+use blastema::prelude::*;
+use std::time::Duration;
+
+/// The object that answers, in every module.
+pub(super) const ECHO: &str = "measure/echo";
+
+/// Longer than any path takes, shorter than what the watch would call a hang.
+const DEADLINE: Duration = Duration::from_millis(50);
+
+/// Asks one other module again and again.
+#[derive(Debug)]
+pub(super) struct Stopwatch {
+    pub(super) gauges: Gauges,
+    pub(super) of: Module,
+    pub(super) number: u64,
+}
+
+impl Component for Stopwatch {
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let Ok(other) = cx.sender::<Echo>(&format!("{}:{ECHO}", self.of)) else { return Ok(()) };
+        self.number += 1;
+        let asked = Moment::now();
+        // A request that fails is not an answer: the flows count what is lost.
+        if other.ask_within(Echo { number: self.number }, DEADLINE).await == Ok(self.number) {
+            self.gauges.answered(self.of, Moment::now() - asked);
+        }
+        Ok(())
+    }
+}
+
+/// Answers at once.
+#[derive(Debug)]
+pub(super) struct Answerer;
+
+impl Component for Answerer {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Echo>();
+    }
+}
+
+impl Handle<Echo> for Answerer {
+    async fn handle(&mut self, echo: Echo, _: &mut Context<Self>) -> u64 {
+        echo.number
+    }
+}

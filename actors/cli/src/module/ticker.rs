@@ -1,0 +1,56 @@
+//! Measures how long an event takes within a module, with a condition and without (Fig. 10).
+
+use super::gauges::Gauges;
+use super::messages::Tick;
+use crate::demo::moment::Moment;
+use blastema::prelude::*;
+
+/// Publishes.
+#[derive(Debug)]
+pub(super) struct Ticker {
+    pub(super) number: u64,
+}
+
+impl Component for Ticker {
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.number += 1;
+        cx.publish(Tick { number: self.number, made_ns: Moment::now().as_nanos() });
+        Ok(())
+    }
+}
+
+/// Listens without a condition.
+#[derive(Debug)]
+pub(super) struct Listener {
+    pub(super) gauges: Gauges,
+}
+
+impl Component for Listener {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Tick>();
+    }
+}
+
+impl Handle<Tick> for Listener {
+    async fn handle(&mut self, tick: Tick, _: &mut Context<Self>) {
+        self.gauges.heard(false, Moment::now() - Moment::from_nanos(tick.made_ns));
+    }
+}
+
+/// Listens to every second event only.
+#[derive(Debug)]
+pub(super) struct ChoosyListener {
+    pub(super) gauges: Gauges,
+}
+
+impl Component for ChoosyListener {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Tick>().only_if(|tick| tick.number % 2 == 0);
+    }
+}
+
+impl Handle<Tick> for ChoosyListener {
+    async fn handle(&mut self, tick: Tick, _: &mut Context<Self>) {
+        self.gauges.heard(true, Moment::now() - Moment::from_nanos(tick.made_ns));
+    }
+}
