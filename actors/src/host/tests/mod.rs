@@ -4,6 +4,7 @@ mod bounds;
 mod chores;
 mod death;
 mod doorway;
+mod hang;
 mod lifecycle;
 mod serving;
 mod topics;
