@@ -14,6 +14,7 @@ mod host;
 mod lane;
 mod letter;
 mod node;
+mod net;
 mod panics;
 pub mod platform;
 mod ports;
