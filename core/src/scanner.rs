@@ -63,8 +63,8 @@ pub struct PulseReading {
     pub beat: u64,
     /// The component that is on the thread.
     pub running: Option<SlotId>,
-    /// That component's turn.
-    pub turn: u64,
+    /// That component's turn; `None` where it is no longer judged.
+    pub turn: Option<u64>,
     /// It has been fenced and has not come back yet.
     pub fenced: bool,
 }
@@ -150,7 +150,7 @@ pub enum Sighting {
 struct Arbiter {
     beat: u64,
     running: Option<SlotId>,
-    turn: u64,
+    turn: Option<u64>,
     /// When these were first seen.
     since: Instant,
     /// When this beat was first seen.
@@ -263,8 +263,9 @@ impl Scanner {
         if beats {
             arbiter.beat_since = now;
         }
-        let changed =
-            beats || arbiter.running != reading.running || arbiter.turn != reading.turn;
+        // A culprit that was given up meanwhile has not thereby moved on.
+        let turned = reading.turn.is_some() && arbiter.turn != reading.turn;
+        let changed = beats || arbiter.running != reading.running || turned;
         if changed {
             (arbiter.beat, arbiter.running) = (reading.beat, reading.running);
             (arbiter.turn, arbiter.since) = (reading.turn, now);
@@ -467,7 +468,7 @@ mod tests {
                 speaks: false,
                 allowance: Duration::ZERO,
             };
-            let pulse = PulseReading { beat: 0, running: None, turn: 0, fenced: false };
+            let pulse = PulseReading { beat: 0, running: None, turn: None, fenced: false };
             World { scanner, now: 0, pulse, stamps: [stamp; 3] }
         }
 
@@ -503,7 +504,7 @@ mod tests {
     fn a_handler_that_keeps_its_arbiter_is_the_culprit_and_is_named_once() {
         let mut world = World::new();
         world.pass(100, true);
-        (world.pulse.running, world.pulse.turn) = (Some(0), 1);
+        (world.pulse.running, world.pulse.turn) = (Some(0), Some(1));
         world.stamps[0].turn = 1;
 
         let seen = world.pass(2000, false);
@@ -528,8 +529,8 @@ mod tests {
     fn many_turns_in_one_poll_are_no_hang() {
         let mut world = World::new();
         world.pulse.running = Some(0);
-        for _ in 0..20 {
-            world.pulse.turn += 2;
+        for turns in 1..20 {
+            world.pulse.turn = Some(2 * turns);
             assert_eq!(world.pass(400, false), []);
         }
     }
@@ -540,7 +541,7 @@ mod tests {
         world.stamps[0].allowance = ms(2000);
         world.stamps[0].turn = 1;
         world.pass(20, true);
-        (world.pulse.running, world.pulse.turn) = (Some(0), 1);
+        (world.pulse.running, world.pulse.turn) = (Some(0), Some(1));
 
         assert_eq!(world.pass(2000, false), []);
 
@@ -565,10 +566,10 @@ mod tests {
     #[test]
     fn a_fenced_arbiter_is_lost_when_its_grace_is_over() {
         let mut world = World::new();
-        world.pulse.running = Some(0);
+        (world.pulse.running, world.pulse.turn) = (Some(0), Some(1));
         world.pass(600, false);
         world.scanner.handle_leave(0); // The culprit was given up.
-        world.pulse.fenced = true;
+        (world.pulse.fenced, world.pulse.turn) = (true, None);
 
         let seen = world.pass(1000, false);
 

@@ -190,7 +190,7 @@ impl Eyes {
             let reading = PulseReading {
                 beat: pulse.beats(),
                 running,
-                turn: turn.map_or(0, |known| known.stamp.read().turn),
+                turn: turn.map(|known| known.stamp.read().turn),
                 fenced: pulse.is_fenced(),
             };
             self.scanner.handle_pulse(*id, reading, now);

@@ -165,6 +165,8 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
         assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
         site.until("its queue came along", || logged(&site.heard) == [5]).await;
 
+        let early = site.sighted.drain();
+        assert!(!early.iter().any(|s| matches!(s, Sighted::Resumed { .. })), "{early:?}");
         site.open.send(()).unwrap();
         assert_eq!(neighbour.ask_within(super::Add(3), LONG).await, Ok(3));
         assert_eq!(neighbour.incarnation(), Incarnation(1), "it never moved");
