@@ -6,6 +6,7 @@ mod death;
 mod doorway;
 mod hang;
 mod lifecycle;
+mod plain_actors;
 mod serving;
 mod topics;
 
