@@ -16,6 +16,7 @@ mod letter;
 mod net;
 mod node;
 mod panics;
+pub mod plain;
 pub mod platform;
 mod ports;
 mod reference;

@@ -197,6 +197,12 @@ impl Handler<Sighted> for Monitor {
             }
             Sighted::Resumed { objects } => machine.handle_resumed(&objects, now),
             Sighted::Lost { culprit, victims } => machine.handle_lost(&culprit, &victims, now),
+            Sighted::Silent { object, incarnation, silent_for } => {
+                machine.handle_silent(&object, incarnation, silent_for, now);
+            }
+            Sighted::Spoke { object, incarnation } => {
+                machine.handle_spoke(&object, incarnation, now);
+            }
             Sighted::Stalled { gap } => machine.handle_stall(gap, now),
         }
         self.drive(context);
