@@ -15,6 +15,7 @@ use std::collections::VecDeque;
 use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
+use std::sync::{Arc, OnceLock};
 use std::task::{self, Poll};
 use std::time::Duration;
 
@@ -28,15 +29,17 @@ const MAILBOX: usize = 1024;
 
 /// Runs actors that must not die. They begin anew, in their own `restarting`, from what they were
 /// configured with.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub(crate) struct Guardian {
-    deaths: Recipient<Exited>,
+    deaths: Arc<OnceLock<Recipient<Exited>>>,
 }
 
 impl Guardian {
-    /// A guardian that reports every death, survived or not, to `deaths`.
-    pub(crate) fn new(deaths: Recipient<Exited>) -> Self {
-        Guardian { deaths }
+    /// From now on every death, survived or not, is reported to `deaths`. The monitor, which is told,
+    /// is itself guarded: that is why this cannot be said when the guardian is made.
+    pub(crate) fn report_to(&self, deaths: Recipient<Exited>) {
+        // A second monitor would be a second master; the first stays.
+        let _ = self.deaths.set(deaths);
     }
 
     /// Starts an actor on `arbiter`, or here.
@@ -76,7 +79,7 @@ struct Ward<A: Actor<Context = Context<A>> + Supervised> {
     name: ObjectName,
     incarnation: Incarnation,
     past: VecDeque<Instant>,
-    deaths: Recipient<Exited>,
+    deaths: Arc<OnceLock<Recipient<Exited>>>,
 }
 
 impl<A: Actor<Context = Context<A>> + Supervised> Ward<A> {
@@ -92,7 +95,9 @@ impl<A: Actor<Context = Context<A>> + Supervised> Ward<A> {
         let exit = Exit::Panicked { text, at: panics::take_place(), during: "the middleware" };
         let restarted_as = alive.then(|| self.incarnation.next());
         let (object, incarnation) = (self.name.clone(), self.incarnation);
-        self.deaths.do_send(Exited { object, incarnation, exit, restarted_as });
+        if let Some(deaths) = self.deaths.get() {
+            deaths.do_send(Exited { object, incarnation, exit, restarted_as });
+        }
         self.incarnation = self.incarnation.next();
         alive
     }

@@ -9,6 +9,7 @@ mod guardian;
 mod host;
 mod lane;
 mod letter;
+mod node;
 mod panics;
 pub mod platform;
 mod ports;
@@ -27,6 +28,9 @@ compile_error!(
 pub use chain::strategy::{RecoveryStrategy, Tools};
 
 pub use blastema_core as core;
+pub use blastema_core::{Contract, Described};
+pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
+pub use blastema_macros::{Event, Request, Structure, main};
 pub use component::{Component, Failure, Handle};
 pub use context::{Context, LongOperation};
 pub use death_watch::{Down, Ending};
@@ -34,11 +38,30 @@ pub use host::life::TimerId;
 pub use host::office::DeadLetterOffice;
 pub use host::spec::{ChildSpec, SpecError};
 pub use lane::WhenFull;
+pub use node::{FaultEvents, Node, NodeBuilder, NodeState, StartError, SupervisorSpec};
 pub use ports::{ListenPort, Ports};
 pub use reference::ActorRef;
 pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
-pub use topic::Publisher;
-pub use blastema_core::{Contract, Described};
-pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
-pub use blastema_macros::{Event, Request, Structure, main};
 pub use serde;
+pub use topic::Publisher;
+
+pub use blastema_contract::detector::FaultEvent;
+pub use blastema_core::{Event, Fault, FaultKind, Lifecycle, Place, Request, Severity};
+
+/// Everything that an application usually needs.
+pub mod prelude {
+    pub use crate::core::detection::Watch;
+    pub use crate::core::recovery::{Ladder, Measure, Plan, Restart, Strategy};
+    pub use crate::{
+        ActorRef, ChildSpec, Component, Context, Event, Failure, FaultKind, Handle, Node,
+        NodeState, Ports, Publisher, Request, Sender, StartError, Structure, SupervisorSpec,
+        WhenFull, Why,
+    };
+}
+
+/// Runs a future on this thread until it is done, with everything that nodes need around it.
+///
+/// `#[blastema::main]` does the same to a whole program.
+pub fn run<F: Future>(future: F) -> F::Output {
+    actix_rt::System::new().block_on(future)
+}

@@ -3,6 +3,8 @@
 use crate::component::{Component, Handle};
 use crate::host::anchor::Anchor;
 use crate::sender::{DEFAULT_DEADLINE, Inlet, RequestError, SendError, Sender, deliver};
+use actix::prelude::{Actor, Handler, ResponseFuture};
+use blastema_contract::reports::{Alive, AreYouAlive};
 use blastema_core::{Contract, Incarnation, Lifecycle, ObjectName};
 use std::fmt;
 use std::sync::Arc;
@@ -100,5 +102,38 @@ impl<C: Component> ActorRef<C> {
     /// How many messages wait.
     pub fn queued(&self) -> usize {
         self.0.lane.depth()
+    }
+}
+
+impl<C: Component> ActorRef<C> {
+    /// Where the monitor's questions to this component go, whichever life it is in.
+    pub(crate) fn inquiries(&self) -> actix::Recipient<AreYouAlive> {
+        Inquiries { anchor: self.0.clone() }.start().recipient()
+    }
+}
+
+/// Passes the monitor's questions to the control lane of the present life.
+struct Inquiries<C: Component> {
+    anchor: Arc<Anchor<C>>,
+}
+
+impl<C: Component> Actor for Inquiries<C> {
+    type Context = actix::Context<Self>;
+}
+
+impl<C: Component> Handler<AreYouAlive> for Inquiries<C> {
+    type Result = ResponseFuture<Alive>;
+
+    fn handle(&mut self, question: AreYouAlive, _: &mut Self::Context) -> Self::Result {
+        let control = self.anchor.control();
+        Box::pin(async move {
+            if let Some(host) = control
+                && let Ok(alive) = host.send(question).await
+            {
+                return alive;
+            }
+            // Nobody is there to answer, and silence is the answer: the monitor's own deadline ends it.
+            std::future::pending().await
+        })
     }
 }

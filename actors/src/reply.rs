@@ -137,7 +137,9 @@ enum Limit {
     /// To be set at the first poll.
     Within(Duration),
     /// Swept by the beat of the arbiter on which the wait began.
-    Swept { _deadline: Deadline },
+    Swept {
+        _deadline: Deadline,
+    },
     /// This thread has no beat.
     Timed(Pin<Box<tokio::time::Sleep>>),
 }

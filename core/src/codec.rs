@@ -9,6 +9,7 @@
 //! followed to a depth of [`DEPTH_LIMIT`](crate::field::DEPTH_LIMIT).
 
 use crate::Contract;
+use crate::layout::{Described, LayoutOf};
 use bincode::config::{self, Config};
 use bincode::enc::EncoderImpl;
 use bincode::enc::write::{SliceWriter, Writer};
@@ -135,6 +136,8 @@ pub fn decode<M: Contract>(bytes: &[u8]) -> Result<M, DecodeError> {
 /// # Errors
 /// [`DecodeError`] if the bytes are not exactly one reply.
 pub fn decode_reply<M: Contract>(bytes: &[u8]) -> Result<M::Reply, DecodeError> {
+    // As for fields: what cannot be decoded within bounds is refused when this is compiled.
+    let _: LayoutOf = M::Reply::layout;
     decode_within::<M::Reply, MessageLimit<M>>(bytes)
 }
 

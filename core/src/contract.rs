@@ -1,10 +1,10 @@
 //! What a message between two objects must be, and how two parties find out that they mean the same.
 
-use crate::LayoutDescription;
 use crate::codec::{self, DecodeError};
 use crate::difference::{Difference, Half, compare};
 use crate::layout::{Described, LayoutOf};
-use serde::{Deserialize, Serialize};
+use crate::{LayoutDescription, ObjectName};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::any::TypeId;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -106,6 +106,7 @@ pub struct ContractIdentity {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PeerIdentity {
     /// The contract's name.
+    #[serde(deserialize_with = "contract_name")]
     pub name: String,
     /// Its version.
     pub version: u16,
@@ -221,6 +222,11 @@ impl PeerStructure {
             reply: LayoutDescription::of(reply()),
         }
     }
+}
+
+/// Reads a contract's name, which obeys the rules for names of objects: it is shown to a person.
+fn contract_name<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
+    ObjectName::deserialize(from).map(String::from)
 }
 
 /// The hash of the structure of a message and of its reply.

@@ -212,3 +212,68 @@ fn texts(shape: &Shape<u32>) -> Vec<&Text> {
 fn printable(text: &Text) -> bool {
     text.len() <= TEXT_LIMIT && !text.chars().any(char::is_control)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::difference::{Half, compare};
+    use crate::layout::{Field, Leaf, Variant};
+    use proptest::prelude::*;
+
+    /// Few kinds, few names and few types, so that equal and nearly equal tables are common.
+    fn any_shape(types: u32) -> impl Strategy<Value = Shape<u32>> {
+        let of = || 0..types;
+        let fields = || {
+            prop::collection::vec((of(), prop::option::of(Just("m"))), 0..3).prop_map(|fields| {
+                let field = |(index, (of, unit)): (usize, (u32, Option<&'static str>))| Field {
+                    name: index.to_string().into(),
+                    unit: unit.map(Text::Borrowed),
+                    frame: None,
+                    of,
+                };
+                Fields::Named(fields.into_iter().enumerate().map(field).collect())
+            })
+        };
+        prop_oneof![
+            2 => prop_oneof![Just(Leaf::U8), Just(Leaf::Text)].prop_map(Shape::Leaf),
+            1 => of().prop_map(Shape::Optional),
+            2 => of().prop_map(Shape::Sequence),
+            1 => (of(), of()).prop_map(|(key, value)| Shape::Map(key, value)),
+            1 => prop::collection::vec(of(), 1..3).prop_map(|parts| Shape::Tuple(parts.into())),
+            3 => fields().prop_map(|fields| Shape::Struct("S".into(), fields)),
+            1 => fields().prop_map(|fields| {
+                let variant = Variant { name: "V".into(), fields };
+                Shape::Enum("E".into(), vec![variant].into())
+            }),
+        ]
+    }
+
+    fn any_description() -> impl Strategy<Value = LayoutDescription> {
+        (1u32..5)
+            .prop_flat_map(|types| prop::collection::vec(any_shape(types), types as usize))
+            .prop_map(|types| LayoutDescription { types })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+
+        #[test]
+        fn a_difference_is_found_exactly_if_the_descriptions_are_not_the_same(
+            a in any_description(),
+            b in any_description(),
+        ) {
+            let same = merged(a.types.clone()) == merged(b.types.clone());
+            let lines = compare(Half::Message, &a, &b);
+            prop_assert_eq!(lines.is_empty(), same, "{:?}", lines);
+        }
+
+        #[test]
+        fn a_description_is_the_same_as_its_merged_form_which_merges_no_further(
+            a in any_description(),
+        ) {
+            let merged_once = LayoutDescription { types: merged(a.types.clone()) };
+            prop_assert!(compare(Half::Message, &a, &merged_once).is_empty());
+            prop_assert_eq!(merged(merged_once.types.clone()), merged_once.types);
+        }
+    }
+}

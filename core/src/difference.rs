@@ -9,6 +9,8 @@ use std::fmt;
 const LINE_LIMIT: usize = 24;
 /// The most pairs of types that one comparison looks at. Large real messages need some hundreds.
 const PAIR_LIMIT: usize = 20_000;
+/// The longest path to a field that is shown, in bytes; of a longer one the end is shown.
+const PATH_LIMIT: usize = 200;
 /// The longest text for one type, in letters; what is longer ends in dots.
 const TYPE_TEXT_LIMIT: usize = 96;
 
@@ -50,7 +52,7 @@ pub fn compare(half: Half, here: &LayoutDescription, there: &LayoutDescription) 
             whole: (0, 0),
         }]),
         seen: BTreeSet::new(),
-        fields: 0,
+        pairs: 0,
         lines: Vec::new(),
     };
     comparison.run();
@@ -76,19 +78,21 @@ struct Comparison<'a> {
     open: VecDeque<Pair>,
     /// What was compared: types with a name once, others once for each field.
     seen: BTreeSet<(usize, u32, u32)>,
-    fields: usize,
+    pairs: usize,
     lines: Vec<String>,
 }
 
 impl Comparison<'_> {
     fn run(&mut self) {
-        while let Some(pair) = self.open.pop_front() {
-            if self.lines.len() >= LINE_LIMIT || self.seen.len() >= PAIR_LIMIT {
-                self.lines.truncate(LINE_LIMIT);
-                self.lines.push("and more".into());
-                return;
-            }
+        while self.lines.len() <= LINE_LIMIT
+            && let Some(pair) = self.open.pop_front()
+        {
             self.compare(pair);
+        }
+        let cut_short = self.lines.len() > LINE_LIMIT || self.pairs > PAIR_LIMIT;
+        if cut_short && !self.lines.is_empty() {
+            self.lines.truncate(LINE_LIMIT);
+            self.lines.push("and more".into());
         }
     }
 
@@ -128,7 +132,14 @@ impl Comparison<'_> {
     /// Compares a part of a type that has no name of its own.
     fn go_on(&mut self, pair: &Pair, here: u32, there: u32) {
         let Pair { ref path, field, whole, .. } = *pair;
-        self.open.push_back(Pair { here, there, path: path.clone(), field, whole });
+        self.open(Pair { here, there, path: path.clone(), field, whole });
+    }
+
+    fn open(&mut self, pair: Pair) {
+        self.pairs += 1;
+        if self.pairs <= PAIR_LIMIT {
+            self.open.push_back(pair);
+        }
     }
 
     fn compare_fields(&mut self, owner: &str, path: &str, here: &Fields<u32>, there: &Fields<u32>) {
@@ -142,9 +153,8 @@ impl Comparison<'_> {
             let path = join(path, ".", &a.name);
             self.compare_declared(&path, "unit", a.unit.as_ref(), b.unit.as_ref());
             self.compare_declared(&path, "frame", a.frame.as_ref(), b.frame.as_ref());
-            self.fields += 1;
-            let (here, there, field) = (a.of, b.of, self.fields);
-            self.open.push_back(Pair { here, there, path, field, whole: (here, there) });
+            let (here, there, field) = (a.of, b.of, self.pairs + 1);
+            self.open(Pair { here, there, path, field, whole: (here, there) });
         }
     }
 
@@ -230,7 +240,7 @@ impl Comparison<'_> {
     }
 
     fn tell(&mut self, line: String) {
-        if self.lines.last() != Some(&line) {
+        if self.lines.len() <= LINE_LIMIT && self.lines.last() != Some(&line) {
             self.lines.push(line);
         }
     }
@@ -264,7 +274,14 @@ fn place(names: &[&str], name: &str) -> Option<usize> {
 }
 
 fn join(path: &str, separator: &str, name: &str) -> String {
-    if path.is_empty() { name.into() } else { format!("{path}{separator}{name}") }
+    if path.is_empty() {
+        return name.into();
+    }
+    let surplus = path.len().saturating_sub(PATH_LIMIT);
+    match path.char_indices().find(|&(at, _)| at >= surplus) {
+        Some((at, _)) if at > 0 => format!("…{}{separator}{name}", &path[at..]),
+        _ => format!("{path}{separator}{name}"),
+    }
 }
 
 fn field_name(field: &Field<u32>) -> &Text {

@@ -42,7 +42,7 @@ pub fn nested<T, E>(
 
 /// Fields of any type that may stand in a contract.
 pub mod plain {
-    use crate::layout::Described;
+    use crate::layout::{Described, LayoutOf};
     use serde::{Deserializer, Serializer};
 
     /// Encodes the field.
@@ -58,6 +58,9 @@ pub mod plain {
     /// # Errors
     /// Those of the deserializer.
     pub fn deserialize<'de, T: Described, D: Deserializer<'de>>(from: D) -> Result<T, D::Error> {
+        // To mention the layout is to compile it, and with it the refusal of endless sequences of
+        // nothing, also in a program that decodes a message without ever binding its contract.
+        let _: LayoutOf = T::layout;
         T::deserialize(from)
     }
 }

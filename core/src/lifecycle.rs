@@ -79,6 +79,35 @@ impl Lifecycle {
     pub fn may_become(self, next: Lifecycle) -> bool {
         Self::TRANSITIONS.iter().any(|way| way.from == self && way.to == next)
     }
+
+    /// Whether one life that was last seen here may now be there: in one step, or by way of
+    /// `Initialized`, which a guard does not tell when the life was there for less than a turn.
+    ///
+    /// ```
+    /// use blastema_core::Lifecycle;
+    /// assert!(Lifecycle::Created.may_be_seen_as(Lifecycle::Active));
+    /// assert!(!Lifecycle::Fatal.may_be_seen_as(Lifecycle::Active));
+    /// ```
+    pub fn may_be_seen_as(self, next: Lifecycle) -> bool {
+        let passed = Lifecycle::Initialized;
+        self.may_become(next) || self.may_become(passed) && passed.may_become(next)
+    /// Whether one life may go from here to there, in whatever number of steps.
+    /// assert!(Lifecycle::Created.may_reach(Lifecycle::Active));
+    /// assert!(!Lifecycle::Fatal.may_reach(Lifecycle::Active));
+    pub fn may_reach(self, next: Lifecycle) -> bool {
+        let mut reached = vec![self];
+        let mut at = 0;
+        while let Some(&state) = reached.get(at) {
+            if state.may_become(next) {
+                return true;
+            }
+            let ways = Self::TRANSITIONS.iter().filter(|way| way.from == state);
+            let new: Vec<_> = ways.map(|way| way.to).filter(|to| !reached.contains(to)).collect();
+            reached.extend(new);
+            at += 1;
+        }
+        false
+    }
 }
 
 impl fmt::Display for Lifecycle {
@@ -91,5 +120,36 @@ impl fmt::Display for Lifecycle {
             Lifecycle::Fatal => "fatal",
             Lifecycle::Finalized => "finalized",
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Lifecycle::{self, Active, Created, Error, Fatal, Finalized, Initialized};
+
+    const ALL: [Lifecycle; 6] = [Created, Initialized, Active, Error, Fatal, Finalized];
+
+    #[test]
+    fn every_state_leads_where_the_picture_says() {
+        let leads = |from: Lifecycle| ALL.map(|to| from.may_become(to));
+
+        //                     Created Initialized Active Error Fatal Finalized
+        assert_eq!(leads(Created), [false, true, false, false, true, true]);
+        assert_eq!(leads(Initialized), [false, false, true, true, true, true]);
+        assert_eq!(leads(Active), [false, true, false, true, true, true]);
+        assert_eq!(leads(Error), [false, true, false, false, true, true]);
+        assert_eq!(leads(Fatal), [false, false, false, false, false, true]);
+        assert_eq!(leads(Finalized), [false; 6]);
+    }
+
+    #[test]
+    fn no_life_comes_back_from_fatal_or_finalized_and_none_to_created() {
+        for from in ALL {
+            for to in ALL {
+                let over = matches!(from, Fatal | Finalized);
+                let expected = to != Created && (!over || (from == Fatal && to == Finalized));
+                assert_eq!(from.may_reach(to), expected, "{from} to {to}");
+            }
+        }
     }
 }

@@ -2,10 +2,10 @@
 
 use blastema_core::codec::{decode_bounded, encode_bounded};
 use blastema_core::difference::{Half, compare};
-use blastema_core::layout::{Fields, Shape};
+use blastema_core::layout::{Field, Fields, Leaf, Shape};
 use blastema_core::{
-    ContractIdentity, DecodeError, DescriptionError, FaultKind, LayoutDescription, Lifecycle,
-    ObjectAddress, PeerIdentity, Place,
+    ContractIdentity, DecodeError, Described, DescriptionError, FaultKind, LayoutDescription,
+    Lifecycle, ObjectAddress, PeerIdentity, Place,
 };
 use blastema_macros::{Event, Request, Structure};
 use std::sync::Arc;
@@ -385,6 +385,38 @@ fn a_description_that_goes_in_circles_is_compared_nevertheless() {
     assert_eq!(lines.len(), 1);
     assert!(lines[0].starts_with("the reply: sequence of sequence of "), "{lines:?}");
     assert!(lines[0].len() < 250, "{lines:?}");
+}
+
+#[test]
+fn a_name_that_would_write_over_the_screen_is_refused() {
+    let identity = ContractIdentity::of::<Nearest>();
+    let peer = PeerIdentity { name: "red \u{1b}[31m".into(), ..identity.brief() };
+
+    let refused = PeerIdentity::decode(&peer.encode());
+
+    assert!(matches!(refused, Err(DecodeError::Malformed { .. })), "{refused:?}");
+}
+
+#[test]
+fn a_hostile_description_costs_a_bounded_number_of_short_lines() {
+    // 500 steps, each another type, that grow apart from ours only at their ends.
+    let field =
+        |name: &str, of| Field { name: name.to_owned().into(), unit: None, frame: None, of };
+    let step = |index: u32, tag: &str| {
+        let mut fields = vec![field("then", index), field("otherwise", 2), field("name", 1)];
+        fields.extend((0..5).map(|extra| field(&format!("{tag}{index}_{extra}"), 1)));
+        Shape::Struct("Step".into(), Fields::Named(fields.into()))
+    };
+    let mut types = vec![step(3, "a"), Shape::Leaf(Leaf::Text), Shape::Optional(3)];
+    types.extend((3..511).map(|index| step(index + 1, "b")));
+    types.push(Shape::Sequence(0));
+    let hostile = LayoutDescription::try_from(types).unwrap();
+    let ours = LayoutDescription::of(here::Step::layout());
+
+    let lines = compare(Half::Message, &ours, &hostile);
+
+    assert!((2..=25).contains(&lines.len()), "{lines:?}");
+    assert!(lines.iter().all(|line| line.len() < 1000), "{lines:?}");
 }
 
 #[test]

@@ -6,6 +6,6 @@
 #[test]
 fn wrong_uses_of_the_derives_are_refused_in_words_that_help() {
     let cases = trybuild::TestCases::new();
-    cases.pass("tests/compile_fail/right_uses.rs");
-    cases.compile_fail("tests/compile_fail/wrong_*.rs");
+    cases.pass("tests/compile_pass/right_uses.rs");
+    cases.compile_fail("tests/compile_fail/*.rs");
 }

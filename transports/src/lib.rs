@@ -9,22 +9,24 @@
 //! * `outlet.rs`: frames go to whoever is attached, never more than a few hundred unconfirmed; a
 //!   receiver that hangs makes the medium's own buffers overflow, not the process.
 //! * `reopening.rs`: a medium that cannot be opened is tried again, with back-off.
+//! * `binding.rs`, `part.rs`: what the media with sockets share.
 //!
 //! Deliberately not here: who is a neighbour and whether it lives (the link), what a frame says
 //! (router, session), order and repetition (session).
 
-// What media share is there for all of them; a build that leaves some out does not use all of it.
-#![cfg_attr(
-    not(all(feature = "memory", feature = "udp", feature = "tcp", feature = "fault")),
-    allow(dead_code, unused_imports, unused_macros)
-)]
-
+#[cfg(any(feature = "udp", feature = "tcp"))]
+mod binding;
 #[cfg(feature = "fault")]
 pub mod fault;
+#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
 mod medium;
 #[cfg(feature = "memory")]
 pub mod memory;
+#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
 mod outlet;
+#[cfg(any(feature = "udp", feature = "tcp"))]
+mod part;
+#[cfg(any(feature = "memory", feature = "udp", feature = "tcp"))]
 mod reopening;
 #[cfg(feature = "tcp")]
 pub mod tcp;

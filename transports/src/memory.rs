@@ -4,7 +4,7 @@ use crate::medium::{BUDGET, Medium, transport};
 use crate::outlet::Outlet;
 use crate::reopening::Reopening;
 use actix::Context;
-use blastema_contract::transport::{MediumAddress, Transmit};
+use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -75,7 +75,8 @@ impl Memory {
         if medium.enter(name, &inbox) {
             self.inbox = Some(inbox);
             self.reopening.reset();
-            self.outlet.announce_opened(MediumAddress::Memory(name.clone()), *mtu);
+            let local = MediumAddress::Memory(name.clone());
+            self.outlet.announce(TransportReport::Opened { local, mtu: *mtu });
         } else {
             self.reopening.failed();
             self.outlet.announce_closed(format!(

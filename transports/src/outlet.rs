@@ -48,21 +48,16 @@ impl Outlet {
         self.in_batch = 0;
     }
 
-    /// Reports that the medium is open, now and to whoever attaches later.
-    pub(crate) fn announce_opened(&mut self, local: MediumAddress, mtu: usize) {
-        tracing::debug!(%local, mtu, "a transport is open");
-        self.announce(TransportReport::Opened { local, mtu });
-    }
-
     /// Reports that the medium is closed, now and to whoever attaches later.
     pub(crate) fn announce_closed(&mut self, reason: String) {
-        tracing::debug!(reason, "a transport is closed");
         self.announce(TransportReport::Closed { reason });
     }
 
-    /// Reports where the medium stands, unless that is what was reported last.
+    /// Reports where the medium stands, now and to whoever attaches later, unless that is what was
+    /// reported last.
     pub(crate) fn announce(&mut self, state: TransportReport) {
         if self.state.as_ref() != Some(&state) {
+            tracing::debug!(?state, "a transport reports");
             self.state = Some(state.clone());
             self.report(state);
         }
@@ -105,21 +100,4 @@ impl Outlet {
             self.unconfirmed.push_back(Box::pin(attach.frames.clone().send(received)));
         }
     }
-}
-
-/// Parts the first `length` bytes from a buffer that is read into again, in pieces of `chunk` bytes.
-///
-/// The frame shares the buffer unless it would keep more than four times its size from being freed.
-pub(crate) fn part_frame(buffer: &mut bytes::BytesMut, length: usize, chunk: usize) -> Bytes {
-    if length >= chunk / 4 {
-        return buffer.split_to(length).freeze();
-    }
-    let frame = Bytes::copy_from_slice(&buffer[..length]);
-    if length == buffer.len() {
-        // All of the buffer is free again, from its beginning.
-        buffer.clear();
-    } else {
-        bytes::Buf::advance(buffer, length);
-    }
-    frame
 }

@@ -1,10 +1,12 @@
 //! Datagrams over IP: one frame is one datagram.
 
+use crate::binding::{Binding, explain};
 use crate::medium::{BUDGET, Medium, transport};
-use crate::outlet::{Outlet, part_frame};
-use crate::reopening::{Reopening, explain};
+use crate::outlet::Outlet;
+use crate::part::part_frame;
+use crate::reopening::Reopening;
 use actix::Context;
-use blastema_contract::transport::{MediumAddress, Transmit};
+use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use bytes::{BufMut, Bytes, BytesMut};
 use socket2::{Domain, Protocol, Socket, Type};
 use std::collections::VecDeque;
@@ -76,6 +78,7 @@ impl UdpConfig {
 pub struct Udp {
     config: UdpConfig,
     outlet: Outlet,
+    binding: Binding,
     reopening: Reopening,
     socket: Option<UdpSocket>,
     queue: VecDeque<(SocketAddr, Bytes)>,
@@ -87,6 +90,7 @@ impl Udp {
     /// A transport that opens when it is started.
     pub fn new(config: UdpConfig) -> Self {
         Udp {
+            binding: Binding::new(config.bind),
             config,
             outlet: Outlet::default(),
             reopening: Reopening::default(),
@@ -98,12 +102,14 @@ impl Udp {
     }
 
     fn try_open(&mut self) {
-        let address = self.reopening.wanted(self.config.bind);
+        let address = self.binding.next_attempt();
         match bind(address, &self.config).and_then(|socket| Ok((socket.local_addr()?, socket))) {
             Ok((local, socket)) => {
-                self.reopening.opened(local);
+                self.binding.taken(local);
+                self.reopening.reset();
                 self.socket = Some(socket);
-                self.outlet.announce_opened(MediumAddress::Ip(local), self.config.mtu());
+                let (local, mtu) = (MediumAddress::Ip(local), self.config.mtu());
+                self.outlet.announce(TransportReport::Opened { local, mtu });
             }
             Err(error) => self.lose(explain("udp", address, &error)),
         }
@@ -178,7 +184,7 @@ impl Udp {
                     self.outlet.counters.errors += 1;
                     self.errors_in_a_row += 1;
                     if self.errors_in_a_row >= ERRORS_IN_A_ROW {
-                        let local = self.reopening.last().unwrap_or(self.config.bind);
+                        let local = socket.local_addr().unwrap_or(self.config.bind);
                         self.lose(explain("udp", local, &error));
                         break;
                     }

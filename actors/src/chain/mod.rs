@@ -9,5 +9,10 @@ pub(crate) mod directory;
 pub(crate) mod monitor;
 pub(crate) mod notifier;
 pub(crate) mod recoverer;
+#[cfg(test)]
+pub(crate) mod scripted;
 pub(crate) mod strategy;
 pub(crate) mod supervisor;
+
+#[cfg(test)]
+mod tests;

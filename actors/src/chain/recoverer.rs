@@ -159,3 +159,6 @@ impl Handler<StandDown> for Recoverer {
         Confirmed
     }
 }
+
+#[cfg(test)]
+mod tests;

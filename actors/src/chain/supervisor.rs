@@ -6,7 +6,7 @@ use crate::guardian::Guardian;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
-use blastema_contract::reports::{Exit, Exited, FaultDeclared};
+use blastema_contract::reports::{Exit, Exited, FaultDeclared, StateReported};
 use blastema_contract::supervisor::{
     AddChild, Begin, Branch, End, Forsake, GaveUp, IsolateAll, IsolateChild, Leaf, ReadTree,
     Recovered, RemoveChild, ResetChild, RestartChild, SafeStop,
@@ -14,7 +14,7 @@ use blastema_contract::supervisor::{
 use blastema_core::recovery::{
     Cause, ChildRules, GiveUpReason, Supervision, SupervisorAction, SupervisorRules, Ticket,
 };
-use blastema_core::{Fault, FaultKind, Incarnation, Instant, ObjectName};
+use blastema_core::{Fault, FaultKind, Incarnation, Instant, Lifecycle, ObjectName};
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::sync::oneshot;
@@ -34,7 +34,9 @@ pub(crate) struct SupervisorSetup {
     /// Its children in their start order.
     pub(crate) children: Vec<(Box<dyn Child>, ChildRules)>,
     /// Is told of starts that took too long, and when it gives up.
-    pub(crate) monitor: Recipient<FaultDeclared>,
+    pub(crate) faults: Recipient<FaultDeclared>,
+    /// Is told when it is at work, and when it has ended.
+    pub(crate) states: Recipient<StateReported>,
     /// Where strategies find who keeps an object.
     pub(crate) directory: Directory,
 }
@@ -49,7 +51,8 @@ pub(crate) struct Supervisor {
     waiting: BTreeMap<Ticket, oneshot::Sender<Outcome>>,
     tickets: u64,
     parent: Option<Recipient<ChildReport>>,
-    monitor: Recipient<FaultDeclared>,
+    faults: Recipient<FaultDeclared>,
+    states: Recipient<StateReported>,
     directory: Directory,
 }
 
@@ -62,13 +65,16 @@ impl Supervisor {
         setup: SupervisorSetup,
     ) -> SupervisorChild {
         let name = setup.name.clone();
-        let address =
-            guardian.start(name.clone(), arbiter, move |_: &mut Context<Self>| Self::new(setup));
+        // The guardian counts the lives of this actor, the parent those of the supervisor that it plays:
+        // they must not be taken for each other.
+        let body = ObjectName::new(&format!("chain/supervisor/{name}"));
+        let body = body.unwrap_or_else(|_| name.clone());
+        let address = guardian.start(body, arbiter, move |_: &mut Context<Self>| Self::new(setup));
         SupervisorChild { name, address, report: None }
     }
 
     fn new(setup: SupervisorSetup) -> Self {
-        let SupervisorSetup { name, rules, children: given, monitor, directory } = setup;
+        let SupervisorSetup { name, rules, children: given, faults, states, directory } = setup;
         let mut supervisor = Supervisor {
             name,
             machine: Supervision::new(rules),
@@ -77,7 +83,8 @@ impl Supervisor {
             waiting: BTreeMap::new(),
             tickets: 0,
             parent: None,
-            monitor,
+            faults,
+            states,
             directory,
         };
         for (child, rules) in given {
@@ -128,6 +135,12 @@ impl Supervisor {
         }
     }
 
+    /// Its own state, so that its faults are over for the detector when its next life is at work.
+    fn report_state(&self, state: Lifecycle) {
+        let (object, incarnation) = (self.name.clone(), self.machine.incarnation());
+        self.states.do_send(StateReported { object, incarnation, state, reason: None });
+    }
+
     fn declare(
         &self,
         object: ObjectName,
@@ -135,7 +148,7 @@ impl Supervisor {
         kind: FaultKind,
         detail: String,
     ) {
-        self.monitor.do_send(FaultDeclared { object, incarnation, kind, detail });
+        self.faults.do_send(FaultDeclared { object, incarnation, kind, detail });
     }
 
     fn child(&mut self, name: &ObjectName) -> Option<&mut Box<dyn Child>> {
@@ -228,9 +241,14 @@ impl Body for Supervisor {
             }
             SupervisorAction::AllStarted => {
                 info!(supervisor = %self.name, "all children are at work");
+                self.report_state(Lifecycle::Initialized);
+                self.report_state(Lifecycle::Active);
                 self.tell_parent(ChildEvent::Started);
             }
-            SupervisorAction::AllStopped => self.tell_parent(ChildEvent::Stopped),
+            SupervisorAction::AllStopped => {
+                self.report_state(Lifecycle::Finalized);
+                self.tell_parent(ChildEvent::Stopped);
+            }
         }
     }
 }
@@ -492,3 +510,6 @@ impl Child for SupervisorChild {
         // The guardian restarts it by reflex; it needs no permission.
     }
 }
+
+#[cfg(test)]
+mod tests;

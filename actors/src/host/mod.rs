@@ -36,8 +36,8 @@ pub(crate) mod stamp;
 pub(crate) mod watch;
 
 use crate::component::Component;
-use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Message};
 use actix::fut::{ActorFutureExt, wrap_future};
+use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Message};
 use blastema_contract::reports::{Alive, AreYouAlive};
 use pump::{Pump, SharedPump};
 use std::cell::RefCell;
@@ -74,10 +74,11 @@ impl<C: Component> Actor for Host<C> {
 
     fn started(&mut self, context: &mut Self::Context) {
         if let Some(pump) = self.entering.take() {
-            let served = wrap_future::<_, Self>(pump).map(|(), host, context: &mut Context<Self>| {
-                host.pump.borrow().vacate();
-                context.stop();
-            });
+            let served =
+                wrap_future::<_, Self>(pump).map(|(), host, context: &mut Context<Self>| {
+                    host.pump.borrow().vacate();
+                    context.stop();
+                });
             context.spawn(served);
         }
     }

@@ -558,7 +558,8 @@ impl<C: Component> Pump<C> {
     /// This life has ended by a panic. Begins the next one where a standing order says so.
     #[cold]
     fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
-        let exit = Exit::Panicked { text: panics::text_of(payload), at: panics::take_place(), during };
+        let exit =
+            Exit::Panicked { text: panics::text_of(payload), at: panics::take_place(), during };
         if self.slot.stamp.is_busy() {
             self.slot.stamp.step();
         }

@@ -33,6 +33,12 @@ pub enum SpecError {
         /// What differs.
         why: Why,
     },
+    /// The root supervisor did not take it: it is ending, or has ended.
+    #[error("the root supervisor does not take {name} now: it is ending, or has ended")]
+    Refused {
+        /// The component.
+        name: ObjectName,
+    },
     /// A setting makes no sense.
     #[error("{setting} of {name} is {value}: {cure}")]
     Setting {
@@ -180,6 +186,11 @@ impl<C: Component> ChildSpec<C> {
     /// What it depends on, as it was written.
     pub(crate) fn dependencies(&self) -> &[String] {
         &self.depends_on
+    }
+
+    /// How long a life may take to become active, and to end in order.
+    pub(crate) fn deadlines(&self) -> (Duration, Duration) {
+        (self.limits.ready_within, self.limits.shutdown_within)
     }
 
     /// Gives the component its name and its ports. It lives when its supervisor starts it.

@@ -54,7 +54,7 @@ pub struct IsolationReported {
 pub struct LinkReported {
     /// Who sees it.
     pub node: NodeName,
-    /// The link's name in that node's configuration.
+    /// The link's name in that node's configuration: one name, one link, one neighbour.
     pub link: Arc<str>,
     /// Who is at its other end, once known.
     pub neighbour: Option<NodeName>,

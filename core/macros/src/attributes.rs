@@ -58,9 +58,7 @@ impl TypeAttributes {
             refuse_repetition(&mut seen, &meta, key)?;
             match key {
                 "name" => parsed.name = Some(parse_name(&meta)?),
-                "version" => {
-                    parsed.version = Some(meta.value()?.parse::<LitInt>()?.base10_parse()?)
-                }
+                "version" => parsed.version = Some(parse_version(&meta)?),
                 "max_size" => parsed.max_size = Some(meta.value()?.parse()?),
                 "max_age" => parsed.max_age_nanos = Some(parse_nanos(&meta.value()?.parse()?)?),
                 "reply" => parsed.reply = Some(meta.value()?.parse()?),
@@ -169,21 +167,28 @@ fn parse_version(meta: &ParseNestedMeta<'_>) -> Result<u16> {
     })
 }
 
-/// Reads the name of a contract, which obeys the rules for names of objects.
+/// Reads the name of a contract.
 fn parse_name(meta: &ParseNestedMeta<'_>) -> Result<LitStr> {
     let literal: LitStr = meta.value()?.parse()?;
-    let name = literal.value();
+    match wrong_name(&literal.value()) {
+        None => Ok(literal),
+        Some(reason) => Err(Error::new(literal.span(), reason)),
+    }
+}
+
+/// What is wrong with a contract's name, which obeys the rules for names of objects.
+pub(crate) fn wrong_name(name: &str) -> Option<String> {
     let wrong = |c: &char| !(c.is_ascii_alphanumeric() || "_-./".contains(*c));
-    let reason = if name.split('/').any(str::is_empty) {
-        "a contract's name, or a part of it between slashes, is empty".into()
+    if name.split('/').any(str::is_empty) {
+        Some("a contract's name, or a part of it between slashes, is empty".into())
     } else if name.len() > NAME_LIMIT {
-        format!("a contract's name has at most {NAME_LIMIT} bytes")
-    } else if let Some(c) = name.chars().find(wrong) {
-        format!("a contract's name takes letters, digits, '_', '-', '.' and '/', but not {c:?}")
+        Some(format!("a contract's name has at most {NAME_LIMIT} bytes"))
     } else {
-        return Ok(literal);
-    };
-    Err(Error::new(literal.span(), reason))
+        let c = name.chars().find(wrong)?;
+        Some(format!(
+            "a contract's name takes ASCII letters, digits, '_', '-', '.' and '/', but not {c:?}"
+        ))
+    }
 }
 
 /// Reads a unit or a frame.

@@ -1,6 +1,6 @@
 //! `#[derive(Event)]` and `#[derive(Request)]`.
 
-use crate::attributes::{Derive, TypeAttributes};
+use crate::attributes::{Derive, TypeAttributes, wrong_name};
 use crate::structure::{described_generics, expand};
 use proc_macro2::TokenStream;
 use quote::quote;
@@ -53,7 +53,14 @@ fn contract(
     let TypeAttributes { name, version, max_size, max_age_nanos, facade, .. } = attributes;
     let ident = &input.ident;
     let default_name = ident.unraw().to_string();
-    let name = name.as_ref().map_or_else(|| quote!(#default_name), |name| quote!(#name));
+    let name = match (name, wrong_name(&default_name)) {
+        (Some(name), _) => quote!(#name),
+        (None, None) => quote!(#default_name),
+        (None, Some(reason)) => {
+            let advice = "write `#[contract(name = \"..\")]`";
+            return Err(Error::new(ident.span(), format!("{reason}: {advice}")));
+        }
+    };
     let version = version.map(|version| quote!(const VERSION: u16 = #version;));
     let size = max_size.as_ref().map(|size| {
         quote! {

@@ -254,3 +254,206 @@ impl Machine for Notifier {
         self.collect();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Fault, FaultKind, Incarnation, Place};
+
+    fn at(millis: u64) -> Instant {
+        Instant::from_millis(millis)
+    }
+
+    fn node(name: &str) -> NodeName {
+        NodeName::new(name).expect("a name")
+    }
+
+    fn remote() -> Port {
+        Port::Remote(node("n"))
+    }
+
+    fn fault(id: u64, kind: FaultKind) -> Notice {
+        Notice::Found(Fault {
+            id: FaultId(id),
+            severity: kind.severity(),
+            kind,
+            place: Place::Node(node("x")),
+            incarnation: Incarnation::FIRST,
+            detail: String::new(),
+            found_at: at(0),
+            symptom_of: None,
+            count: 1,
+        })
+    }
+
+    fn cleared(id: u64) -> Notice {
+        Notice::Cleared { id: FaultId(id), place: Place::Node(node("x")) }
+    }
+
+    fn notifier(ports: &[Port]) -> Notifier {
+        let mut notifier = Notifier::new(NotifierLimits::default());
+        for port in ports {
+            assert!(notifier.add_port(port.clone(), at(0)));
+        }
+        notifier
+    }
+
+    /// What is handed over ("here +1", "n -1"), confirmed at once or not.
+    fn handed(notifier: &mut Notifier, confirm: bool, now: Instant) -> Vec<String> {
+        let mut handed = Vec::new();
+        while let Some(output) = notifier.poll_output() {
+            match output {
+                NotifierOutput::HandOver { port, number, notice } => {
+                    let sign = if matches!(notice, Notice::Found(_)) { '+' } else { '-' };
+                    handed.push(format!("{port} {sign}{}", notice.id().0));
+                    if confirm {
+                        notifier.handle_confirmed(&port, number, now);
+                    }
+                }
+                NotifierOutput::GivenUp { port, notice, tries } => {
+                    handed.push(format!("{port} gave up {} after {tries}", notice.id().0));
+                }
+            }
+        }
+        handed
+    }
+
+    #[test]
+    fn every_port_is_told_of_every_fault() {
+        let mut notifier = notifier(&[Port::Local, remote()]);
+
+        notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
+        notifier.handle_notice(cleared(1), at(0));
+
+        let told = handed(&mut notifier, true, at(1));
+        assert_eq!(told, ["here +1", "n +1", "here -1", "n -1"]);
+        assert!(notifier.read_ports().iter().all(|row| (row.confirmed, row.pending) == (2, 0)));
+    }
+
+    #[test]
+    fn a_port_that_cannot_be_reached_holds_up_nobody_else_and_is_given_up_loudly() {
+        let mut notifier = notifier(&[Port::Local, remote()]);
+        notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
+
+        let mut told = Vec::new();
+        let mut now = at(0);
+        loop {
+            while let Some(output) = notifier.poll_output() {
+                match output {
+                    NotifierOutput::HandOver { port: Port::Local, number, .. } => {
+                        notifier.handle_confirmed(&Port::Local, number, now);
+                        told.push("here".to_string());
+                    }
+                    NotifierOutput::HandOver { .. } => told.push("n".into()),
+                    NotifierOutput::GivenUp { tries, .. } => {
+                        told.push(format!("lost after {tries}"))
+                    }
+                }
+            }
+            let Some(due) = notifier.poll_timeout() else { break };
+            now = due;
+            notifier.handle_timeout(due);
+        }
+
+        assert_eq!(told, ["here", "n", "n", "n", "n", "n", "n", "n", "n", "lost after 8"]);
+        assert_eq!(notifier.read_ports()[1].given_up, 1);
+    }
+
+    #[test]
+    fn critical_faults_overtake_and_what_is_over_goes_before_them() {
+        let mut notifier = notifier(&[Port::Local]);
+        notifier.handle_notice(fault(1, FaultKind::Overload), at(0));
+        notifier.handle_notice(fault(2, FaultKind::Overload), at(0));
+        notifier.handle_notice(fault(3, FaultKind::Panic), at(0));
+        notifier.handle_notice(fault(4, FaultKind::NodeLost), at(0));
+        notifier.handle_notice(cleared(1), at(0));
+
+        let told = handed(&mut notifier, true, at(1));
+
+        assert_eq!(told, ["here +1", "here -1", "here +4", "here +3", "here +2"]);
+    }
+
+    #[test]
+    fn a_symptom_goes_after_the_roots_of_its_severity() {
+        let mut notifier = notifier(&[Port::Local]);
+        notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
+        let Notice::Found(symptom) = fault(2, FaultKind::Silence) else { return };
+        let symptom = Fault { symptom_of: Some(FaultId(1)), ..symptom };
+        notifier.handle_notice(Notice::Found(symptom), at(0));
+        notifier.handle_notice(fault(3, FaultKind::Panic), at(0));
+
+        assert_eq!(handed(&mut notifier, true, at(1)), ["here +1", "here +3", "here +2"]);
+    }
+
+    #[test]
+    fn one_fault_is_never_twice_in_a_queue_and_one_that_is_over_in_time_not_once() {
+        let mut notifier = notifier(&[Port::Local]);
+        notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
+        notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
+        notifier.handle_notice(fault(2, FaultKind::Panic), at(0));
+        notifier.handle_notice(fault(2, FaultKind::Panic), at(0));
+        notifier.handle_notice(fault(3, FaultKind::Panic), at(0));
+        notifier.handle_notice(cleared(3), at(0));
+
+        assert_eq!(handed(&mut notifier, true, at(1)), ["here +1", "here +2"]);
+        assert_eq!(notifier.read_ports()[0].suppressed, 3);
+    }
+
+    #[test]
+    fn a_storm_is_held_back_to_so_many_a_second_with_the_critical_ones_first() {
+        let local = HandoverLimits { per_second: 3, ..HandoverLimits::default() };
+        let mut notifier = Notifier::new(NotifierLimits { local, ..NotifierLimits::default() });
+        notifier.add_port(Port::Local, at(0));
+        for id in 1..=8 {
+            let kind = if id == 8 { FaultKind::Fatal } else { FaultKind::Panic };
+            notifier.handle_notice(fault(id, kind), at(0));
+        }
+
+        assert_eq!(handed(&mut notifier, true, at(0)), ["here +1", "here +8", "here +2"]);
+        assert_eq!(notifier.poll_timeout(), Some(at(1000)));
+        notifier.handle_timeout(at(1000));
+        assert_eq!(handed(&mut notifier, true, at(1000)), ["here +3", "here +4", "here +5"]);
+        notifier.handle_timeout(at(2000));
+        assert_eq!(handed(&mut notifier, true, at(2000)), ["here +6", "here +7"]);
+        assert_eq!(notifier.read_ports()[0].given_up, 0);
+    }
+
+    #[test]
+    fn too_many_ports_are_refused_and_a_known_one_keeps_what_waits() {
+        let limits = NotifierLimits { ports: 1, ..NotifierLimits::default() };
+        let mut notifier = Notifier::new(limits);
+        assert!(notifier.add_port(Port::Local, at(0)));
+        notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
+
+        assert!(!notifier.add_port(remote(), at(0)));
+        assert!(notifier.add_port(Port::Local, at(0)));
+
+        assert_eq!((notifier.refused(), notifier.read_ports()[0].pending), (1, 1));
+    }
+
+    #[test]
+    fn a_port_that_is_removed_is_forgotten_with_what_waits_there() {
+        let mut notifier = notifier(&[remote()]);
+        notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
+        notifier.remove_port(&remote());
+
+        notifier.handle_confirmed(&remote(), 1, at(1));
+        notifier.handle_failed(&remote(), 1, at(1));
+        notifier.handle_notice(fault(2, FaultKind::Panic), at(1));
+
+        assert_eq!((notifier.read_ports(), notifier.poll_timeout()), (vec![], None));
+    }
+
+    #[test]
+    fn a_notifier_that_was_struck_hands_over_again_what_was_not_confirmed() {
+        let mut notifier = notifier(&[Port::Local, remote()]);
+        notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
+        notifier.handle_notice(fault(2, FaultKind::Panic), at(0));
+        handed(&mut notifier, false, at(0));
+
+        let mut notifier = notifier.reborn(at(1));
+
+        let told = handed(&mut notifier, true, at(1));
+        assert_eq!(told, ["here +1", "n +1", "here +2", "n +2"]);
+    }
+}

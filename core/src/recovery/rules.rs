@@ -52,7 +52,20 @@ impl Default for ChildRules {
     }
 }
 
+/// The guard of a component keeps the component's deadlines itself and says more about it when they
+/// pass; the supervisor waits this much longer, for the case that the guard is stuck too.
+const GUARD_MARGIN: Duration = Duration::from_millis(250);
+
 impl ChildRules {
+    /// For a component whose guard keeps these deadlines.
+    pub fn guarded(ready_within: Duration, shutdown_within: Duration) -> Self {
+        ChildRules {
+            ready_within: ready_within + GUARD_MARGIN,
+            shutdown_within: shutdown_within + GUARD_MARGIN,
+            ..ChildRules::default()
+        }
+    }
+
     /// For a child that is a supervisor: its own children take their own deadlines, one after the
     /// other, so that its deadline is only there for the case that it is stuck itself.
     pub fn supervisor() -> Self {
@@ -93,7 +106,8 @@ impl Default for SupervisorRules {
 /// "Panic: restart on the spot, up to `times` in `period`."
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StandingOrder {
-    /// How many restarts the guard may still make by itself.
+    /// How many restarts the guard may make by itself in any one period, counting those that it has
+    /// made already since it was started.
     pub times: u32,
     /// The sliding window in which they are counted.
     pub period: Duration,

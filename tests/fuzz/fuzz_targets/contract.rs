@@ -31,10 +31,6 @@ enum Tree {
     Many { children: Vec<Tree>, name: String },
 }
 
-#[derive(Clone, Debug, Structure)]
-#[contract(crate = "crate::facade")]
-struct Nothing;
-
 /// Holds every kind of thing that memory can be asked for.
 #[derive(Debug, Request)]
 #[contract(reply = Result<Vec<Tree>, String>, crate = "crate::facade")]
@@ -43,8 +39,6 @@ struct Plan {
     names: BTreeMap<String, Vec<Option<u64>>>,
     queue: VecDeque<(u8, i16, u32, i64, bool, char)>,
     shared: (Arc<str>, Arc<[u16]>, Box<[u8]>),
-    /// Costs no bytes however many there are.
-    nothing: Vec<Nothing>,
 }
 
 fuzz_target!(|bytes: &[u8]| {

@@ -11,9 +11,9 @@ struct Place {
 
 /// The map of the README as data, from the bottom to the top.
 const PLACES: [Place; 11] = [
-    Place { package: "blastema-core", below: &[], below_in_tests: &[] },
-    // What the derives write is tried against the traits that it implements.
-    Place { package: "blastema-macros", below: &[], below_in_tests: &["blastema-core"] },
+    Place { package: "blastema-macros", below: &[], below_in_tests: &[] },
+    // The derives are written for the core's traits, so the core's tests try them.
+    Place { package: "blastema-core", below: &[], below_in_tests: &["blastema-macros"] },
     Place { package: "blastema-contract", below: &["blastema-core"], below_in_tests: &[] },
     // Its actors are tried with probes in their neighbours' places.
     Place {

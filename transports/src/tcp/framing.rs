@@ -10,7 +10,7 @@
 //!             │ length │ bytes …                  numbers are big-endian
 //! ```
 
-use crate::outlet::part_frame;
+use crate::part::part_frame;
 use bytes::{Bytes, BytesMut};
 
 /// How long a preamble is, in bytes.

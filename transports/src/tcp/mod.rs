@@ -20,9 +20,10 @@ mod peer;
 
 use self::handshake::{Underway, dial, greet, introduce};
 use self::peer::{Broken, Peer, State};
+use crate::binding::{Binding, explain};
 use crate::medium::{Medium, transport};
 use crate::outlet::Outlet;
-use crate::reopening::{Reopening, explain};
+use crate::reopening::Reopening;
 use actix::Context;
 use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use socket2::{Domain, Protocol, Socket, Type};
@@ -96,6 +97,7 @@ impl Default for TcpConfig {
 pub struct Tcp {
     config: TcpConfig,
     outlet: Outlet,
+    binding: Binding,
     reopening: Reopening,
     listener: Option<Listener>,
     strangers: VecDeque<Stranger>,
@@ -120,6 +122,7 @@ impl Tcp {
     /// A transport that opens when it is started.
     pub fn new(config: TcpConfig) -> Self {
         Tcp {
+            binding: Binding::new(config.bind),
             config,
             outlet: Outlet::default(),
             reopening: Reopening::default(),
@@ -131,12 +134,14 @@ impl Tcp {
     }
 
     fn try_open(&mut self) {
-        let address = self.reopening.wanted(self.config.bind);
+        let address = self.binding.next_attempt();
         match listen(address).and_then(|socket| Ok((socket.local_addr()?, socket))) {
             Ok((local, socket)) => {
-                self.reopening.opened(local);
+                self.binding.taken(local);
+                self.reopening.reset();
                 self.listener = Some(Listener { socket, local, pause: None });
-                self.outlet.announce_opened(MediumAddress::Ip(local), self.config.mtu);
+                let (local, mtu) = (MediumAddress::Ip(local), self.config.mtu);
+                self.outlet.announce(TransportReport::Opened { local, mtu });
             }
             Err(error) => {
                 self.reopening.failed();

@@ -6,6 +6,7 @@ use super::outgoing::Outgoing;
 use crate::medium::BUDGET;
 use crate::outlet::Outlet;
 use blastema_contract::transport::MediumAddress;
+use blastema_core::recovery::Backoff;
 use bytes::BytesMut;
 use std::future::Future;
 use std::io;
@@ -16,10 +17,14 @@ use std::time::Duration;
 use tokio::net::TcpStream;
 use tokio::time::Sleep;
 
-/// The first pause after a connection failed or broke.
-const SHORTEST: Duration = Duration::from_millis(20);
-/// The longest pause: how late a peer that is back, and does not dial us itself, may be noticed.
-const LONGEST: Duration = Duration::from_secs(1);
+/// The limit is how late a peer that is back, and does not dial us itself, may be noticed. With jitter,
+/// so that many who lost the same peer do not come back as one.
+const BACKOFF: Backoff = Backoff {
+    first: Duration::from_millis(20),
+    factor: 2,
+    limit: Duration::from_secs(1),
+    jitter_percent: 10,
+};
 
 /// A peer, known by the address at which it listens.
 pub(super) struct Peer {
@@ -85,8 +90,9 @@ impl Peer {
     /// The connection failed or broke: a pause begins, twice as long after each failure. The answer is
     /// how many frames are lost with it.
     pub(super) fn rest(&mut self) -> u64 {
-        let pause = SHORTEST.saturating_mul(1 << self.failures.min(16)).min(LONGEST);
-        self.failures += 1;
+        self.failures = self.failures.saturating_add(1);
+        let seed = u64::from(self.address.port());
+        let pause = BACKOFF.delay(self.failures.saturating_add(1), seed);
         self.state = State::Resting(Box::pin(tokio::time::sleep(pause)));
         self.outgoing.clear()
     }

@@ -8,11 +8,12 @@ use serde::{Deserialize, Serialize};
 /// What is known of the life that is to be replaced. It decides how that life is ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// It has ended already: there is nothing to stop.
+    /// It has ended already: there is nothing to stop. Whether that was an orderly end, the child's
+    /// guard has said.
     Died,
     /// It does not answer: it is given up without being asked.
     Stuck,
-    /// It lives and answers: it is stopped in order.
+    /// It lives and answers: it is stopped in order. If it has ended by now, that was no orderly end.
     Faulty,
 }
 
@@ -99,6 +100,9 @@ pub(super) struct Kept {
     pub(super) isolated: bool,
     /// Its guard holds a standing order.
     pub(super) ordered: bool,
+    /// When its guard restarted it by itself, as far back as it counts; never more than the intensity
+    /// allows, and one.
+    pub(super) on_the_spot: Vec<Instant>,
 }
 
 impl Kept {
@@ -113,6 +117,7 @@ impl Kept {
             restarts: 0,
             isolated: false,
             ordered: false,
+            on_the_spot: Vec::new(),
         }
     }
 
@@ -136,6 +141,13 @@ impl Kept {
             Restart::Transient => in_order,
             Restart::Temporary => true,
         }
+    }
+
+    /// Whether it was let go as if it had ended in order, and this fault of that life says otherwise.
+    pub(super) fn finished_wrongly(&self, cause: Cause) -> bool {
+        self.goal == Goal::Finished
+            && self.rules.restart == Restart::Transient
+            && cause != Cause::Died
     }
 
     pub(super) fn status(&self) -> ChildStatus {

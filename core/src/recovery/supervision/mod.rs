@@ -372,8 +372,12 @@ impl Supervision {
             }
             // The guard has restarted it by itself, and its report is still under way.
             Some(life) if life > child.incarnation => child.incarnation = life,
-            // A life that has been replaced already.
-            Some(life) if life < child.incarnation => return self.settle(),
+            // A life that has been replaced already, unless its replacement has failed too.
+            Some(life) if life < child.incarnation && child.failed.is_none() => {
+                return self.settle();
+            }
+            // A transient child that ended itself because it could not go on.
+            Some(_) if child.finished_wrongly(cause) => child.goal = Goal::Run,
             Some(_) => {}
         }
         if self.kept(key).goal == Goal::Run {

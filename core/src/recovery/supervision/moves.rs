@@ -201,7 +201,9 @@ impl Supervision {
             }
             Goal::Run if alone && child.failed.is_none() => match self.rules.strategy {
                 Strategy::OneForOne => self.start(key, now),
-                Strategy::OneForAll | Strategy::RestForOne => drop(self.coming.insert(key)),
+                Strategy::OneForAll | Strategy::RestForOne => {
+                    self.coming.insert(key);
+                }
             },
             Goal::Run | Goal::Rest | Goal::Finished => {}
         }
@@ -240,6 +242,8 @@ impl Supervision {
             child.restarts += 1;
         }
         child.incarnation = child.incarnation.next();
+        // A new guard begins to count.
+        child.on_the_spot.clear();
         let (name, incarnation) = (child.name.clone(), child.incarnation);
         let due = now + child.rules.ready_within;
         self.set_state(key, State::Starting { due });
@@ -294,9 +298,12 @@ impl Supervision {
     }
 
     pub(super) fn restarted_on_the_spot(&mut self, key: Key, next: Incarnation, now: Instant) {
+        let period = self.rules.period;
         let child = self.kept(key);
         child.incarnation = next;
         child.restarts += 1;
+        child.on_the_spot.retain(|&at| now - at <= period);
+        child.on_the_spot.push(now);
         if let State::Resetting { .. } = child.state {
             self.set_state(key, State::Down);
             self.set_state(key, State::Running);
@@ -332,8 +339,8 @@ impl Supervision {
 
     /// Leaves what remains of the budget with a child's guard, where the rules allow it.
     pub(super) fn grant(&mut self, key: Key, now: Instant) {
-        let (times, period) = (self.window.left(now), self.rules.period);
-        let allowed = self.at_work() && self.rules.strategy == Strategy::OneForOne && times > 0;
+        let (left, period) = (self.window.left(now), self.rules.period);
+        let allowed = self.at_work() && self.rules.strategy == Strategy::OneForOne && left > 0;
         let going = self.going.contains(&key);
         let child = self.kept(key);
         let willing = child.state == State::Running
@@ -343,6 +350,9 @@ impl Supervision {
             && !going;
         if allowed && willing {
             child.ordered = true;
+            child.on_the_spot.retain(|&at| now - at <= period);
+            let made = u32::try_from(child.on_the_spot.len()).unwrap_or(u32::MAX);
+            let times = left.saturating_add(made);
             let (child, order) = (child.name.clone(), Some(StandingOrder { times, period }));
             self.outputs.push_back(SupervisorAction::StandingOrder { child, order });
         }

@@ -329,7 +329,7 @@ fn a_start_that_fails_answers_its_own_request_and_may_be_tried_again() {
     rig.restart("b", Cause::Died, 1);
 
     assert_eq!(rig.start_failed("b", 2), ["1 gave b up: its next life did not start: no device"]);
-    assert_eq!(rig.restart("b", Cause::Died, 2), ["start b #3"]);
+    assert_eq!(rig.restart("b", Cause::Died, 1), ["start b #3"]);
     assert_eq!(rig.started("b", 3), ["2 recovered b #3"]);
 }
 
@@ -496,6 +496,16 @@ fn a_transient_child_may_return_and_a_temporary_one_may_also_die() {
 }
 
 #[test]
+fn a_transient_child_that_could_not_go_on_did_not_end_in_order() {
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &[("t", kept(Restart::Transient))]);
+    rig.begin();
+    rig.started("t", 1);
+    rig.returned("t", 1);
+
+    assert_eq!(rig.restart("t", Cause::Faulty, 1), ["start t #2"]);
+}
+
+#[test]
 fn a_temporary_child_that_is_stuck_or_faulty_is_ended_and_let_go() {
     let children = [("u", kept(Restart::Temporary)), ("v", kept(Restart::Temporary))];
     let mut rig = Rig::with(Strategy::OneForAll, 3, &children);
@@ -538,13 +548,13 @@ fn a_standing_order_draws_from_the_budget_and_returns_as_the_window_moves() {
     assert_eq!(rig.started("a", 1), ["order a x2", "start b #1"]);
     assert_eq!(rig.started("b", 1), ["order b x2", "all started"]);
 
-    assert_eq!(rig.died_on_the_spot("a", 1), ["order a x1"]);
+    assert_eq!(rig.died_on_the_spot("a", 1), ["order a x2"]);
     assert_eq!(rig.died_on_the_spot("a", 1), [""; 0]);
     rig.pass(30);
     assert_eq!(rig.died_on_the_spot("b", 1), ["withdraw a", "withdraw b"]);
     assert_eq!(rig.pass(30), [""; 0]);
     rig.now = rig.machine.poll_timeout().expect("it waits for the window to move");
-    assert_eq!(rig.pass(0), ["order a x1", "order b x1"]);
+    assert_eq!(rig.pass(0), ["order a x1", "order b x2"]);
     assert_eq!(rig.machine.poll_timeout(), None);
 }
 

@@ -34,4 +34,7 @@ struct EmptyUnit {
 #[contract]
 struct NoKeys;
 
+#[derive(Clone, Event)]
+struct Größe(f32);
+
 fn main() {}

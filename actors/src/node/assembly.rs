@@ -1,0 +1,244 @@
+//! How a node is put together: the one place that knows all actors.
+
+use super::builder::{NodeBuilder, Placement, StartError};
+use super::keeper::{Keeper, NodeState, StartRoot};
+use super::tree::{Ground, Harvest, Planted};
+use super::{Node, Root, Shared};
+use crate::chain::detector::Detector;
+use crate::chain::directory::Directory;
+use crate::chain::monitor::Monitor;
+use crate::chain::notifier::Notifier;
+use crate::chain::recoverer::{Recoverer, RecovererSetup};
+use crate::chain::strategy::{ToolBox, Tools};
+use crate::guardian::Guardian;
+use crate::host::arbiters::Arbiters;
+use crate::host::environment::{HostEnvironment, Reports};
+use crate::{panics, platform};
+use actix::prelude::*;
+use blastema_contract::detector::{ReadRecord, Subscribe};
+use blastema_contract::monitor::{Dismiss, Enrol, ReadTable};
+use blastema_contract::notifier::AddPort;
+use blastema_contract::reports::AreYouAlive;
+use blastema_core::detection::{
+    DetectorLimits, EnrolError, Enrolment, MonitorLimits, NotifierLimits, ObjectKind, Port, Watch,
+};
+use blastema_core::recovery::{self, RecovererLimits};
+use blastema_core::{NameError, NodeName, ObjectAddress, ObjectName};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
+use tokio::sync::watch;
+
+/// The fault chain as the rest of the node sees it.
+pub(super) struct Chain {
+    pub(super) table: Recipient<ReadTable>,
+    pub(super) record: Recipient<ReadRecord>,
+    pub(super) subscribe: Recipient<Subscribe>,
+    enrol: Recipient<Enrol>,
+    dismiss: Recipient<Dismiss>,
+    arbiter: Option<ArbiterHandle>,
+}
+
+impl Chain {
+    async fn enrol_all(&self, enrolments: Vec<Enrol>) -> Result<(), StartError> {
+        for enrolment in enrolments {
+            // The chain's mailboxes close only when the node has ended.
+            if let Ok(answer) = self.enrol.send(enrolment).await {
+                answer?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Watches a component that was planted after the start.
+    pub(super) async fn enrol(&self, node: &NodeName, planted: &Planted) {
+        let name = planted.child.name();
+        let (watch, inquiries) = (planted.watch, planted.inquiries.clone());
+        if let Ok(enrolment) = enrolment(node, name, watch, &planted.depends_on, inquiries) {
+            // A component that cannot be watched as it wishes still has its guard.
+            let _: Result<Result<_, EnrolError>, _> = self.enrol.send(enrolment).await;
+        }
+    }
+
+    pub(super) fn dismiss(&self, object: ObjectName) {
+        self.dismiss.do_send(Dismiss { object });
+    }
+
+    pub(super) fn stop(&self) {
+        if let Some(arbiter) = &self.arbiter {
+            arbiter.stop();
+        }
+    }
+}
+
+fn enrolment(
+    node: &NodeName,
+    name: &ObjectName,
+    watch: Watch,
+    depends_on: &[String],
+    inquiries: Recipient<AreYouAlive>,
+) -> Result<Enrol, NameError> {
+    let address = |text: &String| match text.contains(':') {
+        true => text.parse(),
+        false => Ok(ObjectAddress::new(node.clone(), ObjectName::new(text)?)),
+    };
+    let depends_on: Vec<ObjectAddress> =
+        depends_on.iter().map(address).collect::<Result<_, _>>()?;
+    // A component's own signs of life are stamps, which the lookout reads: no message is sent for them.
+    let watch = if matches!(watch, Watch::Push(_)) { Watch::Guard } else { watch };
+    let enrolment = Enrolment::new(name.clone()).watch(watch).depends_on(depends_on);
+    Ok(Enrol { enrolment, inquiries: Some(inquiries) })
+}
+
+fn middleware(name: &str) -> Enrol {
+    let name = ObjectName::new(name).expect("the middleware's own names are well formed");
+    Enrol { enrolment: Enrolment::new(name).kind(ObjectKind::Middleware), inquiries: None }
+}
+
+/// Everything between the threads and the components.
+struct Parts {
+    guardian: Guardian,
+    chain: Chain,
+    monitor: Addr<Monitor>,
+    keeper: Addr<Keeper>,
+    state: watch::Receiver<NodeState>,
+    directory: Directory,
+}
+
+fn named(name: &str) -> ObjectName {
+    ObjectName::new(name).expect("the middleware's own names are well formed")
+}
+
+/// Makes the fault chain; it has nothing to watch yet.
+fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartError> {
+    let arbiter = match builder.placement {
+        Placement::Here => None,
+        Placement::Threads { .. } | Placement::ComponentsHere => Some(
+            Arbiter::try_with_tokio_rt(|| {
+                tokio::runtime::Builder::new_current_thread().enable_all().build()
+            })?
+            .handle(),
+        ),
+    };
+    let place = arbiter.as_ref();
+    let guardian = Guardian::default();
+
+    let notifier = guardian.start(named("chain/notifier"), place, |_: &mut Context<Notifier>| {
+        Notifier::new(NotifierLimits::default())
+    });
+    let (of, found, cleared) =
+        (node.clone(), notifier.clone().recipient(), notifier.clone().recipient());
+    let detector =
+        guardian.start(named("chain/detector"), place, move |_: &mut Context<Detector>| {
+            Detector::new(of, DetectorLimits::default(), found, cleared)
+        });
+    let (of, observed) = (node.clone(), detector.clone().recipient());
+    let monitor = guardian.start(named("chain/monitor"), place, move |_: &mut Context<Monitor>| {
+        Monitor::new(of, MonitorLimits::default(), observed)
+    });
+    guardian.report_to(monitor.clone().recipient());
+
+    let (told, state) = watch::channel(NodeState::Starting);
+    let (of, outputs) = (node.clone(), builder.safe_outputs.clone());
+    let keeper = guardian.start(named("keeper"), place, move |_: &mut Context<Keeper>| {
+        Keeper::new(of, told, outputs)
+    });
+
+    let directory = Directory::default();
+    let tools = Tools::new(ToolBox {
+        node: node.clone(),
+        directory: directory.clone(),
+        router: None,
+        safe_outputs: builder.safe_outputs.clone(),
+        rest_node: keeper.clone().recipient(),
+    });
+    let seed = platform::random_seed();
+    let plan = builder.plan.clone();
+    let setup = RecovererSetup {
+        machine: recovery::Recoverer::new(node.clone(), plan, RecovererLimits::default(), seed),
+        strategies: builder.strategies.clone(),
+        tools,
+        detector: detector.clone().recipient(),
+        guardian: guardian.clone(),
+    };
+    let recoverer =
+        guardian.start(named("chain/recoverer"), place, move |_: &mut Context<Recoverer>| {
+            Recoverer::new(setup)
+        });
+    notifier.do_send(AddPort {
+        port: Port::Local,
+        recover: recoverer.clone().recipient(),
+        stand_down: Some(recoverer.recipient()),
+    });
+
+    let chain = Chain {
+        table: monitor.clone().recipient(),
+        record: detector.clone().recipient(),
+        subscribe: detector.recipient(),
+        enrol: monitor.clone().recipient(),
+        dismiss: monitor.clone().recipient(),
+        arbiter,
+    };
+    Ok(Parts { guardian, chain, monitor, keeper, state, directory })
+}
+
+pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
+    panics::install_hook();
+    let node = NodeName::new(&builder.name)?;
+    let Parts { guardian, chain, monitor, keeper, state, directory } = make_chain(&builder, &node)?;
+
+    let arbiters = match builder.placement {
+        Placement::Threads { shared } => Arbiters::pool(shared),
+        Placement::ComponentsHere | Placement::Here => Arbiters::here(),
+    };
+    let reports = Reports {
+        exits: Some(monitor.clone().recipient()),
+        states: Some(monitor.clone().recipient()),
+        faults: Some(monitor.clone().recipient()),
+    };
+    let environment = HostEnvironment::new(arbiters, reports);
+
+    let plan = Arc::new(builder.plan);
+    let ground = Ground {
+        environment: &environment,
+        guardian: &guardian,
+        arbiter: chain.arbiter.as_ref(),
+        monitor: monitor.clone().recipient(),
+        directory,
+        plan: &plan,
+    };
+    let mut harvest = Harvest::default();
+    let root = builder.root.plant(&ground, &mut harvest)?;
+    let names: Vec<&ObjectName> = harvest.components.iter().map(|facts| &facts.name).collect();
+    plan.check(names, &builder.own_kinds, builder.strategies.names())?;
+
+    let mut enrolments: Vec<Enrol> =
+        ["chain/notifier", "chain/detector", "chain/monitor", "chain/recoverer", "keeper"]
+            .map(middleware)
+            .into();
+    enrolments.extend(harvest.supervisors.iter().map(|name| middleware(name.as_str())));
+    let mut actors: BTreeMap<ObjectName, _> = BTreeMap::new();
+    for facts in harvest.components {
+        let (name, watch) = (&facts.name, facts.watch);
+        enrolments.push(enrolment(&node, name, watch, &facts.depends_on, facts.inquiries)?);
+        actors.insert(facts.name, facts.actor);
+    }
+    chain.enrol_all(enrolments).await?;
+
+    let shared = Shared {
+        name: node,
+        incarnation: platform::node_incarnation(),
+        environment,
+        chain,
+        root: Root::of(&root),
+        shutdown: keeper.clone().recipient(),
+        state,
+        actors: Mutex::new(actors),
+        plan,
+    };
+    let node = Node(Arc::new(shared));
+    match keeper.send(StartRoot(root)).await {
+        Ok(Ok(())) => Ok(node),
+        Ok(Err(reason)) => Err(StartError::GaveUp { reason }),
+        Err(_) => Err(StartError::GaveUp { reason: "the fault chain ended".into() }),
+    }
+}

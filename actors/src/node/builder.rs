@@ -1,0 +1,179 @@
+//! How a node is described.
+
+use super::Node;
+use super::tree::SupervisorSpec;
+use crate::chain::strategy::{RecoveryStrategy, SafeOutputs, StrategyTable};
+use crate::component::Component;
+use crate::host::spec::{ChildSpec, SpecError};
+use blastema_core::detection::EnrolError;
+use blastema_core::recovery::{Plan, PlanError, Strategy};
+use blastema_core::{Fault, FaultKind, NameError};
+use std::fmt;
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Why a node did not start. What had been started is stopped again.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StartError {
+    /// The node's name, or the name of something it depends on, does not parse.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// A component's or supervisor's spec is wrong.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// The plan does not answer every fault, or answers one by what does not exist.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// An object cannot be watched as its spec says.
+    #[error(transparent)]
+    Watch(#[from] EnrolError),
+    /// The operating system has no thread left.
+    #[error("a thread could not be started: {0}")]
+    Thread(#[from] io::Error),
+    /// The root supervisor gave up while it was starting its children.
+    #[error("the node did not come up: {reason}")]
+    GaveUp {
+        /// Which component, and what it said.
+        reason: String,
+    },
+}
+
+/// Where a node's actors live.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Placement {
+    /// On threads of the node's own; so many of them are shared by components.
+    Threads { shared: usize },
+    /// The fault chain on a thread of its own, components on the thread that starts the node.
+    ComponentsHere,
+    /// Everything on the thread that starts the node, and under its clock.
+    Here,
+}
+
+/// Describes a node. Nothing happens before [`start`](NodeBuilder::start).
+#[must_use = "a node lives only after start()"]
+pub struct NodeBuilder {
+    pub(super) name: String,
+    pub(super) root: SupervisorSpec,
+    pub(super) plan: Plan,
+    pub(super) own_kinds: Vec<FaultKind>,
+    pub(super) strategies: StrategyTable,
+    pub(super) safe_outputs: Option<SafeOutputs>,
+    pub(super) placement: Placement,
+    pub(super) grace: Duration,
+}
+
+impl fmt::Debug for NodeBuilder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("NodeBuilder").field("name", &self.name).field("root", &self.root).finish()
+    }
+}
+
+impl NodeBuilder {
+    pub(super) fn new(name: &str) -> Self {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        NodeBuilder {
+            name: name.to_owned(),
+            root: SupervisorSpec::new("root", Strategy::OneForOne).as_root(),
+            plan: Plan::default(),
+            own_kinds: Vec::new(),
+            strategies: StrategyTable::default(),
+            safe_outputs: None,
+            placement: Placement::Threads { shared: cores },
+            // Twenty beats: a handler that was merely slow has come back by then.
+            grace: Duration::from_millis(200),
+        }
+    }
+
+    /// One more component under the root supervisor, started after those before it.
+    pub fn child<C: Component>(mut self, spec: ChildSpec<C>) -> Self {
+        self.root = self.root.child(spec);
+        self
+    }
+
+    /// One more supervisor under the root supervisor, started after what stands before it.
+    pub fn supervisor(mut self, spec: SupervisorSpec) -> Self {
+        self.root = self.root.supervisor(spec);
+        self
+    }
+
+    /// Whom the root supervisor restarts together. Only the one that failed, unless this says otherwise.
+    pub fn strategy(mut self, strategy: Strategy) -> Self {
+        self.root = self.root.strategy(strategy);
+        self
+    }
+
+    /// More restarts than `times` in one `period` directly under the root, and the node comes to safe
+    /// rest.
+    pub fn intensity(mut self, times: u32, period: Duration) -> Self {
+        self.root = self.root.intensity(times, period);
+        self
+    }
+
+    /// What is done about which fault. The default has an answer to every built-in kind.
+    pub fn plan(mut self, plan: Plan) -> Self {
+        self.plan = plan;
+        self
+    }
+
+    /// Declares a kind of fault of the application's own; the plan must answer it.
+    pub fn fault_kind(mut self, code: &str) -> Self {
+        self.own_kinds.push(FaultKind::Custom(code.into()));
+        self
+    }
+
+    /// Hands over a recovery strategy of the application's own, by the name that the plan uses.
+    pub fn recovery<S: RecoveryStrategy>(
+        mut self,
+        name: &str,
+        make: impl Fn() -> S + Send + Sync + 'static,
+    ) -> Self {
+        self.strategies.hand_over(name, make);
+        self
+    }
+
+    /// What is done with the robot's outputs when something comes to safe rest: brakes on, power off.
+    /// It is called on the fault chain's thread with the fault, for an object as for the whole node,
+    /// and must not block.
+    pub fn safe_outputs(mut self, apply: impl Fn(&Fault) + Send + Sync + 'static) -> Self {
+        self.safe_outputs = Some(Arc::new(apply));
+        self
+    }
+
+    /// So many arbiters are shared by components. One per core, unless this says otherwise.
+    pub fn work_threads(mut self, shared: usize) -> Self {
+        self.placement = Placement::Threads { shared: shared.max(1) };
+        self
+    }
+
+    /// How long a handler that was found hanging still has to return before its neighbours on the same
+    /// arbiter are re-created elsewhere.
+    pub fn grace(mut self, grace: Duration) -> Self {
+        self.grace = grace;
+        self
+    }
+
+    /// Runs the components on the thread that starts the node, beside other tasks of that thread; a
+    /// component that hangs takes them along.
+    pub fn components_on_this_thread(mut self) -> Self {
+        self.placement = Placement::ComponentsHere;
+        self
+    }
+
+    /// Runs everything on the thread that starts the node and under its clock: for tests in virtual
+    /// time. A component that hangs cannot be recovered there.
+    pub fn on_this_thread(mut self) -> Self {
+        self.placement = Placement::Here;
+        self
+    }
+
+    /// Starts the node: its fault chain, and then all components, each after those before it.
+    ///
+    /// # Errors
+    /// A description that cannot work is refused before anything is started. A component that cannot be
+    /// started in spite of all restarts is [`StartError::GaveUp`].
+    pub async fn start(self) -> Result<Node, StartError> {
+        super::assembly::start(self).await
+    }
+}

@@ -1,0 +1,254 @@
+//! The node: one process of the robot, with its supervision tree, its fault chain and its networks.
+//!
+//! ```text
+//! NodeBuilder ─ start ─► Keeper ─► root supervisor ─► supervisors, components
+//!                          ▲            ▲
+//!                          │ rest       │ restart, reset, isolate, safe stop
+//!                 Monitor ─► Detector ─► Notifier ─► Recoverer ─► strategies
+//! ```
+//!
+//! The fault chain lives on an arbiter of its own under the guardian; the watch has a thread of its
+//! own; components share as many arbiters as the computer has cores, or have threads of their own.
+
+mod assembly;
+mod builder;
+mod faults;
+mod keeper;
+mod tree;
+
+pub use builder::{NodeBuilder, StartError};
+pub use faults::FaultEvents;
+pub use keeper::NodeState;
+pub use tree::SupervisorSpec;
+
+use crate::chain::supervisor::SupervisorChild;
+use crate::component::Component;
+use crate::host::environment::HostEnvironment;
+use crate::host::office::DeadLetterOffice;
+use crate::host::spec::{ChildSpec, SpecError};
+use crate::reference::ActorRef;
+use crate::sender::Sender;
+use crate::topic::Publisher;
+use actix::Recipient;
+use assembly::Chain;
+use blastema_contract::detector::{FaultEvent, ReadRecord, Subscribe};
+use blastema_contract::monitor::ReadTable;
+use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
+use blastema_core::detection::{Record, Row};
+use blastema_core::{Contract, Event, Incarnation, NodeName, ObjectName, Why};
+use keeper::Shutdown;
+use std::any::Any;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::sync::watch;
+
+/// A running node. Clones refer to the same one; it runs until [`shutdown`](Node::shutdown), or until
+/// it comes to safe rest.
+///
+/// ```
+/// use blastema::prelude::*;
+///
+/// struct Lamp;
+/// impl Component for Lamp {}
+///
+/// blastema::run(async {
+///     let node = Node::builder("module1").child(ChildSpec::new("lamp", || Lamp)).start().await?;
+///     assert_eq!(node.state(), NodeState::Running);
+///     node.shutdown().await;
+///     Ok::<(), StartError>(())
+/// })?;
+/// # Ok::<(), StartError>(())
+/// ```
+#[derive(Clone)]
+pub struct Node(Arc<Shared>);
+
+struct Shared {
+    name: NodeName,
+    incarnation: Incarnation,
+    environment: HostEnvironment,
+    chain: Chain,
+    root: Root,
+    shutdown: Recipient<Shutdown>,
+    state: watch::Receiver<NodeState>,
+    actors: Mutex<BTreeMap<ObjectName, Box<dyn Any + Send>>>,
+    plan: Arc<blastema_core::recovery::Plan>,
+}
+
+/// What the node asks of its root supervisor.
+struct Root {
+    tree: Recipient<ReadTree>,
+    additions: Recipient<AddChild>,
+    removals: Recipient<RemoveChild>,
+}
+
+impl Root {
+    fn of(supervisor: &SupervisorChild) -> Self {
+        Root {
+            tree: supervisor.tree(),
+            additions: supervisor.additions(),
+            removals: supervisor.removals(),
+        }
+    }
+}
+
+impl fmt::Debug for Node {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{} {:?}", self.0.name, self.0.incarnation, self.state())
+    }
+}
+
+impl Node {
+    /// Begins to describe a node. The name is parsed at [`start`](NodeBuilder::start).
+    pub fn builder(name: &str) -> NodeBuilder {
+        NodeBuilder::new(name)
+    }
+
+    /// The node's name.
+    pub fn name(&self) -> &NodeName {
+        &self.0.name
+    }
+
+    /// Which life of the node this is.
+    pub fn incarnation(&self) -> Incarnation {
+        self.0.incarnation
+    }
+
+    /// How the node is now.
+    pub fn state(&self) -> NodeState {
+        self.0.state.borrow().clone()
+    }
+
+    /// Waits until the node has stopped, or has come to safe rest, and says which.
+    pub async fn ended(&self) -> NodeState {
+        let mut state = self.0.state.clone();
+        let ended = |state: &NodeState| !matches!(state, NodeState::Starting | NodeState::Running);
+        match state.wait_for(ended).await {
+            Ok(state) => state.clone(),
+            // Nobody is left who could change it.
+            Err(_) => NodeState::Stopped,
+        }
+    }
+
+    /// Where messages of contract `M` to the object of this name can be sent. The name is that of an
+    /// object here, such as `arm/elbow`, or anywhere, such as `module2:arm/elbow`.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where no object here has the name, or it does not take the contract;
+    /// [`Why::ContractDiffers`] shows field by field what differs. Whether an object of another node
+    /// takes it is found out when the first message is sent.
+    pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
+        self.0.environment.registry.sender(name)
+    }
+
+    /// A reference to a component here whose type is known.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where no component of this type has the name.
+    pub fn actor<C: Component>(&self, name: &str) -> Result<ActorRef<C>, Why> {
+        let unknown = || Why::Unknown { name: name.to_owned() };
+        let name = ObjectName::new(name).map_err(|_| unknown())?;
+        let actors = self.0.actors.lock().unwrap_or_else(PoisonError::into_inner);
+        actors.get(&name).and_then(|actor| actor.downcast_ref()).cloned().ok_or_else(unknown)
+    }
+
+    /// Where events can be published on a topic; `E`'s own name is its default topic.
+    ///
+    /// # Errors
+    /// The topic carries another contract of this name; the text shows what differs.
+    pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
+        self.0.environment.topics.publisher(topic)
+    }
+
+    /// Everything that is watched, each row with its age and incarnation. It can be read at any time,
+    /// also while components are stuck.
+    pub async fn table(&self) -> Vec<Row> {
+        self.0.chain.table.send(ReadTable).await.unwrap_or_default()
+    }
+
+    /// The record of faults: roots in the order in which they were found, each followed by its symptoms.
+    pub async fn faults(&self) -> Record {
+        self.0.chain.record.send(ReadRecord).await.unwrap_or_default()
+    }
+
+    /// Every step in the history of every fault, from now on.
+    pub fn fault_events(&self) -> FaultEvents {
+        FaultEvents::subscribe(&self.0.chain.subscribe)
+    }
+
+    /// The supervision tree as it stands now; `None` once the node has ended.
+    pub async fn tree(&self) -> Option<Branch> {
+        self.0.root.tree.send(ReadTree).await.ok()
+    }
+
+    /// What was not delivered here, with the reasons.
+    pub fn dead_letters(&self) -> &DeadLetterOffice {
+        &self.0.environment.dead_letters
+    }
+
+    /// Threads that were given up because a handler never returned.
+    pub fn abandoned_threads(&self) -> usize {
+        self.0.environment.arbiters.abandoned()
+    }
+
+    /// Adds a component under the root supervisor while the node runs, and starts it.
+    ///
+    /// # Errors
+    /// Its name is taken or does not parse, a setting makes no sense, or the root refuses it.
+    pub async fn add_child<C: Component>(
+        &self,
+        spec: ChildSpec<C>,
+    ) -> Result<ActorRef<C>, SpecError> {
+        let seed = tree::seed(spec);
+        let planted = seed.plant(&self.0.environment)?;
+        let name = planted.child.name().clone();
+        self.0.chain.enrol(&self.0.name, &planted).await;
+        let rules = planted.rules(&self.0.plan);
+        let actor = planted.actor.downcast_ref::<ActorRef<C>>().cloned();
+        let actor = actor.expect("a spec of C makes an actor of C");
+        let added = self.0.root.additions.send(AddChild { child: planted.child, rules }).await;
+        if !matches!(added, Ok(Ok(()))) {
+            return Err(SpecError::Refused { name });
+        }
+        let mut actors = self.0.actors.lock().unwrap_or_else(PoisonError::into_inner);
+        actors.insert(name, Box::new(actor.clone()));
+        Ok(actor)
+    }
+
+    /// Stops a component that stands directly under the root supervisor, and forgets it.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where the root keeps no such component.
+    pub async fn remove_child(&self, name: &str) -> Result<(), Why> {
+        let unknown = || Why::Unknown { name: name.to_owned() };
+        let object = ObjectName::new(name).map_err(|_| unknown())?;
+        let removed = self.0.root.removals.send(RemoveChild { object: object.clone() }).await;
+        if !matches!(removed, Ok(Ok(_))) {
+            return Err(unknown());
+        }
+        self.0.chain.dismiss(object.clone());
+        self.0.actors.lock().unwrap_or_else(PoisonError::into_inner).remove(&object);
+        Ok(())
+    }
+
+    /// Stops all components in the reverse of their start order, and then everything else.
+    pub async fn shutdown(&self) {
+        // A keeper that does not answer has ended already.
+        let _ = self.0.shutdown.send(Shutdown).await;
+        self.0.environment.arbiters.stop();
+        self.0.chain.stop();
+    }
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        // Whoever lets go of the last reference without a shutdown still leaves no thread behind.
+        self.environment.arbiters.stop();
+        self.chain.stop();
+    }
+}
+
+/// Subscribes to fault events.
+type Subscriptions = Recipient<Subscribe>;
+/// One step in the history of a fault, as [`FaultEvents`] yields it.
+type Step = FaultEvent;

@@ -1,0 +1,213 @@
+//! The supervision tree as it is described, and how it is planted.
+
+use crate::chain::directory::Directory;
+use crate::chain::supervisor::{Supervisor, SupervisorChild, SupervisorSetup};
+use crate::component::Component;
+use crate::guardian::Guardian;
+use crate::host::environment::HostEnvironment;
+use crate::host::spec::{ChildSpec, SpecError};
+use crate::reference::ActorRef;
+use actix::{ArbiterHandle, Recipient};
+use blastema_contract::child::Child;
+use blastema_contract::reports::{AreYouAlive, FaultDeclared};
+use blastema_core::ObjectName;
+use blastema_core::detection::Watch;
+use blastema_core::recovery::{ChildRules, Plan, Restart, Strategy, SupervisorRules};
+use std::any::Any;
+use std::fmt;
+use std::time::Duration;
+
+/// A supervisor and what stands below it.
+///
+/// ```
+/// use blastema::prelude::*;
+/// use std::time::Duration;
+/// # struct Motors; impl Component for Motors {}
+/// # struct Planner; impl Component for Planner {}
+///
+/// let drive = SupervisorSpec::new("drive", Strategy::RestForOne)
+///     .intensity(3, Duration::from_secs(10))
+///     .child(ChildSpec::new("drive/motors", || Motors))
+///     .child(ChildSpec::new("drive/planner", || Planner));
+/// ```
+#[must_use = "a supervisor spec does nothing until it is given to a node or another supervisor"]
+pub struct SupervisorSpec {
+    name: String,
+    rules: SupervisorRules,
+    children: Vec<Entry>,
+}
+
+enum Entry {
+    Component(Box<dyn Seed>, Restart),
+    Supervisor(SupervisorSpec),
+}
+
+impl fmt::Debug for SupervisorSpec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let children = self.children.len();
+        write!(f, "{} ({:?}, {children} children)", self.name, self.rules.strategy)
+    }
+}
+
+impl SupervisorSpec {
+    /// A supervisor without children, which allows three restarts in ten seconds.
+    pub fn new(name: &str, strategy: Strategy) -> Self {
+        let rules = SupervisorRules { strategy, ..SupervisorRules::default() };
+        SupervisorSpec { name: name.to_owned(), rules, children: Vec::new() }
+    }
+
+    /// More restarts than `times` in one `period`, and the supervisor ends its children and itself and
+    /// leaves the decision to its parent.
+    pub fn intensity(mut self, times: u32, period: Duration) -> Self {
+        (self.rules.intensity, self.rules.period) = (times, period);
+        self
+    }
+
+    /// One more child, started after those before it. It is permanent: every end is followed by a
+    /// restart.
+    pub fn child<C: Component>(self, spec: ChildSpec<C>) -> Self {
+        self.child_with(spec, Restart::Permanent)
+    }
+
+    /// One more child of which not every end is followed by a restart.
+    pub fn child_with<C: Component>(mut self, spec: ChildSpec<C>, restart: Restart) -> Self {
+        self.children.push(Entry::Component(seed(spec), restart));
+        self
+    }
+
+    /// One more child that is a supervisor itself.
+    pub fn supervisor(mut self, spec: SupervisorSpec) -> Self {
+        self.children.push(Entry::Supervisor(spec));
+        self
+    }
+
+    /// The strategy of a supervisor that was not named by the user.
+    pub(super) fn strategy(mut self, strategy: Strategy) -> Self {
+        self.rules.strategy = strategy;
+        self
+    }
+
+    /// This one's end is the node's safe rest.
+    pub(super) fn as_root(mut self) -> Self {
+        self.rules.root = true;
+        self
+    }
+}
+
+/// The spec of a component of whatever type.
+pub(super) trait Seed: Send {
+    /// Gives the component its name and ports.
+    fn plant(self: Box<Self>, environment: &HostEnvironment) -> Result<Planted, SpecError>;
+}
+
+/// A component that waits to be started.
+pub(super) struct Planted {
+    pub(super) child: Box<dyn Child>,
+    /// The `ActorRef` of its type.
+    pub(super) actor: Box<dyn Any + Send>,
+    pub(super) watch: Watch,
+    pub(super) depends_on: Vec<String>,
+    pub(super) inquiries: Recipient<AreYouAlive>,
+    restart: Restart,
+    ready_within: Duration,
+    shutdown_within: Duration,
+}
+
+impl Planted {
+    pub(super) fn rules(&self, plan: &Plan) -> ChildRules {
+        ChildRules {
+            restart: self.restart,
+            ready_within: self.ready_within,
+            shutdown_within: self.shutdown_within,
+            on_the_spot: plan.restarts_on_the_spot(self.child.name()),
+        }
+    }
+}
+
+pub(super) fn seed<C: Component>(spec: ChildSpec<C>) -> Box<dyn Seed> {
+    Box::new(spec)
+}
+
+impl<C: Component> Seed for ChildSpec<C> {
+    fn plant(self: Box<Self>, environment: &HostEnvironment) -> Result<Planted, SpecError> {
+        let (watch, depends_on) = (self.watched_by(), self.dependencies().to_vec());
+        let (ready_within, shutdown_within) = self.deadlines();
+        let (child, actor) = self.into_child(environment)?;
+        let inquiries = actor.inquiries();
+        let actor: Box<dyn Any + Send> = Box::new(ActorRef::<C>::clone(&actor));
+        Ok(Planted {
+            child,
+            actor,
+            watch,
+            depends_on,
+            inquiries,
+            restart: Restart::Permanent,
+            ready_within,
+            shutdown_within,
+        })
+    }
+}
+
+/// What planting needs of the node.
+pub(super) struct Ground<'a> {
+    pub(super) environment: &'a HostEnvironment,
+    pub(super) guardian: &'a Guardian,
+    pub(super) arbiter: Option<&'a ArbiterHandle>,
+    pub(super) monitor: Recipient<FaultDeclared>,
+    pub(super) directory: Directory,
+    pub(super) plan: &'a Plan,
+}
+
+/// What was planted: every component, and every supervisor's name.
+#[derive(Default)]
+pub(super) struct Harvest {
+    pub(super) components: Vec<PlantedFacts>,
+    pub(super) supervisors: Vec<ObjectName>,
+}
+
+/// What the node must know of a component after its supervisor has it.
+pub(super) struct PlantedFacts {
+    pub(super) name: ObjectName,
+    pub(super) actor: Box<dyn Any + Send>,
+    pub(super) watch: Watch,
+    pub(super) depends_on: Vec<String>,
+    pub(super) inquiries: Recipient<AreYouAlive>,
+}
+
+impl SupervisorSpec {
+    /// Makes the supervisors and gives them their children. Nothing is started yet.
+    pub(super) fn plant(
+        self,
+        ground: &Ground<'_>,
+        harvest: &mut Harvest,
+    ) -> Result<SupervisorChild, SpecError> {
+        let name = ObjectName::new(&self.name)?;
+        let mut children: Vec<(Box<dyn Child>, ChildRules)> = Vec::new();
+        for entry in self.children {
+            match entry {
+                Entry::Component(seed, restart) => {
+                    let planted = Planted { restart, ..seed.plant(ground.environment)? };
+                    let rules = planted.rules(ground.plan);
+                    let Planted { child, actor, watch, depends_on, inquiries, .. } = planted;
+                    let name = child.name().clone();
+                    let facts = PlantedFacts { name, actor, watch, depends_on, inquiries };
+                    harvest.components.push(facts);
+                    children.push((child, rules));
+                }
+                Entry::Supervisor(spec) => {
+                    let child = spec.plant(ground, harvest)?;
+                    children.push((Box::new(child), ChildRules::supervisor()));
+                }
+            }
+        }
+        harvest.supervisors.push(name.clone());
+        let setup = SupervisorSetup {
+            name,
+            rules: self.rules,
+            children,
+            monitor: ground.monitor.clone(),
+            directory: ground.directory.clone(),
+        };
+        Ok(Supervisor::start(ground.guardian, ground.arbiter, setup))
+    }
+}

@@ -1,0 +1,91 @@
+//! At which address of this machine a socket opens.
+
+use std::io;
+use std::net::SocketAddr;
+
+/// So often the port taken last is wanted back where any port would do: peers know it.
+const LOYALTY: u32 = 8;
+
+/// The address as configured, and the one that was really taken.
+pub(crate) struct Binding {
+    configured: SocketAddr,
+    last: Option<SocketAddr>,
+    attempts: u32,
+}
+
+impl Binding {
+    pub(crate) fn new(configured: SocketAddr) -> Self {
+        Binding { configured, last: None, attempts: 0 }
+    }
+
+    /// The address for the next attempt.
+    pub(crate) fn next_attempt(&mut self) -> SocketAddr {
+        self.attempts = self.attempts.saturating_add(1);
+        match self.last {
+            Some(last) if self.configured.port() == 0 && self.attempts <= LOYALTY => {
+                SocketAddr::new(self.configured.ip(), last.port())
+            }
+            _ => self.configured,
+        }
+    }
+
+    /// This address was taken.
+    pub(crate) fn taken(&mut self, local: SocketAddr) {
+        self.last = Some(local);
+        self.attempts = 0;
+    }
+}
+
+/// What a person may do about a socket that does not open.
+pub(crate) fn explain(medium: &str, address: SocketAddr, error: &io::Error) -> String {
+    let advice = match error.kind() {
+        io::ErrorKind::AddrInUse => {
+            "another process has taken this port: end it, or choose another port (0 takes a free one)"
+        }
+        io::ErrorKind::AddrNotAvailable => {
+            "no interface of this machine has this address: check it, or connect the interface"
+        }
+        io::ErrorKind::PermissionDenied => {
+            "the system forbids it: ports below 1024 need privileges, choose a larger one"
+        }
+        _ => "check the address and the machine's limits",
+    };
+    format!("{medium} {address} cannot be opened ({error}): {advice}; trying again")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn address(text: &str) -> SocketAddr {
+        text.parse().unwrap()
+    }
+
+    #[test]
+    fn where_any_port_would_do_the_last_is_wanted_back_for_a_while() {
+        let (any, last) = (address("127.0.0.1:0"), address("127.0.0.1:7400"));
+        let mut binding = Binding::new(any);
+
+        assert_eq!(binding.next_attempt(), any);
+        binding.taken(last);
+        assert!((0..LOYALTY).all(|_| binding.next_attempt() == last));
+        assert_eq!(binding.next_attempt(), any);
+    }
+
+    #[test]
+    fn a_configured_port_is_insisted_on() {
+        let fixed = address("127.0.0.1:80");
+        let mut binding = Binding::new(fixed);
+
+        assert!((0..100).all(|_| binding.next_attempt() == fixed));
+    }
+
+    #[test]
+    fn a_taken_port_is_explained() {
+        let error = io::Error::from(io::ErrorKind::AddrInUse);
+
+        let text = explain("udp", address("127.0.0.1:7400"), &error);
+
+        assert!(text.contains("127.0.0.1:7400") && text.contains("choose another port"), "{text}");
+    }
+}
