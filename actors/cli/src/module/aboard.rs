@@ -14,6 +14,9 @@ use super::stopwatch::{Answerer, ECHO, Stopwatch};
 use super::ticker::{ChoosyListener, Listener, Ticker};
 use super::wounds::Wounds;
 use crate::demo::robot::{FLOWS, Module, SIGN_OF_LIFE_MILLIS, skin};
+use crate::demo::wiring::Wiring;
+use blastema::NodeBuilder;
+use blastema::core::detection::Pull;
 use blastema::prelude::*;
 use std::time::Duration;
 
@@ -38,11 +41,32 @@ const ECHOES_HZ: f64 = 200.0;
 const TICKS_HZ: f64 = 50.0;
 
 /// The robot's work, and what measures it, in the order of their start.
-pub(super) fn build(module: Module, gauges: &Gauges) -> NodeBuilder {
+pub(super) fn build(module: Module, wiring: &Wiring, gauges: &Gauges) -> NodeBuilder {
+    let _ = wiring;
     Node::builder(module.name())
         .supervisor(skin_of(module, gauges))
         .supervisor(work_of(module, gauges))
         .supervisor(measurements_of(module, gauges))
+}
+
+/// Whether the node could not start because another process took one of its addresses.
+pub(super) fn is_address_taken(_error: &StartError) -> bool {
+    false
+}
+
+/// Lets nothing through a cable any more, at this end.
+pub(super) fn cut(_node: &Node, cable: &str) -> Result<(), Why> {
+    Err(Why::Unknown { name: cable.to_owned() })
+}
+
+/// Plugs a cable in again, at this end.
+pub(super) fn restore(_node: &Node, cable: &str) -> Result<(), Why> {
+    Err(Why::Unknown { name: cable.to_owned() })
+}
+
+/// Makes the router panic.
+pub(super) fn panic_router(_node: &Node) -> Result<(), Why> {
+    Err(Why::Unknown { name: "router".to_owned() })
 }
 
 fn supervisor(name: &str) -> SupervisorSpec {
@@ -69,7 +93,8 @@ fn passive<C: Component>(
     rate_hz: f64,
     factory: impl Fn() -> C + Send + Sync + 'static,
 ) -> ChildSpec<C> {
-    active(name, rate_hz, factory).watch(Watch::Pull(Pull { patience: PATIENCE, ..Pull::default() }))
+    active(name, rate_hz, factory)
+        .watch(Watch::Pull(Pull { patience: PATIENCE, ..Pull::default() }))
 }
 
 fn skin_of(module: Module, gauges: &Gauges) -> SupervisorSpec {

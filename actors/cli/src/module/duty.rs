@@ -8,6 +8,7 @@ use crate::demo::protocol::{Event, OrderId, Sabotage};
 use blastema::prelude::*;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 
 /// How long a harmed object may take until the fault is there.
@@ -16,6 +17,8 @@ const ONSET: Duration = Duration::from_secs(2);
 const ANSWER: Duration = Duration::from_millis(100);
 /// Between two pokes of an object that does not answer, or whose old life does.
 const BETWEEN_POKES: Duration = Duration::from_millis(1);
+/// So many pokes follow each other at once, so that a return within microseconds is seen as such.
+const EAGER_POKES: u32 = 100;
 /// After this nobody waits for the object any more.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Messages of a flood in one go.
@@ -104,11 +107,14 @@ impl Duty {
     /// Tells when this life, or a later one, answers.
     async fn await_service(&self, life: u64) {
         let answered = timeout(PATIENCE, async {
+            let mut pokes = 0;
             loop {
                 match self.poke.ask_within(Poke {}, ANSWER).await {
                     Ok(answering) if answering >= life => return answering,
+                    _ if pokes < EAGER_POKES => yield_now().await,
                     _ => sleep(BETWEEN_POKES).await,
                 }
+                pokes += 1;
             }
         });
         if let Ok(life) = answered.await {

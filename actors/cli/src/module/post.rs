@@ -54,7 +54,11 @@ impl Post {
                     None | Some(Command::Shutdown) => break,
                     Some(command) => self.obey(&node, command).await,
                 },
-                Some(step) = faults.next() => self.gauges.tell(event_of(step)),
+                Some(step) = faults.next() => {
+                    if let Some(event) = event_of(step) {
+                        self.gauges.tell(event);
+                    }
+                }
                 _ = snapshots.tick() => self.report(&node).await,
             }
         }

@@ -2,15 +2,14 @@
 
 use crate::demo::moment::Moment;
 use crate::demo::protocol::{Event, FaultNote, LinkState, ObjectState, Opinion};
-use blastema::core::Place;
 use blastema::core::detection::{self, ObjectKind, Row, Turn};
-use blastema::prelude::*;
+use blastema::{FaultEvent, Lifecycle, Place};
 
-/// One step in the history of a fault.
-pub(super) fn event_of(step: FaultEvent) -> Event {
+/// One step in the history of a fault, if it is one that is told.
+pub(super) fn event_of(step: FaultEvent) -> Option<Event> {
     let FaultEvent { fault, at, turn } = step;
     let id = fault.id.0;
-    match turn {
+    Some(match turn {
         Turn::Found => Event::Found(FaultNote {
             id,
             kind: fault.kind,
@@ -20,12 +19,15 @@ pub(super) fn event_of(step: FaultEvent) -> Event {
             symptom_of: fault.symptom_of.map(|root| root.0),
         }),
         Turn::Repeated => Event::Repeated { id, count: fault.count },
-        Turn::Explained => Event::Explained { id, symptom_of: fault.symptom_of.map_or(id, |r| r.0) },
+        Turn::Explained => {
+            Event::Explained { id, symptom_of: fault.symptom_of.map_or(id, |r| r.0) }
+        }
         Turn::Decided { measure } => Event::Decided { id, measure },
         Turn::Recovered => Event::Recovered { id, at: Moment::from(at) },
         Turn::GaveUp { reason } => Event::GaveUp { id, reason },
         Turn::Cleared => Event::Cleared { id },
-    }
+        _ => return None,
+    })
 }
 
 /// The objects of the table that are shown.
