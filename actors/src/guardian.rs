@@ -35,6 +35,14 @@ pub(crate) struct Guardian {
 }
 
 impl Guardian {
+    /// A guardian whose reports go to `deaths` from the beginning.
+    #[cfg(test)]
+    pub(crate) fn reporting_to(deaths: Recipient<Exited>) -> Self {
+        let guardian = Guardian::default();
+        guardian.report_to(deaths);
+        guardian
+    }
+
     /// From now on every death, survived or not, is reported to `deaths`. The monitor, which is told,
     /// is itself guarded: that is why this cannot be said when the guardian is made.
     pub(crate) fn report_to(&self, deaths: Recipient<Exited>) {

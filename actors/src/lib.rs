@@ -1,5 +1,9 @@
 //! Fault-tolerant middleware for robots: typed actors that grow back.
 
+// The derives write `::blastema`, also where they are used within it.
+#[cfg(test)]
+extern crate self as blastema;
+
 mod chain;
 mod component;
 mod context;
@@ -10,6 +14,7 @@ mod host;
 mod lane;
 mod letter;
 mod node;
+mod net;
 mod panics;
 pub mod platform;
 mod ports;

@@ -80,20 +80,13 @@ impl Lifecycle {
         Self::TRANSITIONS.iter().any(|way| way.from == self && way.to == next)
     }
 
-    /// Whether one life that was last seen here may now be there: in one step, or by way of
-    /// `Initialized`, which a guard does not tell when the life was there for less than a turn.
+    /// Whether one life may go from here to there, in whatever number of steps.
     ///
     /// ```
     /// use blastema_core::Lifecycle;
-    /// assert!(Lifecycle::Created.may_be_seen_as(Lifecycle::Active));
-    /// assert!(!Lifecycle::Fatal.may_be_seen_as(Lifecycle::Active));
-    /// ```
-    pub fn may_be_seen_as(self, next: Lifecycle) -> bool {
-        let passed = Lifecycle::Initialized;
-        self.may_become(next) || self.may_become(passed) && passed.may_become(next)
-    /// Whether one life may go from here to there, in whatever number of steps.
     /// assert!(Lifecycle::Created.may_reach(Lifecycle::Active));
     /// assert!(!Lifecycle::Fatal.may_reach(Lifecycle::Active));
+    /// ```
     pub fn may_reach(self, next: Lifecycle) -> bool {
         let mut reached = vec![self];
         let mut at = 0;

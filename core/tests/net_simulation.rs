@@ -336,6 +336,7 @@ impl World {
                     SessionOutput::Incompatible { .. } => panic!("one version only"),
                     SessionOutput::Opened { .. }
                     | SessionOutput::Ended { .. }
+                    | SessionOutput::Full { .. }
                     | SessionOutput::Room { .. }
                     | SessionOutput::Newest { .. } => {}
                 }

@@ -152,7 +152,7 @@ impl Bench {
         Bench {
             script: Script::default(),
             directory: Directory::default(),
-            guardian: Guardian::new(deaths.recipient()),
+            guardian: Guardian::reporting_to(deaths.recipient()),
             deaths,
             faults: Probe::start(),
             states: Probe::start(),
@@ -170,7 +170,7 @@ impl Bench {
             name: object(name),
             rules,
             children,
-            faults: self.faults.recipient(),
+            monitor: self.faults.recipient(),
             states: self.states.recipient(),
             directory: self.directory.clone(),
         };

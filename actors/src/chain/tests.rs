@@ -66,7 +66,7 @@ struct Chain {
 impl Chain {
     fn start() -> Self {
         let deaths = Probe::start();
-        let guardian = Guardian::new(deaths.recipient());
+        let guardian = Guardian::reporting_to(deaths.recipient());
         let notifier =
             guardian.start(object("notifier"), None, |_| Notifier::new(Default::default()));
         let (found, cleared) = (notifier.clone().recipient(), notifier.clone().recipient());

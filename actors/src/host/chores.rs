@@ -58,6 +58,8 @@ pub(crate) struct Chores<C: Component> {
     active: bool,
     /// A ticker for rounds is on its way.
     ticking: bool,
+    /// Something was started and has not been polled yet.
+    fresh: bool,
 }
 
 impl<C: Component> Default for Chores<C> {
@@ -72,6 +74,7 @@ impl<C: Component> Default for Chores<C> {
             interval: None,
             active: false,
             ticking: false,
+            fresh: false,
         }
     }
 }
@@ -99,6 +102,12 @@ impl<C: Component> Chores<C> {
         self.futures.is_empty()
     }
 
+    /// Something was started and has not been polled yet.
+    #[inline]
+    pub(crate) fn is_fresh(&self) -> bool {
+        self.fresh
+    }
+
     pub(crate) fn set_active(&mut self, active: bool) {
         self.active = active;
         self.start_rounds();
@@ -119,6 +128,7 @@ impl<C: Component> Chores<C> {
     }
 
     fn push(&mut self, future: impl Future<Output = Woken> + 'static) {
+        self.fresh = true;
         self.futures.push(Box::pin(future));
     }
 
@@ -184,9 +194,13 @@ impl<C: Component> Chores<C> {
         for _ in 0..BUDGET {
             match Pin::new(&mut self.futures).poll_next(cx) {
                 Poll::Ready(Some(woken)) => self.handle(woken),
-                Poll::Ready(None) | Poll::Pending => return,
+                Poll::Ready(None) | Poll::Pending => {
+                    self.fresh = false;
+                    return;
+                }
             }
         }
+        self.fresh = false;
         cx.waker().wake_by_ref();
     }
 

@@ -35,6 +35,9 @@ pub(crate) mod spec;
 pub(crate) mod stamp;
 pub(crate) mod watch;
 
+#[cfg(test)]
+mod tests;
+
 use crate::component::Component;
 use actix::fut::{ActorFutureExt, wrap_future};
 use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Message};

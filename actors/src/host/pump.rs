@@ -235,11 +235,7 @@ impl<C: Component> Pump<C> {
             return true;
         }
         if !self.chores.is_empty() {
-            let polled = catch_unwind(AssertUnwindSafe(|| self.chores.poll(cx)));
-            if let Err(payload) = polled {
-                self.died(payload, "a task of its own");
-            }
-            self.handle_limits();
+            self.poll_chores(cx);
         }
         for _ in 0..BUDGET {
             if self.over || self.life.token.has_ended() {
@@ -247,6 +243,7 @@ impl<C: Component> Pump<C> {
             }
             match catch_unwind(AssertUnwindSafe(|| self.step(cx))) {
                 Ok(Progress::More) => {}
+                Ok(Progress::Wait) if self.chores.is_fresh() => self.poll_chores(cx),
                 Ok(Progress::Wait) => return false,
                 Ok(Progress::Over) => return true,
                 Err(payload) => self.died_in_service(payload),
@@ -254,6 +251,13 @@ impl<C: Component> Pump<C> {
         }
         cx.waker().wake_by_ref();
         false
+    }
+
+    fn poll_chores(&mut self, cx: &mut task::Context<'_>) {
+        if let Err(payload) = catch_unwind(AssertUnwindSafe(|| self.chores.poll(cx))) {
+            self.died(payload, "a task of its own");
+        }
+        self.handle_limits();
     }
 
     /// One hook, timer or message a little further.
@@ -454,9 +458,6 @@ impl<C: Component> Pump<C> {
         }
         self.chores.take_on(wishes.tasks, wishes.timers, &wishes.cancelled);
         self.tell_news();
-        if let Some(waker) = &self.waker {
-            waker.wake_by_ref(); // What was started has not been polled yet.
-        }
     }
 
     fn do_chore(&mut self, chore: Chore, cx: &mut task::Context<'_>) -> Progress {

@@ -202,7 +202,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         environment: &environment,
         guardian: &guardian,
         arbiter: chain.arbiter.as_ref(),
-        monitor: monitor.clone().recipient(),
+        monitor: monitor.clone(),
         directory,
         plan: &plan,
     };

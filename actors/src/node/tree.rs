@@ -1,15 +1,16 @@
 //! The supervision tree as it is described, and how it is planted.
 
 use crate::chain::directory::Directory;
+use crate::chain::monitor::Monitor;
 use crate::chain::supervisor::{Supervisor, SupervisorChild, SupervisorSetup};
 use crate::component::Component;
 use crate::guardian::Guardian;
 use crate::host::environment::HostEnvironment;
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::reference::ActorRef;
-use actix::{ArbiterHandle, Recipient};
+use actix::{Addr, ArbiterHandle, Recipient};
 use blastema_contract::child::Child;
-use blastema_contract::reports::{AreYouAlive, FaultDeclared};
+use blastema_contract::reports::AreYouAlive;
 use blastema_core::ObjectName;
 use blastema_core::detection::Watch;
 use blastema_core::recovery::{ChildRules, Plan, Restart, Strategy, SupervisorRules};
@@ -153,7 +154,7 @@ pub(super) struct Ground<'a> {
     pub(super) environment: &'a HostEnvironment,
     pub(super) guardian: &'a Guardian,
     pub(super) arbiter: Option<&'a ArbiterHandle>,
-    pub(super) monitor: Recipient<FaultDeclared>,
+    pub(super) monitor: Addr<Monitor>,
     pub(super) directory: Directory,
     pub(super) plan: &'a Plan,
 }
@@ -205,7 +206,8 @@ impl SupervisorSpec {
             name,
             rules: self.rules,
             children,
-            monitor: ground.monitor.clone(),
+            faults: ground.monitor.clone().recipient(),
+            states: ground.monitor.clone().recipient(),
             directory: ground.directory.clone(),
         };
         Ok(Supervisor::start(ground.guardian, ground.arbiter, setup))

@@ -156,7 +156,7 @@ impl<E: Event> Hub<E> {
         }
         self.pulse.run(None);
         if gone.get() {
-            locals.retain(|local| local.is_at(self.shared.id));
+            locals.retain(|local| local.is_present());
         }
     }
 }
@@ -165,7 +165,7 @@ impl<E: Event> Hub<E> {
 trait Local<E: Event> {
     /// Gives it the event if it wants it. Says whether it still listens here.
     fn offer(&self, event: &E, at: Instant, hub: &Hub<E>) -> bool;
-    fn is_at(&self, hub: u64) -> bool;
+    fn is_present(&self) -> bool;
     fn die(&self, payload: Box<dyn Any + Send>);
     fn bury(&self, why: &Why);
 }
@@ -173,8 +173,9 @@ trait Local<E: Event> {
 struct Ear<C: Handle<E>, E: Event> {
     anchor: Arc<Anchor<C>>,
     only_if: Option<Condition<E>>,
-    /// The hub that serves the subscription now.
-    hub: Arc<AtomicU64>,
+    /// Which ear of the subscription is served now, and which this one is.
+    present: Arc<AtomicU64>,
+    number: u64,
     pump: RefCell<Weak<RefCell<Pump<C>>>>,
     /// Names the component to the watch while its condition runs.
     slot: Cell<Option<u32>>,
@@ -198,7 +199,7 @@ impl<C: Handle<E>, E: Event> Ear<C, E> {
 impl<C: Handle<E>, E: Event> Local<E> for Ear<C, E> {
     #[inline]
     fn offer(&self, event: &E, at: Instant, hub: &Hub<E>) -> bool {
-        if self.hub.load(Relaxed) != hub.shared.id {
+        if !self.is_present() {
             return false;
         }
         hub.pulse.run(self.slot.get());
@@ -222,8 +223,9 @@ impl<C: Handle<E>, E: Event> Local<E> for Ear<C, E> {
         true
     }
 
-    fn is_at(&self, hub: u64) -> bool {
-        self.hub.load(Relaxed) == hub
+    #[inline]
+    fn is_present(&self) -> bool {
+        self.present.load(Relaxed) == self.number
     }
 
     fn die(&self, payload: Box<dyn Any + Send>) {
@@ -239,19 +241,21 @@ impl<C: Handle<E>, E: Event> Local<E> for Ear<C, E> {
 pub(crate) struct Listening<E: Event> {
     topic: Arc<Topic<E>>,
     only_if: Option<Condition<E>>,
-    hub: Arc<AtomicU64>,
-    /// The lane of that hub.
+    /// The number of the ear that is served now; 0 for none.
+    present: Arc<AtomicU64>,
+    /// The lane of its hub.
     lane: Mutex<Option<Arc<HubLane<E>>>>,
 }
 
 impl<E: Event> Listening<E> {
     pub(crate) fn new(topic: Arc<Topic<E>>, only_if: Option<Condition<E>>) -> Self {
-        Listening { topic, only_if, hub: Arc::default(), lane: Mutex::default() }
+        Listening { topic, only_if, present: Arc::default(), lane: Mutex::default() }
     }
 }
 
 impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
     fn attach(&self, anchor: &Arc<Anchor<C>>) {
+        static NEXT: AtomicU64 = AtomicU64::new(1);
         let hub = self.topic.hub_here();
         let mut lane = lock(&self.lane);
         if lane.as_ref().is_some_and(|lane| lane.id == hub.shared.id) {
@@ -260,15 +264,17 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
         if let Some(old) = &*lane {
             self.bring_along(anchor, old);
         }
+        let number = NEXT.fetch_add(1, Relaxed);
         hub.newcomers.borrow_mut().push(Box::new(Ear {
             anchor: anchor.clone(),
             only_if: self.only_if.clone(),
-            hub: self.hub.clone(),
+            present: self.present.clone(),
+            number,
             pump: RefCell::default(),
             slot: Cell::new(None),
         }));
         hub.shared.listeners.fetch_add(1, Relaxed);
-        self.hub.store(hub.shared.id, Relaxed);
+        self.present.store(number, Relaxed);
         match lane.replace(hub.shared.clone()) {
             None => self.topic.count_listener(true),
             Some(old) => {
@@ -279,7 +285,7 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
 
     fn end(&self) {
         if let Some(lane) = lock(&self.lane).take() {
-            self.hub.store(0, Relaxed);
+            self.present.store(0, Relaxed);
             lane.listeners.fetch_sub(1, Relaxed);
             self.topic.count_listener(false);
         }

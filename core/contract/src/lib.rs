@@ -7,10 +7,14 @@
 
 pub mod child;
 pub mod detector;
+pub mod link;
 pub mod monitor;
+pub mod naming;
 pub mod notifier;
 pub mod recoverer;
 pub mod reports;
+pub mod router;
+pub mod session;
 pub mod strategy;
 pub mod supervisor;
 pub mod transport;

@@ -1,6 +1,6 @@
 //! Checks of important data at fixed points (FT23): small, pure, called by the component itself.
 //!
-//! A check that fails is a fault: declare it with [`CheckFailed::KIND`] and the failure's text.
+//! A check that fails is a fault: declare it as what [`CheckFailed::into_fault`] gives.
 
 use crate::{FaultKind, Instant};
 use std::fmt;
@@ -20,8 +20,10 @@ pub struct CheckFailed {
 }
 
 impl CheckFailed {
-    /// The kind of fault that a failed check is.
-    pub const KIND: FaultKind = FaultKind::CheckFailed;
+    /// What to declare: the kind of fault, and the particulars with the value and the limit.
+    pub fn into_fault(self) -> (FaultKind, String) {
+        (FaultKind::CheckFailed, self.to_string())
+    }
 }
 
 /// A value must lie within limits. A value that does not compare, such as NaN, fails.

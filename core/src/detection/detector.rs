@@ -241,7 +241,7 @@ impl Detector {
             self.behind.remove(object);
         }
         match finding {
-            Finding::Enrolled { depends_on } => self.needs.declare(object.clone(), depends_on),
+            Finding::Enrolled { depends_on } => self.needs.declare(object, depends_on),
             Finding::Exited { exit, restarted_as } => {
                 self.judge_exit(object, &scene, exit, restarted_as);
             }
@@ -351,8 +351,6 @@ impl Detector {
         if before == state {
             return;
         }
-        if !before.may_be_seen_as(state) {
-            let detail = format!("it went from {before} to {state}, and no such way exists");
         // A guard tells where a turn ended, not what was passed on the way.
         if !before.may_reach(state) {
             let detail = format!("it went from {before} to {state}, and no way leads there");
@@ -507,6 +505,7 @@ impl Detector {
             Place::Object(address) => self.behind.get(&address.object) == Some(&id),
             _ => false,
         };
+        let users = self.needs.users_of(&place);
         let explained: Vec<FaultId> = self
             .chronicle
             .all_standing()
@@ -516,7 +515,7 @@ impl Detector {
                     && fault.id != id
                     && fault.found_at - Instant::ORIGIN >= since
                     && self.explicable.contains(&fault.id)
-                    && (is_behind(fault) || self.needs.needs_of(&fault.place).contains(&place))
+                    && (is_behind(fault) || users.contain(&fault.place))
             })
             .map(|fault| fault.id)
             .collect();

@@ -10,6 +10,8 @@ pub(super) struct Entry {
     pub(super) watch: Watch,
     pub(super) incarnation: Incarnation,
     pub(super) state: Option<Lifecycle>,
+    /// A guard reports its states.
+    pub(super) guarded: bool,
     pub(super) last_sign: Option<Instant>,
     pub(super) restarts: u32,
     pub(super) suspicions: u32,
@@ -41,6 +43,7 @@ impl Entry {
             watch: Watch::Guard,
             incarnation,
             state: None,
+            guarded: false,
             last_sign: None,
             restarts: 0,
             suspicions: 0,
@@ -55,9 +58,9 @@ impl Entry {
 
     /// Empties the history: what was known was known of another life. Isolation outlives a restart.
     pub(super) fn begin(&mut self, incarnation: Incarnation) {
-        let (kind, watch, isolated) = (self.kind, self.watch, self.isolated);
-        let restarts = self.restarts.saturating_add(1);
-        *self = Entry { watch, isolated, restarts, ..Entry::new(kind, incarnation) };
+        let Entry { kind, watch, guarded, isolated, restarts, .. } = *self;
+        let restarts = restarts.saturating_add(1);
+        *self = Entry { watch, guarded, isolated, restarts, ..Entry::new(kind, incarnation) };
     }
 
     fn opinion(&self) -> Opinion {

@@ -10,6 +10,11 @@
 //! list of faults, tells roots from symptoms and keeps the record. The notifier limits storms. None of
 //! them decides what is done about a fault, and none of them restarts anything.
 //!
+//! **When it is found.** An exit, an error state, a declared fault: at once. Silence of an object that
+//! pushes: after `tolerance` and a half of its intervals, or when its start-up time is over. Of one that is
+//! asked: after at most an interval and `tolerance` times its time to answer. Where the monitor itself was
+//! not scheduled, later by as much, and by up to two more intervals; nobody is condemned for that.
+//!
 //! **A body that panics.** A machine that was struck in the middle of an input may hold half of it. Each
 //! of the three therefore has `reborn`, which makes a new machine from the plain facts of the old one:
 //! what is enrolled, which life it is in, what is recorded, and what is not yet confirmed. What was

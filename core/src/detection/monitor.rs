@@ -164,8 +164,13 @@ impl Monitor {
             && let Some(entry) = self.alive(object, progress.incarnation, now)
         {
             entry.last_sign = Some(now);
-            // The guard tells every change; this only fills a gap, for objects without a guard.
-            entry.state.get_or_insert(progress.state);
+            // A guard tells every change, and may have told a later one: answers only stand in for
+            // guards where there are none.
+            let state = progress.state;
+            if !entry.guarded && entry.state.replace(state) != Some(state) {
+                let finding = Finding::State { state, reason: None };
+                self.observe_object(object, progress.incarnation, finding, now);
+            }
         }
         self.settle(now);
     }
@@ -220,6 +225,7 @@ impl Monitor {
             return;
         }
         let Some(entry) = self.admit(object, incarnation, now) else { return };
+        entry.guarded = true;
         entry.state = Some(state);
         entry.last_sign = Some(now);
         if reason.is_some() {
@@ -422,6 +428,11 @@ impl Monitor {
     /// How often something came from a life that is over.
     pub fn stale(&self) -> u64 {
         self.stale
+    }
+
+    /// How often the monitor itself was found to have stood still.
+    pub fn stalls(&self) -> u64 {
+        self.watchdog.stalls()
     }
 
     /// How many reports came from strangers for whom the table had no room.
@@ -756,6 +767,30 @@ mod tests {
     }
 
     #[test]
+    fn answers_tell_the_state_of_an_object_only_while_no_guard_does() {
+        let mut monitor = watched(Watch::pull(TENTH, TENTH));
+        let oldest = Duration::ZERO;
+        let mut answer = |state, now| {
+            let answer =
+                Progress { incarnation: TWO, state, queued: 0, oldest, long_operation: false };
+            monitor.handle_alive(&object("laser"), answer, at(now));
+            seen(&mut monitor, now)
+        };
+        assert_eq!(answer(Lifecycle::Active, 1), ["m:laser State"]);
+        assert_eq!(answer(Lifecycle::Active, 2), [""; 0]);
+        assert_eq!(answer(Lifecycle::Error, 3), ["m:laser State"]);
+
+        monitor.handle_state(&object("laser"), TWO, Lifecycle::Active, None, at(4));
+        seen(&mut monitor, 4);
+        let (state, queued) = (Lifecycle::Error, 0);
+        let late = Progress { incarnation: TWO, state, queued, oldest, long_operation: false };
+        monitor.handle_alive(&object("laser"), late, at(5));
+
+        assert_eq!(seen(&mut monitor, 5), [""; 0]);
+        assert_eq!(row(&monitor, "m:laser", 5).state, Some(Lifecycle::Active));
+    }
+
+    #[test]
     fn whoever_is_asked_and_answers_nothing_is_silent_and_its_work_is_another_matter() {
         let mut monitor = watched(Watch::pull(TENTH, TENTH));
         let mut told = Vec::new();
@@ -771,7 +806,7 @@ mod tests {
         told.extend(run(&mut monitor, 5000));
         told.retain(|(_, text)| !text.starts_with("ask"));
 
-        let texts = ["m:laser Stuck", "m:laser Silent"].map(String::from);
+        let texts = ["m:laser State", "m:laser Stuck", "m:laser Silent"].map(String::from);
         assert_eq!(told.iter().map(|(_, text)| text.clone()).collect::<Vec<_>>(), texts);
     }
 
@@ -861,6 +896,7 @@ mod tests {
                         Some("Exited")
                     }
                     "state" => Some("State"),
+                    "alive" if !over => Some("State"),
                     "resumed" => Some("Resumed"),
                     "declared" if !over => Some("Declared"),
                     "waits" if !over => Some("Waits"),

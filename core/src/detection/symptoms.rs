@@ -13,24 +13,36 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 pub(super) struct Dependencies {
     node: NodeName,
-    declared: BTreeMap<ObjectName, Arc<[ObjectAddress]>>,
+    needs: BTreeMap<ObjectName, Arc<[ObjectAddress]>>,
+    /// The same the other way round: who needs it.
+    users: BTreeMap<ObjectAddress, BTreeSet<ObjectName>>,
 }
 
 impl Dependencies {
     pub(super) fn new(node: NodeName) -> Self {
-        Dependencies { node, declared: BTreeMap::new() }
+        Dependencies { node, needs: BTreeMap::new(), users: BTreeMap::new() }
     }
 
-    pub(super) fn declare(&mut self, object: ObjectName, needs: Arc<[ObjectAddress]>) {
-        if needs.is_empty() {
-            self.declared.remove(&object);
-        } else {
-            self.declared.insert(object, needs);
+    /// Says what an object needs, in place of what was said before.
+    pub(super) fn declare(&mut self, object: &ObjectName, needs: Arc<[ObjectAddress]>) {
+        self.forget(object);
+        for need in needs.iter() {
+            self.users.entry(need.clone()).or_default().insert(object.clone());
+        }
+        if !needs.is_empty() {
+            self.needs.insert(object.clone(), needs);
         }
     }
 
     pub(super) fn forget(&mut self, object: &ObjectName) {
-        self.declared.remove(object);
+        for need in self.needs.remove(object).iter().flat_map(|needs| needs.iter()) {
+            if let Some(users) = self.users.get_mut(need) {
+                users.remove(object);
+                if users.is_empty() {
+                    self.users.remove(need);
+                }
+            }
+        }
     }
 
     /// Everything without which `place` cannot work, directly or through others; not itself, unless it
@@ -51,8 +63,8 @@ impl Dependencies {
     fn direct_needs(&self, place: &Place) -> Vec<Place> {
         match place {
             Place::Object(address) if address.node == self.node => {
-                let declared = self.declared.get(&address.object);
-                declared
+                let needs = self.needs.get(&address.object);
+                needs
                     .into_iter()
                     .flat_map(|needs| needs.iter().cloned())
                     .map(Place::Object)
@@ -70,6 +82,53 @@ impl Dependencies {
         let needs = self.needs_of(place);
         let down = needs.iter().flat_map(|need| chronicle.standing_at(need)).filter(|f| is_down(f));
         down.filter(|fault| fault.place != *place).map(|fault| chronicle.root(fault.id)).min()
+    }
+
+    /// Who here cannot work without `place`, directly or through others.
+    pub(super) fn users_of(&self, place: &Place) -> Users {
+        let (mut objects, mut open) = (BTreeSet::new(), Vec::new());
+        match place {
+            Place::Object(address) => open.extend(self.users.get(address)),
+            Place::Node(node) => {
+                let there = |(address, _): &(&ObjectAddress, _)| address.node == *node;
+                open.extend(self.users.iter().filter(there).map(|(_, users)| users));
+            }
+            Place::Link { .. } => {}
+        }
+        while let Some(users) = open.pop() {
+            for user in users {
+                if objects.insert(user.clone()) {
+                    let address = ObjectAddress::new(self.node.clone(), user.clone());
+                    open.extend(self.users.get(&address));
+                }
+            }
+        }
+        let node = match place {
+            Place::Node(node) => Some(node.clone()),
+            Place::Object(_) | Place::Link { .. } => None,
+        };
+        Users { here: self.node.clone(), objects, node }
+    }
+}
+
+/// Everything that cannot work without one place.
+pub(super) struct Users {
+    here: NodeName,
+    objects: BTreeSet<ObjectName>,
+    /// The place, if it is a node: then all that is there, and all links that lead there, need it.
+    node: Option<NodeName>,
+}
+
+impl Users {
+    pub(super) fn contain(&self, place: &Place) -> bool {
+        match place {
+            Place::Object(address) if address.node == self.here => {
+                self.objects.contains(&address.object)
+            }
+            Place::Object(address) => self.node.as_ref() == Some(&address.node),
+            Place::Link { neighbour, .. } => self.node.is_some() && self.node == *neighbour,
+            Place::Node(_) => false,
+        }
     }
 }
 
@@ -91,5 +150,78 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::ContractMismatch
         | FaultKind::LinkDegraded
         | FaultKind::Custom(_) => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn node(name: &str) -> NodeName {
+        NodeName::new(name).expect("a name")
+    }
+
+    fn here(name: &str) -> ObjectAddress {
+        ObjectAddress::new(node("m"), ObjectName::new(name).expect("a name"))
+    }
+
+    fn dependencies(pairs: &[(&str, &[&str])]) -> Dependencies {
+        let mut dependencies = Dependencies::new(node("m"));
+        for (object, needs) in pairs {
+            let needs = needs.iter().map(|need| need.parse().unwrap_or_else(|_| here(need)));
+            dependencies.declare(&here(object).object, needs.collect());
+        }
+        dependencies
+    }
+
+    #[test]
+    fn needs_are_followed_through_objects_nodes_and_cycles() {
+        let dependencies = dependencies(&[("a", &["b"]), ("b", &["c", "n:x"]), ("c", &["a"])]);
+
+        let needs = dependencies.needs_of(&Place::Object(here("a")));
+
+        let needs: Vec<String> = needs.iter().map(Place::to_string).collect();
+        assert_eq!(needs, ["m:a", "m:b", "m:c", "n:x", "n"]);
+    }
+
+    #[test]
+    fn what_is_declared_again_replaces_what_was_said_before() {
+        let mut dependencies = dependencies(&[("a", &["b"])]);
+
+        dependencies.declare(&here("a").object, [here("c")].into());
+        assert!(
+            !dependencies.users_of(&Place::Object(here("b"))).contain(&Place::Object(here("a")))
+        );
+        assert!(
+            dependencies.users_of(&Place::Object(here("c"))).contain(&Place::Object(here("a")))
+        );
+
+        dependencies.forget(&here("a").object);
+        assert!(dependencies.users.is_empty() && dependencies.needs.is_empty());
+    }
+
+    proptest! {
+        /// Whoever needs a place is its user, and the other way round, whatever the dependencies.
+        #[test]
+        fn users_and_needs_are_the_same_relation(
+            pairs in prop::collection::vec((0..6usize, prop::collection::vec(0..8usize, 0..4)), 0..8)
+        ) {
+            let names = ["a", "b", "c", "d", "e", "f", "n:x", "n:y"];
+            let mut dependencies = Dependencies::new(node("m"));
+            for (object, needs) in pairs {
+                let parse = |name: usize| names[name].parse().unwrap_or_else(|_| here(names[name]));
+                let needs = needs.into_iter().map(parse).collect();
+                dependencies.declare(&here(names[object]).object, needs);
+            }
+            let mut places: Vec<Place> = names[..6].iter().map(|n| Place::Object(here(n))).collect();
+            places.push(Place::Node(node("n")));
+            for user in &places[..6] {
+                let needs = dependencies.needs_of(user);
+                for need in &places {
+                    prop_assert_eq!(needs.contains(need), dependencies.users_of(need).contain(user));
+                }
+            }
+        }
     }
 }

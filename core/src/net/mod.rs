@@ -26,14 +26,20 @@ mod topology;
 mod wire;
 
 pub mod advertisement;
+pub mod crowd;
+pub mod exchange;
 pub mod frame;
 pub mod link;
+pub mod message;
+pub mod naming;
 pub mod node_id;
 pub mod packet;
 pub mod router;
 pub mod segment;
 pub mod session;
 
+pub use crowd::Crowd;
+pub use exchange::{Exchange, ExchangeOutput};
 pub use link::{Link, LinkConfig, LinkOutput, LinkState, Neighbour, Quality};
 pub use node_id::NodeId;
 pub use packet::Class;

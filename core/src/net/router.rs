@@ -173,6 +173,9 @@ pub struct Router {
     /// The last pair told of, so that a collision is told once and not with every flood.
     told: Option<(NodeName, NodeName)>,
     usurped: bool,
+    /// Nodes that the router before this one could reach, and until when they may take to be found
+    /// again.
+    remembered: Option<(Instant, Vec<(NodeName, Incarnation)>)>,
     /// The earliest of all due times; computed anew only when it has come.
     wake_at: Instant,
     now: Instant,
@@ -208,11 +211,27 @@ impl Router {
             refresh_at,
             told: None,
             usurped: false,
+            remembered: None,
             wake_at: refresh_at,
             now,
             refusals: Refusals::default(),
             outputs: VecDeque::new(),
         }
+    }
+
+    /// A router in the place of one that failed. It finds its links and its place in the network
+    /// again; what the old one could reach and this one cannot find is told as lost.
+    pub fn reborn(
+        config: RouterConfig,
+        reached: impl IntoIterator<Item = (NodeName, Incarnation)>,
+        now: Instant,
+    ) -> Self {
+        let mut router = Router::new(config, now);
+        // Neighbours compare what they know at once, and again after this.
+        let until = now + router.config.compare;
+        router.remembered = Some((until, reached.into_iter().collect()));
+        router.wake_at = router.wake_at.min(until);
+        router
     }
 
     /// What was refused so far.
@@ -617,13 +636,25 @@ impl Router {
         }
     }
 
+    fn give_up_remembered(&mut self) {
+        if self.remembered.as_ref().is_none_or(|(until, _)| *until > self.now) {
+            return;
+        }
+        for (node, incarnation) in self.remembered.take().into_iter().flat_map(|(_, nodes)| nodes) {
+            if !self.routes.contains_key(&NodeId::of(&node)) {
+                self.outputs.push_back(RouterOutput::Lost { node, incarnation });
+            }
+        }
+    }
+
     fn earliest(&self) -> Instant {
         let links = self
             .links
             .values()
             .flat_map(|adjacent| adjacent.pending.values().copied().chain([adjacent.compare_at]));
         let ages = self.known.values().map(|known| known.expires);
-        links.chain(ages).fold(self.refresh_at, Instant::min)
+        let remembered = self.remembered.iter().map(|(until, _)| *until);
+        links.chain(ages).chain(remembered).fold(self.refresh_at, Instant::min)
     }
 
     fn forget_the_old(&mut self) {
@@ -668,6 +699,7 @@ impl Machine for Router {
         if self.compute_at.is_some_and(|at| at <= now) {
             self.compute();
         }
+        self.give_up_remembered();
         self.wake_at = self.earliest();
     }
 }

@@ -17,9 +17,9 @@ mod backoff;
 mod intensity;
 mod ladder;
 mod plan;
-mod recoverer;
+pub mod recoverer;
 mod rules;
-mod supervision;
+pub mod supervision;
 
 pub use backoff::Backoff;
 pub use intensity::{RestartWindow, add_restart};

@@ -93,7 +93,7 @@ pub enum Settled {
 pub enum RecovererAction {
     /// Have this order carried out, by the strategy of the measure's name.
     CarryOut(Order),
-    /// Tell the detector.
+    /// Tell the detector, which has found it.
     Settle {
         /// The fault's number in its finder's record.
         fault: FaultId,
@@ -466,8 +466,16 @@ impl Recoverer {
     }
 
     fn tell(&mut self, fault: &Fault, settled: Settled) {
-        let (fault, place) = (fault.id, fault.place.clone());
-        self.outputs.push_back(RecovererAction::Settle { fault, place, settled });
+        // What another node found in itself has a number of that node's record, not of ours.
+        let elsewhere = match &fault.place {
+            Place::Object(address) => address.node != self.node,
+            Place::Link { node, .. } => *node != self.node,
+            Place::Node(_) => false,
+        };
+        if !elsewhere {
+            let (fault, place) = (fault.id, fault.place.clone());
+            self.outputs.push_back(RecovererAction::Settle { fault, place, settled });
+        }
     }
 }
 

@@ -18,7 +18,7 @@ const EVENTS: u64 = 4_096;
 #[derive(Clone, Debug, Event)]
 struct Reading {
     key: u64,
-    data: Arc<[u8; 64]>,
+    data: Arc<Vec<u8>>,
 }
 
 impl Message for Reading {
@@ -86,7 +86,7 @@ impl Handle<Reading> for Tenth {
 
 /// Publishes all events and waits until `expected` deliveries were made.
 async fn measure(burst: u64, expected: u64, mut publish: impl FnMut(&Reading)) -> f64 {
-    let data = Arc::new([1u8; 64]);
+    let data = Arc::new(vec![1u8; 64]);
     HEARD.set(0);
     let start = Instant::now();
     for key in 0..EVENTS {

@@ -57,12 +57,16 @@ pub struct SessionConfig {
     pub patience: Duration,
     /// The most bytes of one message. Bounds what a peer can make us collect.
     pub message_max: usize,
-    /// The most bytes that wait or are unacknowledged in one stream. More are refused as full.
+    /// The bytes that should wait or be unacknowledged in one stream at most. Beyond, senders are
+    /// told to stop; at twice as many, messages are refused.
     pub buffer_bytes: usize,
-    /// The most messages, likewise.
+    /// The number of messages, likewise.
     pub buffer_messages: usize,
     /// How many parts of a stream may be on their way, and may arrive ahead of their turn.
     pub window: u32,
+    /// The largest part in bytes, however large the path's frames are: a full window of parts should
+    /// fit into the buffers of the sockets on the way.
+    pub part_max: usize,
     /// How long an acknowledgement may wait for something to travel with.
     pub ack_delay: Duration,
     /// The shortest time after which silence is taken for loss.
@@ -87,6 +91,7 @@ impl SessionConfig {
             buffer_bytes: 4 << 20,
             buffer_messages: 4096,
             window: 256,
+            part_max: 8 * 1024,
             ack_delay: Duration::from_millis(2),
             // Ten times the delay of acknowledgements.
             retransmit_min: Duration::from_millis(20),
@@ -141,7 +146,12 @@ pub enum SessionOutput {
         /// Why.
         why: Why,
     },
-    /// A stream that refused a message as full takes messages again.
+    /// A stream holds all that it should: stop sending, or messages will soon be refused.
+    Full {
+        /// Which.
+        stream: Stream,
+    },
+    /// A stream that was full takes messages again.
     Room {
         /// Which.
         stream: Stream,
@@ -227,8 +237,8 @@ struct Peer {
 struct StreamState {
     outbound: Outbound,
     inbound: Inbound,
-    /// A message was refused as full.
-    refused: bool,
+    /// Its senders have been told to stop.
+    is_full: bool,
 }
 
 #[derive(Debug)]
@@ -322,8 +332,8 @@ impl Session {
     /// Sends a message, exactly once and in the order of its stream.
     ///
     /// # Errors
-    /// [`Why::Full`]: the stream holds all that it may; [`SessionOutput::Room`] tells when it takes
-    /// more. [`Why::TooLarge`], [`Why::Unreachable`], [`Why::Stopped`] after
+    /// [`Why::Full`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`] tells when the
+    /// stream takes more. [`Why::TooLarge`], [`Why::Unreachable`], [`Why::Stopped`] after
     /// [`handle_close`](Session::handle_close). The message comes back.
     pub fn handle_send(
         &mut self,
@@ -336,9 +346,13 @@ impl Session {
         let SessionConfig { buffer_bytes, buffer_messages, .. } = self.config;
         let state = &mut self.streams[stream as usize];
         let outbound = &mut state.outbound;
-        if outbound.messages() >= buffer_messages || outbound.bytes() + message.len() > buffer_bytes
-        {
-            state.refused = true;
+        let (messages, bytes) = (outbound.messages() + 1, outbound.bytes() + message.len());
+        let full = |times| messages > times * buffer_messages || bytes > times * buffer_bytes;
+        if full(1) && !state.is_full {
+            state.is_full = true;
+            self.outputs.push_back(SessionOutput::Full { stream });
+        }
+        if full(2) {
             return Err((Why::Full, message));
         }
         outbound.push(message);
@@ -448,6 +462,27 @@ impl Session {
             }
             State::Closing { .. } | State::Closed => {}
         }
+    }
+
+    /// This end has lost its memory of the session: both ends begin a new one.
+    pub fn handle_begin_anew(&mut self, now: Instant) {
+        self.now = now;
+        if matches!(self.state, State::Open { .. }) {
+            // The peer's own tag is what it knows this session by.
+            self.transmit(Class::Control, Segment::Reset { tag: self.tag });
+            self.end(self.unreachable());
+        }
+    }
+
+    /// Takes out what was not acknowledged, when this machine is about to be replaced.
+    pub fn surrender(&mut self) -> Vec<(Stream, Bytes)> {
+        STREAMS
+            .into_iter()
+            .flat_map(|stream| {
+                let messages = self.streams[stream as usize].outbound.take_all();
+                messages.map(move |message| (stream, message))
+            })
+            .collect()
     }
 
     /// A segment from the peer's node arrived.
@@ -637,7 +672,7 @@ impl Session {
                 let why = why.clone();
                 self.outputs.push_back(SessionOutput::Returned { stream, message, why });
             }
-            if state.refused {
+            if state.is_full {
                 self.outputs.push_back(SessionOutput::Room { stream });
             }
             *state = StreamState::new(&self.config);
@@ -736,8 +771,8 @@ impl Session {
         // Half empty, so that whoever waits can send more than one message.
         let half =
             outbound.bytes() <= buffer_bytes / 2 && outbound.messages() <= buffer_messages / 2;
-        if state.refused && half {
-            state.refused = false;
+        if state.is_full && half {
+            state.is_full = false;
             self.outputs.push_back(SessionOutput::Room { stream });
         }
     }
@@ -816,7 +851,7 @@ impl Session {
             return false;
         }
         // Room for an acknowledgement of a few ranges; one with more travels alone.
-        let room = mtu.saturating_sub(DATA_HEADER + 32).max(64);
+        let room = mtu.saturating_sub(DATA_HEADER + 32).clamp(64, self.config.part_max);
         for stream in STREAMS {
             let state = &mut self.streams[stream as usize];
             if let Some((sequence, part)) = state.outbound.transmit(room, self.order, self.now) {
@@ -915,7 +950,7 @@ impl StreamState {
         StreamState {
             outbound: Outbound::new(config.window),
             inbound: Inbound::new(config.window, config.message_max),
-            refused: false,
+            is_full: false,
         }
     }
 }

@@ -276,7 +276,8 @@ fn a_lost_node_is_observed_when_no_other_way_leads_there() {
 fn faults_of_other_nodes_are_left_to_them_unless_the_plan_takes_over() {
     let there = Place::Object("there:laser".parse().expect("a good name"));
     let mut rig = Rig::new();
-    assert_eq!(rig.find(fault(1, FaultKind::Panic, there.clone(), 1)), ["1 observed"]);
+    assert_eq!(rig.find(fault(1, FaultKind::Panic, there.clone(), 1)), [""; 0]);
+    assert_eq!(rig.machine.open_cases(), 0);
 
     let take_over = Ladder::first(Measure::Custom(Arc::from("take over")));
     let plan = Plan::default().on_other_nodes(FaultKind::Panic, take_over);
@@ -285,6 +286,7 @@ fn faults_of_other_nodes_are_left_to_them_unless_the_plan_takes_over() {
         rig.find(fault(1, FaultKind::Panic, there, 1)),
         ["#1 take over there:laser against panic, 1"]
     );
+    assert_eq!(rig.outcome(1, Ok(Done::default())), [""; 0]);
 }
 
 #[test]

@@ -1,0 +1,146 @@
+//! Queues, what becomes of what does not fit, and what becomes too old.
+
+use super::{Add, Note, Slow, Stage, acc, logged};
+use crate::{ChildSpec, Component, Context, Event, Handle, WhenFull, Why};
+use blastema_contract::child::ChildEvent;
+use blastema_core::dead_letters::DeadReason;
+use blastema_doubles::{advance, paused, settle};
+use std::time::Duration;
+use tokio::task::spawn_local;
+
+#[test]
+fn a_full_queue_does_what_its_policy_says() {
+    paused(async {
+        let check = async |name: &str, policy, expected: &[u64], dead: u64| {
+            let stage = Stage::new();
+            let (spec, log) = acc(name);
+            let (_child, acc) = stage.start(spec.queue(2, policy)).await;
+            for n in 1..=4 {
+                if let Err(refused) = acc.tell(Note(n)) {
+                    assert_eq!((refused.why, refused.message), (Why::Full, Note(n)));
+                }
+            }
+            settle().await;
+            assert_eq!(logged(&log), expected, "{name}");
+            let office = &stage.environment.dead_letters;
+            assert_eq!(office.count(acc.name(), DeadReason::Full), dead, "{name}");
+        };
+        check("refuse", WhenFull::Refuse, &[1, 2], 0).await;
+        check("wait", WhenFull::Wait, &[1, 2], 0).await;
+        check("oldest", WhenFull::DropOldest, &[3, 4], 2).await;
+        check("newest", WhenFull::DropNewest, &[1, 2], 2).await;
+    });
+}
+
+#[test]
+fn deliver_waits_for_room() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, log) = acc("acc");
+        let (_child, acc) = stage.start(spec.queue(2, WhenFull::Wait)).await;
+
+        for n in 1..=9 {
+            acc.deliver(Note(n)).await.unwrap();
+        }
+
+        settle().await;
+        assert_eq!(logged(&log), [1, 2, 3, 4, 5, 6, 7, 8, 9]);
+    });
+}
+
+#[test]
+fn deliver_ends_when_the_receiver_is_stopped() {
+    paused(async {
+        let stage = Stage::new();
+        let (mut child, acc) = stage.start(acc("acc").0.queue(1, WhenFull::Wait)).await;
+        acc.tell(Slow(50)).unwrap();
+        settle().await;
+        acc.tell(Note(1)).unwrap();
+        let waiting = spawn_local({
+            let acc = acc.clone();
+            async move { acc.deliver(Note(2)).await }
+        });
+        settle().await;
+        assert!(!waiting.is_finished());
+
+        child.stop();
+
+        let refused = waiting.await.unwrap().unwrap_err();
+        assert_eq!((refused.why, refused.message), (Why::Stopped, Note(2)));
+    });
+}
+
+#[test]
+fn before_its_first_life_a_component_keeps_messages_and_says_restarting_when_full() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, log) = acc("acc");
+        let (mut child, acc) = stage.add(spec.queue(1, WhenFull::Refuse));
+
+        acc.tell(Note(1)).unwrap();
+        assert_eq!(acc.tell(Note(2)).unwrap_err().why, Why::Restarting);
+
+        assert_eq!(stage.begin(&mut *child, 1).await, ChildEvent::Started);
+        settle().await;
+        assert_eq!(logged(&log), [1]);
+    });
+}
+
+#[test]
+fn what_is_left_at_a_stop_goes_back_to_askers_and_to_the_dead_letters() {
+    paused(async {
+        let stage = Stage::new();
+        let (mut child, acc) = stage.start(acc("acc").0).await;
+        acc.tell(Slow(50)).unwrap();
+        settle().await;
+        acc.tell(Note(1)).unwrap();
+        let asked = spawn_local({
+            let acc = acc.clone();
+            async move { acc.ask(Add(3)).await }
+        });
+        settle().await;
+
+        child.stop();
+
+        let back = asked.await.unwrap().unwrap_err();
+        assert_eq!((back.why, back.message), (Why::Stopped, Some(Add(3))));
+        let dead = &stage.environment.dead_letters;
+        assert_eq!(dead.count(acc.name(), DeadReason::Stopped), 2);
+        let latest: Vec<_> = dead.latest().iter().map(|letter| letter.contract.clone()).collect();
+        assert!(latest[0].contains("Note") && latest[1].contains("Add"), "{latest:?}");
+    });
+}
+
+#[derive(Clone, Event)]
+#[contract(max_age = "100ms")]
+struct Fresh(u64);
+
+struct Picky(super::Log);
+impl Component for Picky {}
+impl Handle<Fresh> for Picky {
+    async fn handle(&mut self, Fresh(millis): Fresh, _: &mut Context<Self>) {
+        self.0.lock().unwrap().push(millis);
+        tokio::time::sleep(Duration::from_millis(millis)).await;
+    }
+}
+
+#[test]
+fn a_message_older_than_its_contract_allows_is_not_delivered_but_counted() {
+    paused(async {
+        let stage = Stage::new();
+        let log = super::Log::default();
+        let kept = log.clone();
+        let (_child, picky) =
+            stage.start(ChildSpec::new("picky", move || Picky(kept.clone()))).await;
+        picky.tell(Fresh(99)).unwrap();
+        picky.tell(Fresh(2)).unwrap();
+        picky.tell(Fresh(3)).unwrap();
+
+        advance(Duration::from_secs(1)).await;
+
+        // The second came 99 ms late, the third 101.
+        assert_eq!(logged(&log), [99, 2]);
+        let dead = &stage.environment.dead_letters;
+        assert_eq!(dead.count(picky.name(), DeadReason::Expired), 1);
+    });
+}

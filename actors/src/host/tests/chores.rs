@@ -1,0 +1,264 @@
+//! Timers, tasks, threads and isolation.
+
+use super::{Log, Stage, logged, order};
+use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Ports, Sender, Why};
+use blastema_doubles::{advance, paused, settle};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+const TICK: Duration = Duration::from_millis(10);
+
+#[derive(Clone, Event)]
+enum Job {
+    Every,
+    EveryAndCancel,
+    TellEvery,
+    After,
+    Block(u64),
+    Wait(u64),
+    Task,
+    TaskWhileWaiting,
+    Die,
+    Detach,
+}
+
+#[derive(Clone, Event)]
+struct Tick;
+
+#[derive(Clone, Debug, PartialEq, Event)]
+struct Said(u64);
+
+struct Worker {
+    log: Log,
+    detached: Arc<Mutex<Option<Sender<Said>>>>,
+}
+
+impl Component for Worker {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Said>();
+    }
+
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        Ok(())
+    }
+}
+
+impl Handle<Tick> for Worker {
+    async fn handle(&mut self, _: Tick, _: &mut Context<Self>) {
+        self.log.lock().unwrap().push(2);
+    }
+}
+
+impl Handle<Said> for Worker {
+    async fn handle(&mut self, Said(n): Said, _: &mut Context<Self>) {
+        self.log.lock().unwrap().push(n);
+    }
+}
+
+impl Handle<Job> for Worker {
+    async fn handle(&mut self, job: Job, cx: &mut Context<Self>) {
+        let log = self.log.clone();
+        match job {
+            Job::Every => {
+                cx.every(TICK, |worker: &mut Worker, _| worker.log.lock().unwrap().push(1));
+            }
+            Job::EveryAndCancel => {
+                let mut left = 2;
+                let id = Arc::new(Mutex::new(None));
+                let known = id.clone();
+                *id.lock().unwrap() = Some(cx.every(TICK, move |worker, cx| {
+                    worker.log.lock().unwrap().push(1);
+                    left -= 1;
+                    if left == 0 {
+                        cx.cancel(known.lock().unwrap().unwrap());
+                    }
+                }));
+            }
+            Job::TellEvery => drop(cx.tell_every(TICK, Tick)),
+            Job::After => {
+                cx.after(TICK, |worker, _| worker.log.lock().unwrap().push(3));
+                cx.tell_after(2 * TICK, Tick);
+            }
+            Job::Block(millis) => {
+                // Stands for a handler that blocks: its arbiter's clock moves, its loop does not.
+                tokio::time::advance(Duration::from_millis(millis)).await;
+            }
+            Job::Wait(millis) => tokio::time::sleep(Duration::from_millis(millis)).await,
+            Job::Task => cx.spawn(async move {
+                loop {
+                    tokio::time::sleep(TICK).await;
+                    log.lock().unwrap().push(4);
+                }
+            }),
+            Job::TaskWhileWaiting => {
+                let (done, wait) = tokio::sync::oneshot::channel();
+                cx.spawn(async move {
+                    tokio::time::sleep(TICK).await;
+                    let _ = done.send(5);
+                });
+                let n = wait.await.unwrap();
+                log.lock().unwrap().push(n);
+            }
+            Job::Die => panic!("as told"),
+            Job::Detach => {
+                let sender = cx.sender::<Said>("ear").unwrap();
+                *self.detached.lock().unwrap() = Some(cx.detached(&sender));
+            }
+        }
+    }
+}
+
+struct Kit {
+    stage: Stage,
+    child: Box<dyn blastema_contract::child::Child>,
+    worker: crate::ActorRef<Worker>,
+    log: Log,
+    detached: Arc<Mutex<Option<Sender<Said>>>>,
+}
+
+async fn kit() -> Kit {
+    let stage = Stage::new();
+    let (log, detached) = (Log::default(), Arc::new(Mutex::new(None)));
+    let (l, d) = (log.clone(), detached.clone());
+    let spec = ChildSpec::new("worker", move || Worker { log: l.clone(), detached: d.clone() });
+    let (mut child, worker) = stage.start(spec).await;
+    child.standing_order(order(5));
+    Kit { stage, child, worker, log, detached }
+}
+
+#[test]
+fn timers_fire_while_the_component_is_active_and_can_be_cancelled() {
+    paused(async {
+        let kit = kit().await;
+        for (job, expected) in [
+            (Job::EveryAndCancel, vec![1, 1]),
+            (Job::After, vec![3, 2]),
+            (Job::TellEvery, vec![2; 10]),
+        ] {
+            kit.worker.tell(job).unwrap();
+            advance(Duration::from_millis(104)).await;
+            assert_eq!(logged(&kit.log), expected);
+        }
+    });
+}
+
+#[test]
+fn ticks_that_were_missed_are_skipped() {
+    paused(async {
+        let kit = kit().await;
+        kit.worker.tell(Job::Every).unwrap();
+        settle().await;
+        kit.worker.tell(Job::Wait(1000)).unwrap();
+        advance(Duration::from_millis(1004)).await;
+        assert!(logged(&kit.log).len() <= 2, "one that was due, and the next");
+
+        kit.worker.tell(Job::Block(1000)).unwrap();
+        settle().await;
+        assert!(logged(&kit.log).len() <= 2, "one that was due, and the next");
+    });
+}
+
+#[test]
+fn timers_and_tasks_end_with_the_life_that_started_them() {
+    paused(async {
+        let kit = kit().await;
+        kit.worker.tell(Job::Every).unwrap();
+        kit.worker.tell(Job::TellEvery).unwrap();
+        kit.worker.tell(Job::Task).unwrap();
+        advance(Duration::from_millis(25)).await;
+        let mut ran = logged(&kit.log);
+        ran.sort_unstable();
+        assert_eq!(ran, [1, 1, 2, 2, 4, 4]);
+
+        kit.worker.tell(Job::Die).unwrap();
+        advance(Duration::from_secs(1)).await;
+
+        assert_eq!(logged(&kit.log), []);
+        assert_eq!(kit.stage.exits.drain().len(), 1);
+    });
+}
+
+#[test]
+fn a_handler_may_wait_for_a_task_that_it_started() {
+    paused(async {
+        let kit = kit().await;
+        kit.worker.tell(Job::TaskWhileWaiting).unwrap();
+        advance(Duration::from_millis(20)).await;
+        assert_eq!(logged(&kit.log), [5]);
+    });
+}
+
+struct Ear(Log);
+impl Component for Ear {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Said>();
+    }
+}
+impl Handle<Said> for Ear {
+    async fn handle(&mut self, Said(n): Said, _: &mut Context<Self>) {
+        self.0.lock().unwrap().push(n);
+    }
+}
+
+#[test]
+fn a_detached_sender_ends_with_the_life_that_made_it() {
+    paused(async {
+        let kit = kit().await;
+        let heard = Log::default();
+        let kept = heard.clone();
+        let (_ear, _) =
+            kit.stage.start(ChildSpec::new("ear", move || Ear(kept.clone()))).await;
+        kit.worker.tell(Job::Detach).unwrap();
+        settle().await;
+        let sender = kit.detached.lock().unwrap().take().unwrap();
+        std::thread::scope(|scope| scope.spawn(|| sender.tell(Said(1))).join().unwrap().unwrap());
+
+        kit.worker.tell(Job::Die).unwrap();
+        settle().await;
+
+        let refused = sender.tell(Said(2)).unwrap_err();
+        assert_eq!((refused.why, refused.message), (Why::Fenced, Said(2)));
+        assert_eq!(sender.ask(Said(3)).await.unwrap_err().why, Why::Fenced);
+        assert_eq!(logged(&heard), [1]);
+    });
+}
+
+struct Crier;
+impl Component for Crier {
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let ear = cx.sender::<Said>("ear").map_err(|why| why.to_string())?;
+        let mut n = 0;
+        cx.every(TICK, move |_, _| {
+            n += 1;
+            let _ = ear.tell(Said(n));
+        });
+        Ok(())
+    }
+}
+impl Handle<Said> for Crier {
+    async fn handle(&mut self, _: Said, _: &mut Context<Self>) {}
+}
+
+#[test]
+fn an_isolated_component_neither_sends_nor_receives_until_it_may_again() {
+    paused(async {
+        let stage = Stage::new();
+        let heard = Log::default();
+        let kept = heard.clone();
+        let (_ear, _) = stage.start(ChildSpec::new("ear", move || Ear(kept.clone()))).await;
+        let (mut child, crier) = stage.start(ChildSpec::new("crier", || Crier)).await;
+        advance(Duration::from_millis(25)).await;
+        assert_eq!(logged(&heard), [1, 2]);
+
+        child.isolate(true);
+        advance(Duration::from_millis(30)).await;
+        assert_eq!(logged(&heard), []);
+        let refused = crier.tell(Said(0)).unwrap_err();
+        assert_eq!((refused.why, refused.message), (Why::Isolated, Said(0)));
+
+        child.isolate(false);
+        advance(Duration::from_millis(20)).await;
+        assert_eq!(logged(&heard), [6, 7]);
+        crier.tell(Said(0)).unwrap();
+    });
+}

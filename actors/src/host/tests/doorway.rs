@@ -1,0 +1,178 @@
+//! Names, and the way in from outside the process.
+
+use super::{Add, Boom, Note, Stage, acc, boom, logged, order};
+use crate::registry::{RemoteDoor, RemoteDoors, ReplyTo};
+use crate::{Incarnation, ObjectName, Request, SpecError, Why};
+use blastema_core::{Contract, ContractIdentity, MessageId, NodeName, ObjectAddress, codec};
+use blastema_doubles::{paused, settle};
+use bytes::Bytes;
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex};
+
+fn encoded<M: Contract>(message: &M) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    codec::encode(message, &mut bytes).unwrap();
+    bytes
+}
+
+fn name(text: &str) -> ObjectName {
+    ObjectName::new(text).unwrap()
+}
+
+/// A place for one reply, and the callback that fills it.
+fn reply() -> (Arc<Mutex<Option<Result<Bytes, Why>>>>, ReplyTo) {
+    let place = Arc::new(Mutex::new(None));
+    let kept = place.clone();
+    (place, Box::new(move |result| *kept.lock().unwrap() = Some(result)))
+}
+
+const ID: Option<MessageId> = Some(MessageId { sender: 9, sequence: 1 });
+
+#[test]
+fn bytes_from_outside_are_served_and_the_reply_goes_back_as_bytes() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, log) = acc("acc");
+        let (mut child, _) = stage.start(spec).await;
+        child.standing_order(order(9));
+        let registry = &stage.environment.registry;
+        let (identity, add) = registry.doorway(&name("acc"), Add::NAME).unwrap();
+        assert_eq!(identity.fingerprint, ContractIdentity::of::<Add>().fingerprint);
+
+        let (place, reply_to) = reply();
+        add.deliver(&encoded(&Add(4)), ID, Some(reply_to)).unwrap();
+        settle().await;
+        let bytes = place.lock().unwrap().take().unwrap().unwrap();
+        assert_eq!(codec::decode_reply::<Add>(&bytes).unwrap(), 4);
+
+        let (_, note) = registry.doorway(&name("acc"), Note::NAME).unwrap();
+        note.deliver(&encoded(&Note(7)), None, None).unwrap();
+        settle().await;
+        assert_eq!(logged(&log), [7]);
+
+        let (_, kill) = registry.doorway(&name("acc"), Boom::NAME).unwrap();
+        for life in 1..=3 {
+            let (place, reply_to) = reply();
+            kill.deliver(&encoded(&boom("x")), ID, Some(reply_to)).unwrap();
+            settle().await;
+            let why = place.lock().unwrap().take().unwrap().unwrap_err();
+            assert_eq!(why, Why::PeerDied { incarnation: Incarnation(life) });
+        }
+        let (place, reply_to) = reply();
+        let refused = kill.deliver(&encoded(&boom("x")), ID, Some(reply_to)).unwrap_err();
+        assert_eq!(refused, Why::Quarantined { kills: 3 });
+        assert_eq!(place.lock().unwrap().take(), Some(Err(refused)));
+    });
+}
+
+#[test]
+fn bytes_that_are_no_message_are_refused_and_counted() {
+    paused(async {
+        let stage = Stage::new();
+        let (_child, acc) = stage.start(acc("acc").0).await;
+        let registry = &stage.environment.registry;
+        let (_, add) = registry.doorway(&name("acc"), Add::NAME).unwrap();
+
+        let (place, reply_to) = reply();
+        let why = add.deliver(b"garbage that is no number", ID, Some(reply_to)).unwrap_err();
+
+        assert!(matches!(why, Why::Undecodable { .. }), "{why}");
+        assert_eq!(place.lock().unwrap().take(), Some(Err(why)));
+        assert_eq!(stage.environment.dead_letters.total(), 1);
+        assert!(registry.doorway(acc.name(), "no such contract").is_err());
+        assert!(registry.doorway(&name("nobody"), Add::NAME).is_err());
+    });
+}
+
+#[test]
+fn a_name_is_given_once_and_freed_with_its_holder() {
+    paused(async {
+        let stage = Stage::new();
+        let (first, _) = stage.add(acc("acc").0);
+        let taken = acc("acc").0.into_child(&stage.environment).err().unwrap();
+        assert!(matches!(taken, SpecError::Taken(_)), "{taken}");
+        let wrong = acc("no name").0.into_child(&stage.environment).err().unwrap();
+        assert!(matches!(wrong, SpecError::Name(_)), "{wrong}");
+        let wrong = acc("other").0.rate_hz(0.0).into_child(&stage.environment).err().unwrap();
+        assert!(wrong.to_string().contains("rate_hz of other is 0"), "{wrong}");
+
+        drop(first);
+
+        stage.add(acc("acc").0);
+    });
+}
+
+#[test]
+fn who_looks_for_what_is_not_there_is_told_what_is() {
+    #[derive(Request)]
+    #[contract(reply = u64)]
+    struct Missing;
+    mod other {
+        use crate::Request;
+        #[derive(Request)]
+        #[contract(reply = u64, name = "Add")]
+        pub(super) struct Add {
+            pub(super) _much: f32,
+        }
+    }
+
+    paused(async {
+        let stage = Stage::new();
+        let (_child, _) = stage.add(acc("acc").0);
+        let registry = &stage.environment.registry;
+        registry.connect(NodeName::new("here").unwrap(), None);
+
+        assert!(registry.sender::<Add>("acc").is_ok());
+        assert!(registry.sender::<Add>("here:acc").is_ok());
+        for unknown in ["nobody", "there:acc", "no name", ":"] {
+            let why = registry.sender::<Add>(unknown).unwrap_err();
+            assert_eq!(why, Why::Unknown { name: unknown.into() });
+        }
+        assert!(matches!(registry.sender::<Missing>("acc"), Err(Why::Unknown { .. })));
+        if other::Add::NAME == Add::NAME {
+            let why = registry.sender::<other::Add>("acc").unwrap_err();
+            assert!(matches!(why, Why::ContractDiffers { .. }), "{why}");
+        }
+        assert_eq!(registry.objects().len(), 1);
+        assert_eq!(registry.objects()[0].1.len(), 4);
+    });
+}
+
+/// Another node that leads back to this one.
+struct Mirror(crate::registry::Registry);
+struct MirrorDoor(Arc<dyn crate::registry::Doorway>);
+
+impl RemoteDoors for Mirror {
+    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteDoor> {
+        Arc::new(MirrorDoor(self.0.doorway(&to.object, contract.name).unwrap().1))
+    }
+}
+impl RemoteDoor for MirrorDoor {
+    fn send(&self, message: Bytes, id: Option<MessageId>, to: Option<ReplyTo>) -> Result<(), Why> {
+        self.0.deliver(&message, id, to)
+    }
+    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+        Box::pin(std::future::ready(()))
+    }
+}
+
+#[test]
+fn an_object_of_another_node_is_asked_with_the_same_code() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, log) = acc("acc");
+        let (_child, _) = stage.start(spec).await;
+        let registry = &stage.environment.registry;
+        let mirror = Arc::new(Mirror(registry.clone()));
+        registry.connect(NodeName::new("here").unwrap(), Some(mirror));
+        let add = registry.sender::<Add>("there:acc").unwrap();
+
+        assert_eq!(add.ask(Add(2)).await, Ok(2));
+        registry.sender::<Note>("there:acc").unwrap().deliver(Note(3)).await.unwrap();
+        settle().await;
+        assert_eq!(logged(&log), [3]);
+        let died = registry.sender::<Boom>("there:acc").unwrap().ask(boom("x")).await.unwrap_err();
+        assert_eq!(died.why, Why::PeerDied { incarnation: Incarnation(1) });
+    });
+}

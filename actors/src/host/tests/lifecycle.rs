@@ -1,0 +1,334 @@
+//! The hooks, their order, and what is told of them.
+
+use super::{Stage, order};
+use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Incarnation, Why};
+use blastema_contract::child::ChildEvent;
+use blastema_contract::reports::Exit;
+use blastema_core::{FaultKind, Lifecycle};
+use blastema_doubles::{advance, paused, settle};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// What the next hook of this name shall do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Outcome {
+    Fail,
+    FailFatally,
+    Hang,
+}
+
+#[derive(Default)]
+struct Script {
+    ran: Vec<&'static str>,
+    next: Vec<(&'static str, Outcome)>,
+}
+
+/// Writes its hooks down.
+#[derive(Clone, Default)]
+struct Diary(Arc<Mutex<Script>>);
+
+impl Diary {
+    async fn note(&self, hook: &'static str) -> Result<(), Failure> {
+        let outcome = {
+            let mut script = self.0.lock().unwrap();
+            script.ran.push(hook);
+            let at = script.next.iter().position(|(name, _)| *name == hook);
+            at.map(|at| script.next.remove(at).1)
+        };
+        tokio::task::yield_now().await;
+        match outcome {
+            None => Ok(()),
+            Some(Outcome::Fail) => Err(format!("{hook} failed").into()),
+            Some(Outcome::FailFatally) => Err(Failure::fatal(format!("{hook} failed"))),
+            Some(Outcome::Hang) => std::future::pending().await,
+        }
+    }
+
+    fn plan(&self, hook: &'static str, outcome: Outcome) {
+        self.0.lock().unwrap().next.push((hook, outcome));
+    }
+
+    fn ran(&self) -> Vec<&'static str> {
+        std::mem::take(&mut self.0.lock().unwrap().ran)
+    }
+}
+
+macro_rules! noted {
+    ($($hook:ident)*) => {
+        impl Component for Diary {
+            $(async fn $hook(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+                self.note(stringify!($hook)).await
+            })*
+        }
+    };
+}
+noted! {
+    on_initialize on_startup on_activated on_execute on_rate_changed on_deactivated on_aborting
+    on_error on_reset on_shutdown on_finalize
+}
+
+#[derive(Clone, Event)]
+enum Do {
+    Fail,
+    DeclareFault,
+    ChangeRate,
+}
+
+impl Handle<Do> for Diary {
+    async fn handle(&mut self, what: Do, cx: &mut Context<Self>) {
+        match what {
+            Do::Fail => cx.fail("as told"),
+            Do::DeclareFault => {
+                cx.declare_fault(FaultKind::Overload, "too much");
+                assert!(!cx.check_range("speed", &3.0, 0.0..=2.0));
+                assert!(cx.check(true, "all is well"));
+            }
+            Do::ChangeRate => cx.set_interval(Some(Duration::from_millis(50))),
+        }
+    }
+}
+
+fn diary() -> (ChildSpec<Diary>, Diary) {
+    let diary = Diary::default();
+    let kept = diary.clone();
+    (ChildSpec::new("diary", move || kept.clone()), diary)
+}
+
+fn states(stage: &Stage) -> Vec<(Lifecycle, Option<String>)> {
+    stage.states.drain().into_iter().map(|told| (told.state, told.reason)).collect()
+}
+
+const BEGINNING: [&str; 3] = ["on_initialize", "on_startup", "on_activated"];
+
+#[test]
+fn a_life_runs_from_initialisation_to_its_end_in_order() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, diary) = diary();
+        let (mut child, reference) = stage.start(spec).await;
+        settle().await;
+        assert_eq!(diary.ran(), BEGINNING);
+        let told = states(&stage);
+        assert_eq!(told.last().unwrap(), &(Lifecycle::Active, None));
+        assert_eq!(reference.state(), Lifecycle::Active);
+
+        child.stop();
+        settle().await;
+
+        assert_eq!(diary.ran(), ["on_deactivated", "on_shutdown", "on_finalize"]);
+        assert_eq!(states(&stage).last().unwrap(), &(Lifecycle::Finalized, None));
+        assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
+        assert_eq!(stage.exits.drain().pop().unwrap().exit, Exit::Stopped);
+        assert_eq!(reference.tell(Do::Fail).unwrap_err().why, Why::Stopped);
+
+        child.stop();
+        settle().await;
+        assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
+    });
+}
+
+#[test]
+fn on_execute_keeps_its_rate_and_skips_what_it_missed() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, diary) = diary();
+        let (_child, reference) = stage.start(spec.rate_hz(10.0)).await;
+        advance(Duration::from_millis(350)).await;
+        let rounds = diary.ran().iter().filter(|hook| **hook == "on_execute").count();
+        assert_eq!(rounds, 4, "at 0, 100, 200 and 300 ms");
+
+        reference.tell(Do::ChangeRate).unwrap();
+        advance(Duration::from_millis(510)).await;
+        let ran = diary.ran();
+        assert!(ran.contains(&"on_rate_changed"), "{ran:?}");
+        let rounds = ran.iter().filter(|hook| **hook == "on_execute").count();
+        assert!((10..=12).contains(&rounds), "{rounds} in 510 ms at 20 Hz");
+    });
+}
+
+#[test]
+fn a_failed_initialisation_is_fatal_and_finalised() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, diary) = diary();
+        let (mut child, _) = stage.add(spec);
+        diary.plan("on_initialize", Outcome::Fail);
+
+        let event = stage.begin(&mut *child, 1).await;
+
+        let reason = "on_initialize failed".to_owned();
+        assert_eq!(event, ChildEvent::StartFailed { reason: reason.clone() });
+        settle().await;
+        assert_eq!(diary.ran(), ["on_initialize", "on_finalize"]);
+        assert!(states(&stage).contains(&(Lifecycle::Fatal, Some(reason))));
+        assert_eq!(stage.exits.drain().pop().unwrap().exit, Exit::Returned);
+        assert!(stage.reports.drain().is_empty(), "it is not told twice");
+
+        assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
+    });
+}
+
+#[test]
+fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, diary) = diary();
+        let (mut child, reference) = stage.start(spec.rate_hz(10.0)).await;
+        settle().await;
+        (diary.ran(), states(&stage));
+        diary.plan("on_execute", Outcome::Fail);
+
+        advance(Duration::from_millis(150)).await;
+
+        assert_eq!(diary.ran(), ["on_execute", "on_aborting", "on_error"]);
+        let reason = Some("on_execute failed".to_owned());
+        assert_eq!(states(&stage), [(Lifecycle::Error, reason)]);
+        advance(Duration::from_secs(1)).await;
+        assert_eq!(diary.ran().len(), 0, "nothing is executed in error");
+
+        child.reset();
+        settle().await;
+        assert_eq!(diary.ran()[..2], ["on_reset", "on_activated"]);
+        assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Reset);
+        assert_eq!(reference.state(), Lifecycle::Active);
+        advance(Duration::from_millis(150)).await;
+        assert!(diary.ran().contains(&"on_execute"));
+    });
+}
+
+#[test]
+fn messages_wait_while_a_component_is_in_error() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, _) = diary();
+        let (mut child, reference) = stage.start(spec).await;
+        reference.tell(Do::Fail).unwrap();
+        reference.tell(Do::DeclareFault).unwrap();
+        settle().await;
+        assert_eq!((reference.state(), reference.queued()), (Lifecycle::Error, 1));
+
+        child.reset();
+        settle().await;
+
+        assert_eq!(reference.queued(), 0);
+        let faults = stage.faults.drain();
+        assert_eq!(faults[0].kind, FaultKind::Overload);
+        assert_eq!(faults[1].detail, "speed is 3.0, outside of 0.0..=2.0");
+        assert_eq!(faults.len(), 2);
+    });
+}
+
+#[test]
+fn a_failed_reset_and_a_fatal_failure_end_the_life() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, diary) = diary();
+        let (mut child, reference) = stage.start(spec).await;
+        reference.tell(Do::Fail).unwrap();
+        settle().await;
+        diary.plan("on_reset", Outcome::Fail);
+        child.reset();
+        settle().await;
+        let events: Vec<_> = stage.reports.drain().into_iter().map(|r| r.event).collect();
+        assert!(matches!(events[0], ChildEvent::ResetFailed { .. }), "{events:?}");
+        assert!(matches!(events[1], ChildEvent::Died { .. }), "{events:?}");
+        child.reset();
+        settle().await;
+        let event = stage.reports.drain().pop().unwrap().event;
+        assert!(matches!(event, ChildEvent::ResetFailed { .. }));
+
+        diary.plan("on_activated", Outcome::FailFatally);
+        let event = stage.begin(&mut *child, 2).await;
+        assert!(matches!(event, ChildEvent::StartFailed { .. }), "{event:?}");
+        settle().await;
+        assert_eq!(diary.ran().last(), Some(&"on_finalize"));
+    });
+}
+
+#[test]
+fn a_life_that_is_not_ready_in_time_has_failed_to_start() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, diary) = diary();
+        let (mut child, _) = stage.add(spec.ready_within(Duration::from_secs(2)));
+        diary.plan("on_startup", Outcome::Hang);
+
+        let event = stage.begin(&mut *child, 1).await;
+
+        let ChildEvent::StartFailed { reason } = event else { panic!("{event:?}") };
+        assert_eq!(reason, "it was not ready within 2s");
+        settle().await;
+        assert_eq!(diary.ran(), ["on_initialize", "on_startup", "on_finalize"]);
+    });
+}
+
+#[test]
+fn a_life_that_does_not_end_in_time_is_ended_out_of_order() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, diary) = diary();
+        let (mut child, _) = stage.start(spec.shutdown_within(Duration::from_secs(2))).await;
+        diary.plan("on_deactivated", Outcome::Hang);
+
+        child.stop();
+        advance(Duration::from_millis(1900)).await;
+        assert!(stage.reports.drain().is_empty());
+        advance(Duration::from_millis(200)).await;
+
+        assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
+    });
+}
+
+#[test]
+fn control_is_served_while_a_hook_awaits() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, diary) = diary();
+        let (mut child, reference) = stage.add(spec);
+        diary.plan("on_initialize", Outcome::Hang);
+        child.start(Incarnation(1), stage.reports.recipient());
+        settle().await;
+
+        let host = reference.0.control().unwrap();
+        let alive = host.send(blastema_contract::reports::AreYouAlive).await.unwrap();
+
+        assert_eq!(alive.state, Lifecycle::Created);
+    });
+}
+
+#[test]
+fn a_replacement_on_the_spot_goes_through_the_hooks_and_tells_once() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, diary) = diary();
+        let (mut child, _) = stage.start(spec.rate_hz(1.0)).await;
+        child.standing_order(order(3));
+        settle().await;
+        diary.ran();
+        states(&stage);
+        diary.0.lock().unwrap().next.clear();
+
+        let (fragile, reference) = (ChildSpec::new("fragile", || Fragile), ());
+        let (mut fragile, handle) = stage.start(fragile).await;
+        fragile.standing_order(order(3));
+        states(&stage);
+        handle.tell(Die).unwrap();
+        settle().await;
+
+        let told = stage.states.drain();
+        assert!(told.iter().all(|told| told.incarnation == Incarnation(2)), "{told:?}");
+        assert_eq!(told.last().unwrap().state, Lifecycle::Active);
+        assert_eq!(told.len(), 1, "states passed through in one poll are told as one");
+        let () = reference;
+    });
+}
+
+#[derive(Clone, Event)]
+struct Die;
+struct Fragile;
+impl Component for Fragile {}
+impl Handle<Die> for Fragile {
+    async fn handle(&mut self, _: Die, _: &mut Context<Self>) {
+        panic!("as told")
+    }
+}

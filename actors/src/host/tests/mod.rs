@@ -1,0 +1,152 @@
+//! What the host promises, each as a test.
+
+mod bounds;
+mod chores;
+mod death;
+mod doorway;
+mod lifecycle;
+mod serving;
+mod topics;
+
+use super::arbiters::Arbiters;
+use super::environment::{HostEnvironment, Reports};
+use super::spec::ChildSpec;
+use crate::{ActorRef, Component, Context, Event, Handle, Ports, Request};
+use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
+use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
+use blastema_core::Incarnation;
+use blastema_doubles::Probe;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// An environment whose every ear is a probe.
+pub(super) struct Stage {
+    pub(super) environment: HostEnvironment,
+    pub(super) exits: Probe<Exited>,
+    pub(super) states: Probe<StateReported>,
+    pub(super) faults: Probe<FaultDeclared>,
+    pub(super) reports: Probe<ChildReport>,
+}
+
+impl Stage {
+    pub(super) fn new() -> Self {
+        Self::on(Arbiters::here())
+    }
+
+    pub(super) fn on(arbiters: Arbiters) -> Self {
+        let (exits, states, faults) = (Probe::start(), Probe::start(), Probe::start());
+        let reports = Reports {
+            exits: Some(exits.recipient()),
+            states: Some(states.recipient()),
+            faults: Some(faults.recipient()),
+        };
+        let environment = HostEnvironment::new(arbiters, reports);
+        Stage { environment, exits, states, faults, reports: Probe::start() }
+    }
+
+    /// A component that is not started.
+    pub(super) fn add<C: Component>(&self, spec: ChildSpec<C>) -> (Box<dyn Child>, ActorRef<C>) {
+        spec.into_child(&self.environment).unwrap()
+    }
+
+    /// Begins a life, and waits for what comes of it.
+    pub(super) async fn begin(&self, child: &mut dyn Child, incarnation: u64) -> ChildEvent {
+        child.start(Incarnation(incarnation), self.reports.recipient());
+        self.reports.wait(|report| report.object == *child.name()).await.event
+    }
+
+    /// A component in its first life.
+    pub(super) async fn start<C: Component>(
+        &self,
+        spec: ChildSpec<C>,
+    ) -> (Box<dyn Child>, ActorRef<C>) {
+        let (mut child, reference) = self.add(spec);
+        assert_eq!(self.begin(&mut *child, 1).await, ChildEvent::Started);
+        (child, reference)
+    }
+}
+
+pub(super) fn order(times: u32) -> Option<StandingOrder> {
+    Some(StandingOrder { times, period: Duration::from_secs(10) })
+}
+
+pub(super) type Log = Arc<Mutex<Vec<u64>>>;
+
+pub(super) fn logged(log: &Log) -> Vec<u64> {
+    std::mem::take(&mut *log.lock().unwrap())
+}
+
+/// Adds to a sum, and replies with it.
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(reply = u64)]
+pub(super) struct Add(pub(super) u64);
+
+/// Waits so many milliseconds, then replies with the sum.
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(reply = u64)]
+pub(super) struct Slow(pub(super) u64);
+
+/// Panics with this text.
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(reply = ())]
+pub(super) struct Boom(pub(super) String);
+
+/// Is written down.
+#[derive(Clone, Debug, PartialEq, Event)]
+pub(super) struct Note(pub(super) u64);
+
+pub(super) fn boom(text: &str) -> Boom {
+    Boom(text.to_owned())
+}
+
+/// Does what it is told, and panics when it is dropped.
+pub(super) struct Acc {
+    sum: u64,
+    log: Log,
+}
+
+impl Component for Acc {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Add>().serve::<Slow>().serve::<Boom>().accept::<Note>();
+    }
+}
+
+impl Handle<Add> for Acc {
+    async fn handle(&mut self, Add(n): Add, _: &mut Context<Self>) -> u64 {
+        self.sum += n;
+        self.sum
+    }
+}
+
+impl Handle<Slow> for Acc {
+    async fn handle(&mut self, Slow(millis): Slow, cx: &mut Context<Self>) -> u64 {
+        let (sum, me) = (&mut self.sum, &cx); // Both borrows live across the await.
+        tokio::time::sleep(Duration::from_millis(millis)).await;
+        *sum += 1000 * me.incarnation().0;
+        *sum
+    }
+}
+
+impl Handle<Boom> for Acc {
+    async fn handle(&mut self, Boom(text): Boom, _: &mut Context<Self>) {
+        panic!("{text}")
+    }
+}
+
+impl Handle<Note> for Acc {
+    async fn handle(&mut self, Note(n): Note, _: &mut Context<Self>) {
+        self.log.lock().unwrap().push(n);
+    }
+}
+
+impl Drop for Acc {
+    fn drop(&mut self) {
+        panic!("in drop");
+    }
+}
+
+pub(super) fn acc(name: &str) -> (ChildSpec<Acc>, Log) {
+    let log = Log::default();
+    let kept = log.clone();
+    (ChildSpec::new(name, move || Acc { sum: 0, log: kept.clone() }), log)
+}

@@ -1,0 +1,171 @@
+//! Messages, replies, deadlines.
+
+use super::{Acc, Add, Note, Slow, Stage, acc, boom, logged, order};
+use crate::host::Host;
+use crate::{ActorRef, Sender, WhenFull, Why};
+use actix::Addr;
+use blastema_contract::reports::AreYouAlive;
+use blastema_core::Lifecycle;
+use blastema_core::dead_letters::DeadReason;
+use blastema_doubles::{advance, now, paused, settle};
+use std::time::Duration;
+use tokio::task::spawn_local;
+
+pub(super) fn control(reference: &ActorRef<Acc>) -> Addr<Host<Acc>> {
+    reference.0.control().expect("it lives")
+}
+
+#[test]
+fn a_handler_borrows_across_an_await_while_messages_wait_and_control_does_not() {
+    paused(async {
+        let stage = Stage::new();
+        let (_child, acc) = stage.start(acc("acc").0).await;
+        let slow = spawn_local({
+            let acc = acc.clone();
+            async move { acc.ask(Slow(50)).await }
+        });
+        settle().await;
+        let add = spawn_local({
+            let acc = acc.clone();
+            async move { acc.ask(Add(1)).await }
+        });
+        advance(Duration::from_millis(20)).await;
+        assert!(!add.is_finished());
+
+        let alive = control(&acc).send(AreYouAlive).await.unwrap();
+
+        assert_eq!((alive.state, alive.queued), (Lifecycle::Active, 1));
+        assert!(alive.oldest >= Duration::from_millis(10) && !alive.long_operation, "{alive:?}");
+        assert_eq!((slow.await.unwrap(), add.await.unwrap()), (Ok(1000), Ok(1001)));
+    });
+}
+
+#[test]
+fn a_sender_hides_the_component_and_serves_alike() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, log) = acc("acc");
+        let (_child, acc) = stage.start(spec).await;
+        let add: Sender<Add> = acc.sender();
+        let note: Sender<Note> = stage.environment.registry.sender("acc").unwrap();
+
+        assert_eq!(add.ask(Add(4)).await, Ok(4));
+        note.tell(Note(7)).unwrap();
+        note.deliver(Note(8)).await.unwrap();
+
+        settle().await;
+        assert_eq!(logged(&log), [7, 8]);
+    });
+}
+
+#[test]
+fn a_request_resolves_at_its_deadline_and_not_before() {
+    paused(async {
+        let stage = Stage::new();
+        let (_child, acc) = stage.start(acc("acc").0).await;
+        let before = now();
+
+        let late = acc.ask(Slow(3_600_000)).await.unwrap_err();
+
+        assert_eq!((late.why, late.message), (Why::DeadlinePassed, None));
+        let waited = now() - before;
+        let limit = Duration::from_secs(1);
+        assert!(waited >= limit && waited <= limit + Duration::from_millis(30), "{waited:?}");
+    });
+}
+
+#[test]
+fn a_request_whose_asker_gave_up_is_not_served_but_counted() {
+    paused(async {
+        let stage = Stage::new();
+        let (_child, acc) = stage.start(acc("acc").0).await;
+        let slow = spawn_local({
+            let acc = acc.clone();
+            async move { acc.ask(Slow(100)).await }
+        });
+        settle().await;
+
+        let late = acc.ask_within(Add(5), Duration::from_millis(20)).await.unwrap_err();
+
+        assert_eq!(late.why, Why::DeadlinePassed);
+        assert_eq!(slow.await.unwrap(), Ok(1000));
+        assert_eq!(acc.ask(Add(0)).await, Ok(1000));
+        let dead = &stage.environment.dead_letters;
+        assert_eq!(dead.count(acc.name(), DeadReason::DeadlinePassed), 1);
+    });
+}
+
+#[test]
+fn a_deadline_holds_on_a_thread_without_a_beat() {
+    paused(async {
+        let stage = Stage::new();
+        let (_child, acc) = stage.start(acc("acc").0).await;
+        let sender: Sender<Slow> = acc.sender();
+
+        let far = std::thread::spawn(move || {
+            let runtime = tokio::runtime::Builder::new_current_thread()
+                .enable_all()
+                .start_paused(true)
+                .build()
+                .unwrap();
+            runtime.block_on(sender.ask(Slow(3_600_000))).unwrap_err().why
+        });
+
+        // Its clock jumps on its own; ours need not turn for it.
+        assert_eq!(far.join().unwrap(), Why::DeadlinePassed);
+    });
+}
+
+#[test]
+fn a_component_that_floods_itself_starves_nobody() {
+    use crate::{Component, Context, Event, Handle};
+
+    #[derive(Clone, Event)]
+    struct Again(u64);
+    struct Flood;
+    impl Component for Flood {}
+    impl Handle<Again> for Flood {
+        async fn handle(&mut self, Again(n): Again, cx: &mut Context<Self>) {
+            cx.me().tell(Again(n + 1)).unwrap();
+        }
+    }
+
+    paused(async {
+        let stage = Stage::new();
+        let spec = crate::ChildSpec::new("flood", || Flood).queue(8, WhenFull::Refuse);
+        let (mut child, flood) = stage.start(spec).await;
+        flood.tell(Again(0)).unwrap();
+        let (_other, acc) = stage.start(acc("acc").0).await;
+
+        assert_eq!(acc.ask(Add(1)).await, Ok(1));
+        flood.0.control().unwrap().send(AreYouAlive).await.unwrap();
+        child.stop();
+        settle().await;
+
+        assert_eq!(flood.tell(Again(0)).unwrap_err().why, Why::Stopped);
+    });
+}
+
+#[test]
+fn a_message_that_killed_three_lives_is_quarantined_and_no_other() {
+    paused(async {
+        let stage = Stage::new();
+        let (mut child, acc) = stage.start(acc("acc").0).await;
+        child.standing_order(order(10));
+        let sender = acc.sender();
+        let (poison, other) = (sender.repeatable(boom("x")), sender.repeatable(boom("y")));
+
+        for life in 1..=3 {
+            let why = poison.ask().await.unwrap_err().why;
+            assert_eq!(why, Why::PeerDied { incarnation: crate::Incarnation(life) });
+        }
+
+        let refused = poison.ask().await.unwrap_err();
+        assert_eq!(refused.why, Why::Quarantined { kills: 3 });
+        assert_eq!(refused.message, Some(boom("x")));
+        assert!(matches!(other.ask().await.unwrap_err().why, Why::PeerDied { .. }));
+        assert!(matches!(acc.ask(boom("z")).await.unwrap_err().why, Why::PeerDied { .. }));
+        let dead = &stage.environment.dead_letters;
+        assert_eq!(dead.count(acc.name(), DeadReason::Quarantined), 1);
+    });
+}

@@ -1,0 +1,271 @@
+//! Publish and subscribe.
+
+use super::{Boom, Log, Stage, boom, logged, order};
+use crate::topic::TopicKey;
+use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Ports, WhenFull, Why};
+use blastema_contract::child::ChildEvent;
+use blastema_contract::reports::Exit;
+use blastema_core::Contract;
+use blastema_core::dead_letters::DeadReason;
+use blastema_doubles::{advance, paused, settle};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+#[derive(Clone, Debug, PartialEq, Event)]
+struct Sample(u64);
+
+#[derive(Clone, Event)]
+struct Rest(u64);
+
+/// Listens to even samples, and to all on a second topic.
+struct Listener(Log);
+impl Component for Listener {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Sample>().only_if(|Sample(n)| {
+            assert!(*n != 666, "in a condition");
+            n % 2 == 0
+        });
+        ports.listen::<Sample>().on("other");
+    }
+}
+impl Handle<Sample> for Listener {
+    async fn handle(&mut self, Sample(n): Sample, _: &mut Context<Self>) {
+        assert!(n != 13, "in a handler");
+        self.0.lock().unwrap().push(n);
+    }
+}
+impl Handle<Rest> for Listener {
+    async fn handle(&mut self, Rest(millis): Rest, _: &mut Context<Self>) {
+        tokio::time::sleep(Duration::from_millis(millis)).await;
+    }
+}
+impl Handle<Boom> for Listener {
+    async fn handle(&mut self, Boom(text): Boom, _: &mut Context<Self>) {
+        panic!("{text}")
+    }
+}
+
+fn listener(name: &str) -> (ChildSpec<Listener>, Log) {
+    let log = Log::default();
+    let kept = log.clone();
+    (ChildSpec::new(name, move || Listener(kept.clone())), log)
+}
+
+fn publish(stage: &Stage, topic: &str, n: u64) {
+    stage.environment.topics.publisher(topic).unwrap().publish(Sample(n)).unwrap();
+}
+
+#[test]
+fn listeners_get_what_they_want_in_order_idle_or_busy() {
+    paused(async {
+        let stage = Stage::new();
+        let ((idle, idle_log), (busy, busy_log)) = (listener("idle"), listener("busy"));
+        let (_idle, _) = stage.start(idle).await;
+        let (_busy, busy) = stage.start(busy).await;
+        busy.tell(Rest(30)).unwrap();
+        settle().await;
+
+        (0..6).for_each(|n| publish(&stage, Sample::NAME, n));
+        publish(&stage, "other", 7);
+        publish(&stage, "nobody listens", 8);
+
+        settle().await;
+        assert_eq!(logged(&idle_log), [0, 2, 4, 7]);
+        assert_eq!((logged(&busy_log), busy.queued()), (vec![], 4), "they wait in its queue");
+        advance(Duration::from_millis(40)).await;
+        assert_eq!(logged(&busy_log), [0, 2, 4, 7]);
+    });
+}
+
+struct Source;
+impl Component for Source {
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        cx.publish(Sample(2));
+        cx.publisher("other").map_err(|why| why.to_string())?.publish(Sample(3)).unwrap();
+        Ok(())
+    }
+}
+
+#[test]
+fn a_component_publishes_on_its_contracts_topic_and_on_others() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, log) = listener("ear");
+        let (_ear, _) = stage.start(spec).await;
+        let (_source, _) = stage.start(ChildSpec::new("source", || Source).rate_hz(10.0)).await;
+
+        advance(Duration::from_millis(105)).await;
+
+        let mut heard = logged(&log);
+        heard.sort_unstable();
+        assert_eq!(heard, [2, 2, 3, 3]);
+    });
+}
+
+#[test]
+fn a_subscription_ends_with_a_stop_and_returns_with_the_next_life() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, log) = listener("ear");
+        let (mut child, ear) = stage.start(spec).await;
+        child.standing_order(order(1));
+        ear.tell(boom("x")).unwrap();
+        settle().await;
+        publish(&stage, "other", 1);
+        settle().await;
+        assert_eq!(logged(&log), [1], "after a restart on the spot");
+
+        ear.tell(boom("x")).unwrap();
+        settle().await;
+        publish(&stage, "other", 2);
+        settle().await;
+        assert_eq!((logged(&log), ear.queued()), (vec![], 1), "kept between two lives");
+        stage.reports.drain();
+        assert_eq!(stage.begin(&mut *child, 3).await, ChildEvent::Started);
+        settle().await;
+        assert_eq!(logged(&log), [2]);
+
+        child.stop();
+        settle().await;
+        publish(&stage, "other", 3);
+        settle().await;
+        assert!(stage.environment.topics.listened().is_empty());
+        stage.reports.drain();
+        assert_eq!(stage.begin(&mut *child, 4).await, ChildEvent::Started);
+        publish(&stage, "other", 4);
+        settle().await;
+        assert_eq!(logged(&log), [4]);
+    });
+}
+
+#[test]
+fn a_panic_in_a_condition_or_on_an_event_is_the_listeners_alone() {
+    paused(async {
+        let stage = Stage::new();
+        let ((one, one_log), (two, two_log)) = (listener("one"), listener("two"));
+        let (mut one, _) = stage.start(one).await;
+        let (mut two, _) = stage.start(two).await;
+        one.standing_order(order(5));
+        two.standing_order(order(5));
+
+        publish(&stage, Sample::NAME, 666);
+        publish(&stage, "other", 13);
+        publish(&stage, "other", 1);
+        settle().await;
+
+        let exits = stage.exits.drain();
+        let during = |exit: &Exit| match exit {
+            Exit::Panicked { during, .. } => *during,
+            _ => panic!("{exit:?}"),
+        };
+        let condition = "a condition of a subscription";
+        let of_condition = exits.iter().filter(|e| during(&e.exit) == condition).count();
+        assert_eq!((exits.len(), of_condition), (4, 2), "{exits:?}");
+        assert_eq!((logged(&one_log), logged(&two_log)), (vec![1], vec![1]));
+    });
+}
+
+#[derive(Clone, Event)]
+#[contract(max_age = "50ms")]
+struct Scan(u64);
+
+struct Tracker(Log);
+impl Component for Tracker {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Scan>();
+    }
+}
+impl Handle<Scan> for Tracker {
+    async fn handle(&mut self, Scan(n): Scan, _: &mut Context<Self>) {
+        self.0.lock().unwrap().push(n);
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+}
+
+#[test]
+fn an_event_that_waited_too_long_is_counted_instead() {
+    paused(async {
+        let stage = Stage::new();
+        let log = Log::default();
+        let kept = log.clone();
+        let spec = ChildSpec::new("tracker", move || Tracker(kept.clone()));
+        let (_child, tracker) = stage.start(spec.queue(8, WhenFull::DropOldest)).await;
+        let publisher = stage.environment.topics.publisher::<Scan>(Scan::NAME).unwrap();
+        (1..=3).for_each(|n| publisher.publish(Scan(n)).unwrap());
+
+        advance(Duration::from_secs(1)).await;
+
+        assert_eq!(logged(&log), [1]);
+        let dead = &stage.environment.dead_letters;
+        assert_eq!(dead.count(tracker.name(), DeadReason::Expired), 2);
+    });
+}
+
+#[test]
+fn events_are_shipped_out_once_and_come_in_from_outside() {
+    paused(async {
+        let stage = Stage::new();
+        let topics = &stage.environment.topics;
+        let key = TopicKey::new("other", Sample::NAME);
+        let shipped = Arc::new(Mutex::new(vec![]));
+        let kept = shipped.clone();
+        let forward =
+            topics.forward(&key, Arc::new(move |bytes| kept.lock().unwrap().push(bytes.clone())));
+        assert!(matches!(topics.inject(&key, &[1]), Err(Why::Unknown { .. })));
+        let interest = Arc::new(Mutex::new(vec![]));
+        let kept = interest.clone();
+        topics.on_interest(Arc::new(move |key, more| {
+            kept.lock().unwrap().push((key.topic.to_string(), more));
+        }));
+        let (spec, log) = listener("ear");
+        let (mut child, _) = stage.start(spec).await;
+
+        publish(&stage, "other", 5);
+        settle().await;
+        let bytes = shipped.lock().unwrap().pop().unwrap();
+        topics.inject(&key, &bytes).unwrap();
+        settle().await;
+        assert_eq!(logged(&log), [5, 5]);
+        assert!(shipped.lock().unwrap().is_empty(), "what came in is not sent out again");
+        assert!(matches!(topics.inject(&key, &[9, 9, 9]), Err(Why::Undecodable { .. })));
+
+        topics.end_forward(&forward);
+        publish(&stage, "other", 6);
+        settle().await;
+        assert!(shipped.lock().unwrap().is_empty());
+        assert_eq!(topics.identity(&key).unwrap().name, Sample::NAME);
+        assert_eq!(topics.listened().len(), 2);
+
+        child.stop();
+        settle().await;
+        let mut told = interest.lock().unwrap().clone();
+        told.sort();
+        let other = |more| ("other".to_owned(), more);
+        let sample = |more| (Sample::NAME.to_owned(), more);
+        let mut expected = [other(false), other(true), sample(false), sample(true)];
+        expected.sort();
+        assert_eq!(told, expected);
+    });
+}
+
+#[test]
+fn two_types_of_one_name_do_not_meet_on_a_topic() {
+    #[derive(Clone, Event)]
+    #[contract(name = "clash")]
+    struct One(u64);
+    #[derive(Clone, Event)]
+    #[contract(name = "clash")]
+    struct Two(f64);
+
+    paused(async {
+        let stage = Stage::new();
+        let topics = &stage.environment.topics;
+        topics.publisher::<One>("t").unwrap();
+
+        let Err(Why::ContractDiffers { difference }) = topics.publisher::<Two>("t") else {
+            panic!("they met")
+        };
+
+        assert!(difference.contains("u64") && difference.contains("f64"), "{difference}");
+    });
+}

@@ -1,0 +1,166 @@
+//! The ways out of this node: what stands behind a `Sender` of a remote object.
+
+use super::gateway::{Gateway, Ship};
+use crate::registry::{RemoteDoor, RemoteDoors, ReplyTo};
+use actix::Addr;
+use blastema_core::{ContractIdentity, MessageId, NodeName, ObjectAddress, Why};
+use bytes::Bytes;
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicU8, AtomicUsize, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use tokio::sync::Notify;
+
+/// Messages of one peer that may wait in the gateway's mailbox: what a burst sends before the
+/// network's arbiter has its turn.
+const UNDER_WAY_MAX: usize = 4096;
+
+/// Makes doors, and tells those behind them how their peer is.
+#[derive(Default)]
+pub(super) struct Doors {
+    gateway: OnceLock<Addr<Gateway>>,
+    gates: Mutex<BTreeMap<NodeName, Arc<Gate>>>,
+}
+
+/// What all doors to one peer share.
+pub(super) struct Gate {
+    node: NodeName,
+    condition: AtomicU8,
+    under_way: AtomicUsize,
+    changed: Notify,
+}
+
+/// How sending to a peer stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(super) enum Condition {
+    /// No path leads there.
+    Unreachable,
+    /// There is a path; the session is about to begin.
+    Opening,
+    /// It takes messages.
+    Open,
+    /// It holds all that it should.
+    Full,
+}
+
+impl Gate {
+    fn condition(&self) -> Condition {
+        match self.condition.load(Relaxed) {
+            0 => Condition::Unreachable,
+            1 => Condition::Opening,
+            2 => Condition::Open,
+            _ => Condition::Full,
+        }
+    }
+
+    pub(super) fn set(&self, condition: Condition) {
+        self.condition.store(condition as u8, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    pub(super) fn is_open(&self) -> bool {
+        self.condition() == Condition::Open
+    }
+
+    /// A session is open, whether it has room or not.
+    pub(super) fn has_session(&self) -> bool {
+        matches!(self.condition(), Condition::Open | Condition::Full)
+    }
+
+    /// The gateway has taken one over.
+    pub(super) fn taken(&self) {
+        if self.under_way.fetch_sub(1, Relaxed) == UNDER_WAY_MAX {
+            self.changed.notify_waiters();
+        }
+    }
+
+    fn check(&self) -> Result<(), Why> {
+        match self.condition() {
+            Condition::Unreachable => Err(Why::Unreachable { node: self.node.to_string() }),
+            Condition::Opening => Err(Why::Restarting),
+            Condition::Full => Err(Why::Full),
+            Condition::Open if self.under_way.load(Relaxed) >= UNDER_WAY_MAX => Err(Why::Full),
+            Condition::Open => Ok(()),
+        }
+    }
+
+    async fn room(&self) {
+        loop {
+            let changed = self.changed.notified();
+            match self.check() {
+                Err(Why::Full | Why::Restarting) => changed.await,
+                // Whatever else stands in the way is told by the next attempt.
+                _ => return,
+            }
+        }
+    }
+}
+
+impl Doors {
+    pub(super) fn lead_to(&self, gateway: Addr<Gateway>) {
+        // Called once, when the network starts.
+        let _ = self.gateway.set(gateway);
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<NodeName, Arc<Gate>>> {
+        self.gates.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// As many as nodes that this program has named, or met.
+    pub(super) fn gate(&self, node: &NodeName) -> Arc<Gate> {
+        let mut gates = self.lock();
+        let gate = gates.entry(node.clone()).or_insert_with(|| {
+            Arc::new(Gate {
+                node: node.clone(),
+                condition: AtomicU8::new(Condition::Unreachable as u8),
+                under_way: AtomicUsize::new(0),
+                changed: Notify::new(),
+            })
+        });
+        gate.clone()
+    }
+}
+
+impl RemoteDoors for Doors {
+    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteDoor> {
+        let gate = self.gate(&to.node);
+        let gateway = self.gateway.get().cloned();
+        Arc::new(Door { to, contract, gate, gateway })
+    }
+}
+
+/// The way to one object for one contract.
+struct Door {
+    to: ObjectAddress,
+    contract: ContractIdentity,
+    gate: Arc<Gate>,
+    gateway: Option<Addr<Gateway>>,
+}
+
+impl RemoteDoor for Door {
+    fn send(
+        &self,
+        message: Bytes,
+        id: Option<MessageId>,
+        reply_to: Option<ReplyTo>,
+    ) -> Result<(), Why> {
+        self.gate.check()?;
+        let gateway = self.gateway.as_ref().ok_or(Why::Stopped)?;
+        self.gate.under_way.fetch_add(1, Relaxed);
+        gateway.do_send(Ship {
+            to: self.to.clone(),
+            contract: self.contract.clone(),
+            id,
+            payload: message,
+            reply_to,
+            gate: self.gate.clone(),
+        });
+        Ok(())
+    }
+
+    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+        Box::pin(self.gate.room())
+    }
+}

@@ -1,0 +1,573 @@
+//! Between the objects of this node and those of all others.
+
+use super::NetEnvironment;
+use super::door::{Condition, Doors, Gate};
+use super::notice;
+use super::sessions::Sessions;
+use crate::platform;
+use crate::registry::{Doorway, Registry, ReplyTo};
+use crate::topic::{Forward, ForwardId, TopicKey, Topics};
+use actix::prelude::*;
+use blastema_contract::Confirmed;
+use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
+use blastema_contract::recoverer::Recover;
+use blastema_contract::session::{BeginAnew, Leave, Say, SessionReported};
+use blastema_core::net::NodeId;
+use blastema_core::net::exchange::{Call, Epoch, Exchange, ExchangeOutput, TopicContract};
+use blastema_core::net::naming::Naming;
+use blastema_core::{
+    ContractIdentity, MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, Why,
+};
+use bytes::Bytes;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::time::Duration;
+use tokio::sync::oneshot;
+use tracing::{debug, error, warn};
+
+/// How often the registry is looked at for objects that came or went.
+const NAMES_INTERVAL: Duration = Duration::from_millis(200);
+/// Events of one subscription that may wait in the gateway's mailbox; beyond, they are dropped.
+const EVENTS_MAX: usize = 1024;
+
+/// An object here sends a message to one of another node.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct Ship {
+    pub(super) to: ObjectAddress,
+    pub(super) contract: ContractIdentity,
+    pub(super) id: Option<MessageId>,
+    pub(super) payload: Bytes,
+    pub(super) reply_to: Option<ReplyTo>,
+    pub(super) gate: Arc<Gate>,
+}
+
+/// An object here has answered another node's request.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Answered {
+    peer: NodeId,
+    epoch: Epoch,
+    call: u64,
+    result: Result<Bytes, Why>,
+}
+
+/// An event was published here that a peer listens to.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Published {
+    peer: NodeId,
+    subscription: u32,
+    event: Bytes,
+}
+
+/// A topic got its first listener here, or lost its last.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Interested {
+    key: TopicKey,
+    more: bool,
+}
+
+/// A fault is to be told to a peer's recoverer.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct Notify {
+    pub(super) peer: NodeId,
+    pub(super) payload: Bytes,
+    pub(super) confirm: oneshot::Sender<Confirmed>,
+}
+
+/// Our recoverer has taken a peer's fault.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Noticed {
+    peer: NodeId,
+    epoch: Epoch,
+    number: u64,
+}
+
+/// What the gateway must know after a panic.
+struct Wiring {
+    registry: Registry,
+    topics: Topics,
+    recoverer: Option<Recipient<Recover>>,
+    sessions: Addr<Sessions>,
+    doors: Arc<Doors>,
+}
+
+/// Speaks for the objects of this node.
+pub(super) struct Gateway {
+    wiring: Wiring,
+    exchange: Exchange,
+    naming: Naming,
+    /// Peers by number, and their gates.
+    peers: BTreeMap<NodeId, (NodeName, Arc<Gate>)>,
+    /// Where replies go, by our number of the request.
+    replies: BTreeMap<u64, ReplyTo>,
+    /// What peers have bound here.
+    doorways: BTreeMap<(NodeId, u32), Arc<dyn Doorway>>,
+    /// What peers listen to here.
+    forwards: BTreeMap<(NodeId, u32), Forwarded>,
+    notices: BTreeMap<u64, oneshot::Sender<Confirmed>>,
+    next: u64,
+    /// Messages without a reply, and events, that did not arrive.
+    lost: u64,
+}
+
+struct Forwarded {
+    id: ForwardId,
+    key: TopicKey,
+    /// What the peer takes the events for, until that could be compared.
+    unverified: Option<Box<PeerIdentity>>,
+    waiting: Arc<AtomicUsize>,
+}
+
+impl Gateway {
+    pub(super) fn maker(
+        environment: &NetEnvironment,
+        sessions: Addr<Sessions>,
+        doors: Arc<Doors>,
+    ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
+        let NetEnvironment { registry, topics, recoverer, .. } = environment.clone();
+        move |_| Gateway {
+            wiring: Wiring { registry, topics, recoverer, sessions, doors },
+            exchange: Exchange::default(),
+            naming: Naming::default(),
+            peers: BTreeMap::new(),
+            replies: BTreeMap::new(),
+            doorways: BTreeMap::new(),
+            forwards: BTreeMap::new(),
+            notices: BTreeMap::new(),
+            next: 0,
+            lost: 0,
+        }
+    }
+
+    /// Listens to the topics that this node's objects listen to.
+    fn take_interest(&mut self, context: &mut Context<Self>) {
+        let gateway = context.address();
+        let interest = move |key: &TopicKey, more| {
+            gateway.do_send(Interested { key: key.clone(), more });
+        };
+        self.wiring.topics.on_interest(Arc::new(interest));
+        for (key, identity) in self.wiring.topics.listened() {
+            self.exchange.handle_interest(topic(&key), Some(identity));
+        }
+    }
+
+    fn number(&mut self) -> u64 {
+        self.next += 1;
+        self.next
+    }
+
+    fn drive(&mut self, context: &mut Context<Self>) {
+        while let Some(output) = self.exchange.poll_output() {
+            self.carry_out(output, context);
+        }
+    }
+
+    fn carry_out(&mut self, output: ExchangeOutput, context: &mut Context<Self>) {
+        match output {
+            ExchangeOutput::Send { peer, stream, message } => {
+                self.wiring.sessions.do_send(Say { peer, stream, message });
+            }
+            ExchangeOutput::Bind { peer, epoch, binding, object, identity } => {
+                self.bind(peer, epoch, binding, &object, &identity);
+            }
+            ExchangeOutput::Serve { peer, epoch, binding, call, id, payload } => {
+                let reply_to = call.map(|call| reply_to(peer, epoch, call, context.address()));
+                self.serve((peer, binding), id, &payload, reply_to);
+            }
+            ExchangeOutput::Resolve { reply_as, result } => {
+                if let Some(reply_to) = self.replies.remove(&reply_as) {
+                    reply_to(result);
+                }
+            }
+            ExchangeOutput::Lost { peer, why } => {
+                self.lost += 1;
+                debug!(%peer, %why, "a message did not arrive");
+            }
+            ExchangeOutput::Differs { peer, difference } => {
+                let node =
+                    self.peers.get(&peer).map_or(String::new(), |(node, _)| node.to_string());
+                error!(node, "a contract differs: {difference}");
+            }
+            ExchangeOutput::Subscribe { peer, subscription, topic, identity } => {
+                self.subscribe(peer, subscription, &topic, identity, context);
+            }
+            ExchangeOutput::Unsubscribe { peer, subscription } => {
+                self.end_forward((peer, subscription));
+            }
+            ExchangeOutput::Event { topic, payload } => {
+                let key = TopicKey::new(&topic.topic, &topic.contract);
+                if let Err(why) = self.wiring.topics.inject(&key, &payload) {
+                    self.lost += 1;
+                    debug!(topic = %topic.topic, %why, "an event did not arrive");
+                }
+            }
+            ExchangeOutput::Notice { peer, epoch, number, payload } => {
+                self.pass_notice(peer, epoch, number, &payload, context);
+            }
+            ExchangeOutput::Noticed { number, arrived } => {
+                // Dropped unanswered, the notifier knows that it has to try again.
+                if let (Some(confirm), true) = (self.notices.remove(&number), arrived) {
+                    let _ = confirm.send(Confirmed);
+                }
+            }
+            ExchangeOutput::Names { peer, announcement } => {
+                self.naming.handle_announcement(peer, announcement);
+            }
+            ExchangeOutput::Bye { peer } => debug!(%peer, "a node leaves in order"),
+            ExchangeOutput::Forget { peer } => self.forget(peer),
+        }
+    }
+
+    fn bind(
+        &mut self,
+        peer: NodeId,
+        epoch: Epoch,
+        binding: u32,
+        object: &ObjectName,
+        identity: &PeerIdentity,
+    ) {
+        let result = match self.wiring.registry.doorway(object, &identity.name) {
+            Err(why) => Err((why, None)),
+            Ok((known, doorway)) => match known.check(identity) {
+                Ok(()) => {
+                    self.doorways.insert((peer, binding), doorway);
+                    Ok(())
+                }
+                Err(difference) => {
+                    let difference = difference.to_string();
+                    error!(%object, "a peer's contract differs: {difference}");
+                    Err((Why::ContractDiffers { difference }, Some(known)))
+                }
+            },
+        };
+        self.exchange.handle_bound(peer, epoch, binding, result);
+    }
+
+    fn serve(
+        &mut self,
+        binding: (NodeId, u32),
+        id: Option<MessageId>,
+        payload: &[u8],
+        reply_to: Option<ReplyTo>,
+    ) {
+        match (self.doorways.get(&binding), reply_to) {
+            (Some(doorway), reply_to) => {
+                // The object's own dead letters tell of what it did not take.
+                let _ = doorway.deliver(payload, id, reply_to);
+            }
+            (None, Some(reply_to)) => reply_to(Err(Why::Unknown { name: "binding".into() })),
+            (None, None) => self.lost += 1,
+        }
+    }
+
+    fn subscribe(
+        &mut self,
+        peer: NodeId,
+        subscription: u32,
+        topic: &TopicContract,
+        theirs: Box<PeerIdentity>,
+        context: &mut Context<Self>,
+    ) {
+        let key = TopicKey::new(&topic.topic, &topic.contract);
+        let ours = self.wiring.topics.identity(&key);
+        if let Some(Err(difference)) = ours.as_ref().map(|ours| ours.check(&theirs)) {
+            let difference = difference.to_string();
+            error!(topic = %topic.topic, "a listener's contract differs: {difference}");
+            let why = Why::ContractDiffers { difference };
+            self.exchange.handle_subscribe_refused(peer, subscription, why);
+            return;
+        }
+        let Some((_, gate)) = self.peers.get(&peer) else { return };
+        let (gate, gateway) = (gate.clone(), context.address());
+        let waiting = Arc::new(AtomicUsize::new(0));
+        let under_way = waiting.clone();
+        let forward: Forward = Arc::new(move |event: &Bytes| {
+            // Publishing never waits: what a peer cannot take now is not sent.
+            if gate.is_open() && under_way.load(Relaxed) < EVENTS_MAX {
+                under_way.fetch_add(1, Relaxed);
+                gateway.do_send(Published { peer, subscription, event: event.clone() });
+            }
+        });
+        self.end_forward((peer, subscription));
+        let id = self.wiring.topics.forward(&key, forward);
+        let unverified = ours.is_none().then_some(theirs);
+        self.forwards.insert((peer, subscription), Forwarded { id, key, unverified, waiting });
+    }
+
+    fn end_forward(&mut self, forward: (NodeId, u32)) {
+        if let Some(Forwarded { id, .. }) = self.forwards.remove(&forward) {
+            self.wiring.topics.end_forward(&id);
+        }
+    }
+
+    /// Before the first event: the topic had no contract here when the peer subscribed.
+    fn verify(&mut self, forward: (NodeId, u32)) -> Result<(), Why> {
+        let Some(known) = self.forwards.get_mut(&forward) else {
+            return Err(Why::Unknown { name: "subscription".into() });
+        };
+        let Some(theirs) = known.unverified.take() else { return Ok(()) };
+        match self.wiring.topics.identity(&known.key).map(|ours| ours.check(&theirs)) {
+            Some(Err(difference)) => {
+                Err(Why::ContractDiffers { difference: difference.to_string() })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn pass_notice(
+        &mut self,
+        peer: NodeId,
+        epoch: Epoch,
+        number: u64,
+        payload: &[u8],
+        context: &mut Context<Self>,
+    ) {
+        let fault = match notice::decode(payload, platform::now()) {
+            Ok(fault) => fault,
+            Err(error) => return warn!(%peer, %error, "a fault that cannot be read"),
+        };
+        let Some(recoverer) = &self.wiring.recoverer else { return };
+        let (taken, gateway) = (recoverer.send(Recover { fault }), context.address());
+        actix_rt::spawn(async move {
+            if taken.await.is_ok() {
+                gateway.do_send(Noticed { peer, epoch, number });
+            }
+        });
+    }
+
+    /// The session is over: what the peer had here goes with it.
+    fn forget(&mut self, peer: NodeId) {
+        let all = (peer, 0)..=(peer, u32::MAX);
+        let doorways: Vec<_> = self.doorways.range(all.clone()).map(|(key, _)| *key).collect();
+        doorways.iter().for_each(|key| drop(self.doorways.remove(key)));
+        let forwards: Vec<_> = self.forwards.range(all).map(|(key, _)| *key).collect();
+        forwards.into_iter().for_each(|key| self.end_forward(key));
+    }
+
+    fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<Gate>) {
+        let peer = NodeId::of(node);
+        let gate = self.wiring.doors.gate(node);
+        self.peers.insert(peer, (node.clone(), gate.clone()));
+        (peer, gate)
+    }
+
+    fn set(&self, peer: NodeId, condition: Condition) {
+        if let Some((_, gate)) = self.peers.get(&peer) {
+            gate.set(condition);
+        }
+    }
+
+    fn look_for_names(&mut self, context: &mut Context<Self>) {
+        let objects = self.wiring.registry.objects().into_iter().map(|(name, _)| name).collect();
+        for announcement in self.naming.handle_own(objects) {
+            self.exchange.handle_own_names(None, announcement);
+        }
+        self.drive(context);
+    }
+}
+
+fn topic(key: &TopicKey) -> TopicContract {
+    TopicContract { topic: key.topic.to_string(), contract: key.contract.to_string() }
+}
+
+/// Brings an answer back to the gateway, whichever thread gives it.
+fn reply_to(peer: NodeId, epoch: Epoch, call: u64, gateway: Addr<Gateway>) -> ReplyTo {
+    Box::new(move |result| gateway.do_send(Answered { peer, epoch, call, result }))
+}
+
+impl Actor for Gateway {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.take_interest(context);
+        self.look_for_names(context);
+        context.run_interval(NAMES_INTERVAL, |gateway, context| gateway.look_for_names(context));
+    }
+}
+
+impl Supervised for Gateway {
+    /// Every promise is resolved, and every session begins anew, so that both ends agree again.
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        for (_, reply_to) in std::mem::take(&mut self.replies) {
+            reply_to(Err(Why::PeerDied { incarnation: blastema_core::Incarnation(0) }));
+        }
+        let forwards: Vec<_> = self.forwards.keys().copied().collect();
+        forwards.into_iter().for_each(|key| self.end_forward(key));
+        self.doorways.clear();
+        self.notices.clear();
+        self.exchange = Exchange::default();
+        self.naming = Naming::default();
+        self.peers.values().for_each(|(_, gate)| gate.set(Condition::Opening));
+        let peers: Vec<_> = self.peers.keys().copied().collect();
+        peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer, true));
+        self.wiring.sessions.do_send(BeginAnew);
+        self.started(context);
+    }
+}
+
+impl Handler<SessionReported> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: SessionReported, context: &mut Context<Self>) {
+        match message {
+            SessionReported::Reachable { node } => {
+                let (peer, gate) = self.meet(&node);
+                self.exchange.handle_reachable(peer, true);
+                if !gate.has_session() {
+                    gate.set(Condition::Opening);
+                }
+            }
+            SessionReported::Unreachable { node } => {
+                let (peer, gate) = self.meet(&node);
+                self.exchange.handle_reachable(peer, false);
+                if !gate.has_session() {
+                    gate.set(Condition::Unreachable);
+                }
+            }
+            SessionReported::Opened { node, incarnation } => {
+                let (peer, gate) = self.meet(&node);
+                self.exchange.handle_opened(peer);
+                for announcement in self.naming.handle_opened(node, incarnation) {
+                    self.exchange.handle_own_names(Some(peer), announcement);
+                }
+                gate.set(Condition::Open);
+            }
+            SessionReported::Message { peer, message } => {
+                self.exchange.handle_message(peer, message);
+            }
+            SessionReported::Returned { peer, message, why } => {
+                self.exchange.handle_returned(peer, message, why);
+            }
+            SessionReported::Ended { peer, why } => {
+                let condition = match self.exchange.is_reachable(peer) {
+                    true => Condition::Opening,
+                    false => Condition::Unreachable,
+                };
+                self.set(peer, condition);
+                self.exchange.handle_ended(peer, &why);
+                self.naming.handle_ended(peer);
+            }
+            SessionReported::Full { peer } => self.set(peer, Condition::Full),
+            SessionReported::Room { peer } => self.set(peer, Condition::Open),
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<Ship> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: Ship, context: &mut Context<Self>) {
+        let Ship { to, contract, id, payload, reply_to, gate } = message;
+        gate.taken();
+        let reply_as = reply_to.map(|reply_to| {
+            let number = self.number();
+            self.replies.insert(number, reply_to);
+            number
+        });
+        let ObjectAddress { node, object } = to;
+        self.exchange.handle_call(Call { node, object, contract, id, payload, reply_as });
+        self.drive(context);
+    }
+}
+
+impl Handler<Answered> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: Answered, context: &mut Context<Self>) {
+        let Answered { peer, epoch, call, result } = message;
+        self.exchange.handle_answer(peer, epoch, call, result);
+        self.drive(context);
+    }
+}
+
+impl Handler<Published> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: Published, context: &mut Context<Self>) {
+        let Published { peer, subscription, event } = message;
+        if let Some(forwarded) = self.forwards.get(&(peer, subscription)) {
+            forwarded.waiting.fetch_sub(1, Relaxed);
+        }
+        match self.verify((peer, subscription)) {
+            Ok(()) => self.exchange.handle_event(peer, subscription, event),
+            Err(why @ Why::ContractDiffers { .. }) => {
+                error!("a listener's contract differs: {why}");
+                self.end_forward((peer, subscription));
+                self.exchange.handle_subscribe_refused(peer, subscription, why);
+            }
+            Err(_) => self.lost += 1,
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<Interested> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: Interested, context: &mut Context<Self>) {
+        let Interested { key, more } = message;
+        let identity = self.wiring.topics.identity(&key).filter(|_| more);
+        self.exchange.handle_interest(topic(&key), identity);
+        self.drive(context);
+    }
+}
+
+impl Handler<Notify> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: Notify, context: &mut Context<Self>) {
+        let Notify { peer, payload, confirm } = message;
+        let number = self.number();
+        self.notices.insert(number, confirm);
+        self.exchange.handle_notice(peer, number, payload);
+        self.drive(context);
+    }
+}
+
+impl Handler<Noticed> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: Noticed, context: &mut Context<Self>) {
+        let Noticed { peer, epoch, number } = message;
+        self.exchange.handle_noticed(peer, epoch, number);
+        self.drive(context);
+    }
+}
+
+impl Handler<Leave> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, _: Leave, context: &mut Context<Self>) {
+        self.exchange.handle_leave();
+        self.drive(context);
+        self.wiring.sessions.do_send(Leave);
+    }
+}
+
+impl Handler<FindObject> for Gateway {
+    type Result = MessageResult<FindObject>;
+
+    fn handle(&mut self, message: FindObject, _: &mut Context<Self>) -> Self::Result {
+        MessageResult(self.naming.find(&message.object))
+    }
+}
+
+impl Handler<ReadNames> for Gateway {
+    type Result = MessageResult<ReadNames>;
+
+    fn handle(&mut self, _: ReadNames, _: &mut Context<Self>) -> Self::Result {
+        let rows = self.naming.nodes().map(|(node, incarnation, objects)| {
+            let address = |object: &ObjectName| ObjectAddress::new(node.clone(), object.clone());
+            let objects = objects.iter().map(address).collect();
+            NodeRow { node: node.clone(), incarnation, objects }
+        });
+        MessageResult(rows.collect())
+    }
+}

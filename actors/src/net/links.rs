@@ -1,0 +1,277 @@
+//! The body of the links over one transport.
+
+use super::LinkSpec;
+use crate::drive::{Body, Wake};
+use crate::platform;
+use actix::prelude::*;
+use blastema_contract::link::{Arrived, Carry, LinkChanged, LinkRow, Load, ReadLinks, ReportLinks};
+use blastema_contract::monitor::LinkReported;
+use blastema_contract::transport::{
+    Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
+};
+use blastema_core::detection::LinkCondition;
+use blastema_core::net::link::LinkRefusal;
+use blastema_core::net::router::{Health, LinkStatus};
+use blastema_core::net::{Crowd, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality};
+use blastema_core::{Incarnation, Instant, NodeName};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use tracing::{error, info, warn};
+
+/// A degraded link costs this many times as much: any other way is taken first.
+const DEGRADED: u16 = 8;
+
+/// Who stands around the links.
+pub(super) struct Wiring {
+    pub(super) node: NodeName,
+    pub(super) incarnation: Incarnation,
+    pub(super) network: Arc<str>,
+    pub(super) transport: Transport,
+    pub(super) router_changes: Recipient<LinkChanged>,
+    pub(super) router_loads: Recipient<Arrived>,
+    pub(super) monitor: Option<Recipient<LinkReported>>,
+}
+
+/// The links of one network.
+pub(super) struct Links {
+    wiring: Wiring,
+    specs: BTreeMap<LinkNumber, LinkSpec>,
+    by_remote: BTreeMap<MediumAddress, LinkNumber>,
+    crowd: Crowd<LinkNumber, Link>,
+    wake: Wake,
+    /// The largest frame; `None` while the medium is closed.
+    mtu: Option<usize>,
+    strangers: u64,
+}
+
+impl Links {
+    pub(super) fn new(wiring: Wiring, specs: BTreeMap<LinkNumber, LinkSpec>) -> Self {
+        let by_remote = specs.iter().map(|(n, spec)| (spec.remote.clone(), *n)).collect();
+        let mut links = Links {
+            wiring,
+            specs,
+            by_remote,
+            crowd: Crowd::default(),
+            wake: Wake::default(),
+            mtu: None,
+            strangers: 0,
+        };
+        links.build(platform::now());
+        links
+    }
+
+    fn build(&mut self, now: Instant) {
+        self.crowd = Crowd::default();
+        self.wake = Wake::default();
+        for (number, spec) in &self.specs {
+            let Wiring { node, incarnation, .. } = &self.wiring;
+            let config = LinkConfig {
+                expected: spec.neighbour.clone(),
+                hello_interval: spec.hello_interval,
+                ..LinkConfig::new(node.clone(), *incarnation)
+            };
+            self.crowd.insert(*number, Link::new(config, now));
+        }
+    }
+
+    fn attach(&mut self, context: &mut Context<Self>) {
+        let (frames, reports) = (context.address().recipient(), context.address().recipient());
+        self.wiring.transport.attach.do_send(Attach { frames, reports });
+    }
+
+    fn tell_router(&self, number: LinkNumber) {
+        let Some(link) = self.crowd.get(number) else { return };
+        let Some(neighbour) = link.neighbour().cloned() else { return };
+        let cost = self.specs.get(&number).map_or(1, |spec| spec.cost);
+        let degraded = link.quality().degraded;
+        let cost = if degraded { cost.saturating_mul(DEGRADED) } else { cost };
+        let health = match (link.state(), self.mtu) {
+            (LinkState::Up, Some(_)) => Health::Up,
+            (LinkState::Suspect, Some(_)) => Health::Suspect,
+            _ => Health::Down,
+        };
+        let status = LinkStatus { neighbour, health, cost, mtu: self.mtu.unwrap_or(0) };
+        self.wiring.router_changes.do_send(LinkChanged { link: number, status });
+    }
+
+    fn tell_monitor(&self, number: LinkNumber, condition: LinkCondition) {
+        let (Some(monitor), Some(spec)) = (&self.wiring.monitor, self.specs.get(&number)) else {
+            return;
+        };
+        let heard = self.crowd.get(number).and_then(Link::neighbour);
+        let neighbour = heard.map(|heard| heard.node.clone()).or(spec.neighbour.clone());
+        let (node, link) = (self.wiring.node.clone(), spec.name.clone());
+        monitor.do_send(LinkReported { node, link, neighbour, condition });
+    }
+
+    fn changed(&self, number: LinkNumber, state: LinkState, reason: &'static str) {
+        let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
+        info!(network = %self.wiring.network, %link, %state, reason, "link");
+        self.tell_router(number);
+        match state {
+            LinkState::Up => self.tell_monitor(number, LinkCondition::Up),
+            LinkState::Down => {
+                self.tell_monitor(number, LinkCondition::Down { reason: reason.into() });
+            }
+            // Nothing is torn down on a suspicion, and nobody is told who could act on it.
+            LinkState::Connecting | LinkState::Suspect => {}
+        }
+    }
+
+    fn quality(&self, number: LinkNumber, quality: Quality) {
+        self.tell_router(number);
+        let Quality { round_trip, loss_permille, degraded, .. } = quality;
+        let condition = if degraded {
+            let round_trip = round_trip.unwrap_or_default();
+            let lost = f32::from(loss_permille) / 10.0;
+            let reason = format!("{lost:.1} % of the hellos lost, round trip {round_trip:.1?}");
+            LinkCondition::Degraded { reason }
+        } else {
+            LinkCondition::Up
+        };
+        self.tell_monitor(number, condition);
+    }
+
+    fn refused(&self, number: LinkNumber, refusal: &LinkRefusal) {
+        let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
+        error!(network = %self.wiring.network, %link, "{refusal}");
+        self.tell_monitor(number, LinkCondition::Down { reason: refusal.to_string() });
+    }
+}
+
+impl Actor for Links {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.attach(context);
+        self.drive(context);
+    }
+}
+
+impl Supervised for Links {
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        self.build(platform::now());
+        self.attach(context);
+        self.drive(context);
+    }
+}
+
+impl Body for Links {
+    type Machine = Crowd<LinkNumber, Link>;
+
+    fn machine(&mut self) -> &mut Self::Machine {
+        &mut self.crowd
+    }
+
+    fn wake(&mut self) -> &mut Wake {
+        &mut self.wake
+    }
+
+    fn carry_out(&mut self, output: (LinkNumber, LinkOutput), _: &mut Context<Self>) {
+        let (link, output) = output;
+        let arrived = |load| self.wiring.router_loads.do_send(Arrived { link, load });
+        match output {
+            LinkOutput::Transmit(frame) => {
+                if let Some(spec) = self.specs.get(&link) {
+                    let to = spec.remote.clone();
+                    self.wiring.transport.transmit.do_send(Transmit { to, frame });
+                }
+            }
+            LinkOutput::Routing(bytes) => arrived(Load::Routing(bytes)),
+            LinkOutput::Packet(bytes) => arrived(Load::Packet(bytes)),
+            LinkOutput::Changed { state, reason, .. } => self.changed(link, state, reason),
+            LinkOutput::Quality(quality) => self.quality(link, quality),
+            LinkOutput::Refused(refusal) => self.refused(link, &refusal),
+        }
+    }
+}
+
+impl Handler<Received> for Links {
+    type Result = ();
+
+    fn handle(&mut self, message: Received, context: &mut Context<Self>) {
+        let Received { from, frame } = message;
+        let link = self.by_remote.get(&from).and_then(|link| self.crowd.get_mut(*link));
+        let Some(link) = link else {
+            if self.strangers == 0 {
+                warn!(network = %self.wiring.network, %from, "a stranger speaks; no link leads there");
+            }
+            self.strangers += 1;
+            return;
+        };
+        link.handle_frame(frame, platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<TransportReport> for Links {
+    type Result = ();
+
+    fn handle(&mut self, message: TransportReport, context: &mut Context<Self>) {
+        let now = platform::now();
+        match message {
+            TransportReport::Opened { local, mtu } => {
+                info!(network = %self.wiring.network, %local, mtu, "open");
+                self.mtu = Some(mtu);
+                self.specs.keys().for_each(|number| self.tell_router(*number));
+            }
+            TransportReport::Closed { reason } => {
+                error!(network = %self.wiring.network, "{reason}");
+                self.mtu = None;
+                for number in self.specs.keys() {
+                    if let Some(link) = self.crowd.get_mut(*number) {
+                        link.handle_loss(now);
+                    }
+                }
+            }
+            TransportReport::PeerLost { peer } => {
+                let number = self.by_remote.get(&peer);
+                if let Some(link) = number.and_then(|number| self.crowd.get_mut(*number)) {
+                    link.handle_loss(now);
+                }
+            }
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<Carry> for Links {
+    type Result = ();
+
+    fn handle(&mut self, message: Carry, context: &mut Context<Self>) {
+        let Carry { link, load } = message;
+        let Some(link) = self.crowd.get_mut(link) else { return };
+        match load {
+            Load::Routing(bytes) => link.handle_routing(bytes),
+            Load::Packet(bytes) => link.handle_packet(bytes),
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<ReportLinks> for Links {
+    type Result = ();
+
+    fn handle(&mut self, _: ReportLinks, _: &mut Context<Self>) {
+        self.specs.keys().for_each(|number| self.tell_router(*number));
+    }
+}
+
+impl Handler<ReadLinks> for Links {
+    type Result = MessageResult<ReadLinks>;
+
+    fn handle(&mut self, _: ReadLinks, _: &mut Context<Self>) -> Self::Result {
+        let row = |(number, link): (LinkNumber, &Link)| {
+            let spec = self.specs.get(&number)?;
+            Some(LinkRow {
+                network: self.wiring.network.clone(),
+                link: spec.name.clone(),
+                state: link.state(),
+                neighbour: link.neighbour().cloned(),
+                quality: link.quality(),
+                refusals: link.refusals(),
+            })
+        };
+        MessageResult(self.crowd.iter().filter_map(row).collect())
+    }
+}

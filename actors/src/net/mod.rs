@@ -1,0 +1,268 @@
+//! The network of a node: thin actors over the machines of `blastema_core::net`.
+//!
+//! ```text
+//!  objects ─ doors ─► Gateway ─► Sessions ─► Router ─► Links ─► transport ══ medium
+//!                       │ bindings  │ exactly   │ which   │ is it alive
+//!                       │ naming    │ once      │ hop     │
+//!  local doorways ◄─────┘
+//! ```
+//!
+//! All of them live on one arbiter, under the guardian. What becomes of a panic in:
+//!
+//! * a network's links: they are built anew and say hello; neighbours notice nothing or a late hello.
+//! * the router: it is built anew, asks links and neighbours, and knows its place again within two
+//!   round trips; packets in between are lost, and the sessions repeat them.
+//! * the sessions: the one that was being served is built anew, after handing back what it had not
+//!   delivered; the others go on.
+//! * the gateway: every request is resolved, every session begins anew.
+
+mod door;
+mod gateway;
+mod links;
+mod notice;
+mod router;
+mod sessions;
+
+use crate::guardian::Guardian;
+use crate::registry::{Registry, RemoteDoors};
+use crate::topic::Topics;
+use actix::prelude::*;
+use actix_rt::ArbiterHandle;
+use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
+use blastema_contract::monitor::{LinkReported, NodeReported};
+use blastema_contract::naming::{NodeRow, ReadNames};
+use blastema_contract::recoverer::Recover;
+use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
+use blastema_contract::session::{AddGateway, Leave, ReadSessions, SessionRow};
+use blastema_contract::transport::{MediumAddress, Transport};
+use blastema_core::net::{LinkNumber, NodeId};
+use blastema_core::{Incarnation, NodeName, ObjectName};
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// One medium of this node, and its neighbours there.
+#[derive(Clone, Debug)]
+pub(crate) struct NetworkSpec {
+    /// How people call it, such as `ethernet`.
+    pub(crate) name: Arc<str>,
+    /// Its transport, already started on the network's arbiter, perhaps behind a faulty cable.
+    pub(crate) transport: Transport,
+    /// The neighbours.
+    pub(crate) links: Vec<LinkSpec>,
+}
+
+/// One neighbour on one medium.
+#[derive(Clone, Debug)]
+pub(crate) struct LinkSpec {
+    /// How people call it.
+    pub(crate) name: Arc<str>,
+    /// The neighbour's address on the medium.
+    pub(crate) remote: MediumAddress,
+    /// Who must be there; `None` takes whoever speaks first.
+    pub(crate) neighbour: Option<NodeName>,
+    /// How dear it is to use: of two paths the cheaper is taken.
+    pub(crate) cost: u16,
+    /// How often we say hello. A dead link is found after three and a half of the neighbour's.
+    pub(crate) hello_interval: Duration,
+}
+
+impl LinkSpec {
+    /// The usual link to this address.
+    pub(crate) fn new(name: &str, remote: MediumAddress) -> Self {
+        LinkSpec {
+            name: name.into(),
+            remote,
+            neighbour: None,
+            cost: 10,
+            hello_interval: Duration::from_millis(20),
+        }
+    }
+}
+
+/// What the network needs of its node.
+#[derive(Clone)]
+pub(crate) struct NetEnvironment {
+    /// Our name.
+    pub(crate) node: NodeName,
+    /// Our life.
+    pub(crate) incarnation: Incarnation,
+    /// Keeps the network's actors alive.
+    pub(crate) guardian: Guardian,
+    /// Where they live; `None` for here.
+    pub(crate) arbiter: Option<ArbiterHandle>,
+    /// The objects of this node.
+    pub(crate) registry: Registry,
+    /// Its topics.
+    pub(crate) topics: Topics,
+    /// Gets faults that other nodes tell us of.
+    pub(crate) recoverer: Option<Recipient<Recover>>,
+    /// Is told how links are.
+    pub(crate) links: Option<Recipient<LinkReported>>,
+    /// Is told how nodes are.
+    pub(crate) nodes: Option<Recipient<NodeReported>>,
+}
+
+/// Why a network cannot be started.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum NetError {
+    /// Two networks, or two links of one, have one name.
+    #[error("two links are called {name}: give one of them another name")]
+    LinkNameTaken {
+        /// The name.
+        name: String,
+    },
+    /// Two links of one network lead to one address.
+    #[error("two links of network {network} lead to {remote}: leave one of them out")]
+    RemoteTaken {
+        /// The network.
+        network: String,
+        /// The address.
+        remote: String,
+    },
+}
+
+/// A started network. Clones are the same network.
+#[derive(Clone)]
+pub(crate) struct NetHandle {
+    gateway: Addr<gateway::Gateway>,
+    sessions: Addr<sessions::Sessions>,
+    router: Addr<router::Router>,
+    networks: Vec<Addr<links::Links>>,
+    guardian: Guardian,
+    arbiter: Option<ArbiterHandle>,
+    doors: Arc<door::Doors>,
+}
+
+/// Starts the network of a node, and connects the registry and the topics to it.
+///
+/// # Errors
+/// [`NetError`], before anything is started.
+pub(crate) fn start(
+    environment: NetEnvironment,
+    networks: Vec<NetworkSpec>,
+) -> Result<NetHandle, NetError> {
+    check(&networks)?;
+    let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
+    let (life, place) = ((node.clone(), incarnation), arbiter.as_ref());
+
+    let make = { router::Router::maker(life.clone(), environment.nodes.clone()) };
+    let router = guardian.start(named("router"), place, make);
+
+    let to_router = (router.clone().recipient(), life.clone());
+    let sessions = guardian.start(named("sessions"), place, move |_| {
+        let (router, (node, incarnation)) = to_router;
+        sessions::Sessions::new(node, incarnation, router)
+    });
+    router.do_send(AddSessions {
+        segments: sessions.clone().recipient(),
+        paths: sessions.clone().recipient(),
+    });
+
+    let doors = Arc::new(door::Doors::default());
+    let make = gateway::Gateway::maker(&environment, sessions.clone(), doors.clone());
+    let gateway = guardian.start(named("gateway"), place, make);
+    doors.lead_to(gateway.clone());
+    sessions.do_send(AddGateway(gateway.clone().recipient()));
+    let remote: Arc<dyn RemoteDoors> = doors.clone();
+    environment.registry.connect(node, Some(remote));
+
+    let mut next = 0;
+    let networks = networks.into_iter().map(|spec| {
+        let name = named(&format!("links/{}", spec.name));
+        let first = next;
+        next += spec.links.len() as u16;
+        let numbers: Vec<_> = (first..next).map(LinkNumber).collect();
+        let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
+        let wiring = links::Wiring {
+            node: life.0.clone(),
+            incarnation: life.1,
+            network: spec.name,
+            transport: spec.transport,
+            router_changes: router.clone().recipient(),
+            router_loads: router.clone().recipient(),
+            monitor: environment.links.clone(),
+        };
+        let address = guardian.start(name, place, move |_| links::Links::new(wiring, links));
+        let (carry, report) = (address.clone().recipient(), address.clone().recipient());
+        router.do_send(AddLinks { links: numbers, carry, report });
+        address
+    });
+    let networks = networks.collect();
+    Ok(NetHandle { gateway, sessions, router, networks, guardian, arbiter, doors })
+}
+
+fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
+    let mut names = BTreeSet::new();
+    for NetworkSpec { name: network, links, .. } in networks {
+        let mut remotes = BTreeSet::new();
+        for LinkSpec { name, remote, .. } in links {
+            if !names.insert((network, name)) {
+                return Err(NetError::LinkNameTaken { name: name.to_string() });
+            }
+            if !remotes.insert(remote) {
+                let (network, remote) = (network.to_string(), remote.to_string());
+                return Err(NetError::RemoteTaken { network, remote });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The name under which the guardian reports one of the network's own actors.
+fn named(what: &str) -> ObjectName {
+    // A network's name is the user's and may hold anything; its links are then told by their kind.
+    let name = ObjectName::new(&format!("net/{what}"));
+    name.unwrap_or_else(|_| ObjectName::new("net/links").expect("a name of letters"))
+}
+
+impl NetHandle {
+    /// Takes faults for another node's recoverer. Its answer does not come, and the mailbox reports
+    /// itself closed, when the session with that node ends first.
+    pub(crate) fn recoverer_of(&self, node: &NodeName) -> Recipient<Recover> {
+        let (peer, gateway) = (NodeId::of(node), self.gateway.clone());
+        let name = named(&format!("port/{node}"));
+        let make = move |_: &mut Context<notice::Port>| notice::Port::new(peer, gateway);
+        self.guardian.start(name, self.arbiter.as_ref(), make).recipient()
+    }
+
+    /// The ways to objects of other nodes.
+    pub(crate) fn doors(&self) -> Arc<dyn RemoteDoors> {
+        self.doors.clone()
+    }
+
+    /// All links, in the order of the configuration.
+    pub(crate) async fn read_links(&self) -> Vec<LinkRow> {
+        let mut rows = Vec::new();
+        for network in &self.networks {
+            rows.extend(network.send(ReadLinks).await.unwrap_or_default());
+        }
+        rows
+    }
+
+    /// Every node that can be reached, and how.
+    pub(crate) async fn read_routes(&self) -> Routes {
+        let nothing = Routes { routes: Vec::new(), refusals: Default::default() };
+        self.router.send(ReadRoutes).await.unwrap_or(nothing)
+    }
+
+    /// All sessions.
+    pub(crate) async fn read_sessions(&self) -> Vec<SessionRow> {
+        self.sessions.send(ReadSessions).await.unwrap_or_default()
+    }
+
+    /// Every node that a session is open with, and its objects.
+    pub(crate) async fn read_names(&self) -> Vec<NodeRow> {
+        self.gateway.send(ReadNames).await.unwrap_or_default()
+    }
+
+    /// Takes [`PanicOnPurpose`], for the demonstration and tests.
+    pub(crate) fn router(&self) -> Recipient<PanicOnPurpose> {
+        self.router.clone().recipient()
+    }
+
+    /// Tells the peers that this node ends in order, delivers what was sent, and ends every session.
+    pub(crate) fn leave(&self) {
+        self.gateway.do_send(Leave);
+    }
+}

@@ -1,0 +1,211 @@
+//! The router's body.
+
+use crate::drive::{Body, Wake};
+use crate::platform;
+use actix::prelude::*;
+use blastema_contract::link::{AddLinks, Arrived, Carry, LinkChanged, Load, ReportLinks};
+use blastema_contract::monitor::NodeReported;
+use blastema_contract::router::{
+    AddSessions, PanicOnPurpose, PathReported, ReadRoutes, Routes, SegmentArrived, SendSegment,
+};
+use blastema_core::detection::NodeCondition;
+use blastema_core::net::{self, LinkNumber, RouterConfig, RouterOutput};
+use blastema_core::{Incarnation, NodeName};
+use std::collections::BTreeMap;
+use tracing::{debug, error, info};
+
+/// Forwards for this node.
+pub(super) struct Router {
+    config: RouterConfig,
+    machine: net::Router,
+    wake: Wake,
+    links: BTreeMap<LinkNumber, Recipient<Carry>>,
+    networks: Vec<Recipient<ReportLinks>>,
+    sessions: Option<AddSessions>,
+    monitor: Option<Recipient<NodeReported>>,
+    /// Who can be reached, in which life: what a router that begins anew must find again.
+    reached: BTreeMap<NodeName, Incarnation>,
+}
+
+impl Router {
+    pub(super) fn maker(
+        (node, incarnation): (NodeName, Incarnation),
+        monitor: Option<Recipient<NodeReported>>,
+    ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
+        move |_| {
+            let config = RouterConfig::new(node, incarnation);
+            Router {
+                machine: net::Router::new(config.clone(), platform::now()),
+                config,
+                wake: Wake::default(),
+                links: BTreeMap::new(),
+                networks: Vec::new(),
+                sessions: None,
+                monitor,
+                reached: BTreeMap::new(),
+            }
+        }
+    }
+
+    fn report_path(&self, report: PathReported) {
+        if let Some(sessions) = &self.sessions {
+            sessions.paths.do_send(report);
+        }
+    }
+
+    fn report_node(&self, node: NodeName, incarnation: Incarnation, condition: NodeCondition) {
+        if let Some(monitor) = &self.monitor {
+            monitor.do_send(NodeReported { node, incarnation, condition });
+        }
+    }
+
+    fn reachable(&mut self, node: NodeName, incarnation: Incarnation, mtu: usize) {
+        info!(%node, %incarnation, "node reachable");
+        let before = self.reached.insert(node.clone(), incarnation);
+        if before != Some(incarnation) {
+            let restarted = before.is_some();
+            let condition =
+                if restarted { NodeCondition::Restarted } else { NodeCondition::Reachable };
+            self.report_node(node.clone(), incarnation, condition);
+        }
+        self.report_path(PathReported::Reachable { node, incarnation, mtu });
+    }
+
+    fn lost(&mut self, node: NodeName, incarnation: Incarnation) {
+        info!(%node, %incarnation, "node lost");
+        self.reached.remove(&node);
+        let reason = "no path leads there any more".to_owned();
+        self.report_node(node.clone(), incarnation, NodeCondition::Lost { reason });
+        self.report_path(PathReported::Lost { node });
+    }
+}
+
+impl Actor for Router {
+    type Context = Context<Self>;
+}
+
+impl Supervised for Router {
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        let reached = self.reached.clone();
+        self.machine = net::Router::reborn(self.config.clone(), reached, platform::now());
+        self.wake = Wake::default();
+        self.networks.iter().for_each(|network| network.do_send(ReportLinks));
+        self.drive(context);
+    }
+}
+
+impl Body for Router {
+    type Machine = net::Router;
+
+    fn machine(&mut self) -> &mut net::Router {
+        &mut self.machine
+    }
+
+    fn wake(&mut self) -> &mut Wake {
+        &mut self.wake
+    }
+
+    fn carry_out(&mut self, output: RouterOutput, _: &mut Context<Self>) {
+        let carry = |link, load| {
+            if let Some(links) = self.links.get(&link) {
+                links.do_send(Carry { link, load });
+            }
+        };
+        match output {
+            RouterOutput::Routing { link, bytes } => carry(link, Load::Routing(bytes)),
+            RouterOutput::Packet { link, packet } => carry(link, Load::Packet(packet)),
+            RouterOutput::Segment { source, segment } => {
+                if let Some(sessions) = &self.sessions {
+                    sessions.segments.do_send(SegmentArrived { source, segment });
+                }
+            }
+            RouterOutput::Undelivered { destination, reason } => {
+                debug!(node = %destination, %reason, "a packet came back");
+            }
+            RouterOutput::Reachable { node, incarnation, mtu } => {
+                self.reachable(node, incarnation, mtu);
+            }
+            RouterOutput::PathChanged { node, mtu } => {
+                self.report_path(PathReported::Changed { node, mtu });
+            }
+            RouterOutput::Lost { node, incarnation } => self.lost(node, incarnation),
+            RouterOutput::NumberTaken { node, refused } => {
+                error!("the names {node} and {refused} give one node number: rename {refused}");
+            }
+            RouterOutput::NameTaken { incarnation } => {
+                error!("another node called {} has come up as {incarnation}", self.config.node);
+            }
+        }
+    }
+}
+
+impl Handler<AddLinks> for Router {
+    type Result = ();
+
+    fn handle(&mut self, message: AddLinks, _: &mut Context<Self>) {
+        let AddLinks { links, carry, report } = message;
+        self.links.extend(links.into_iter().map(|link| (link, carry.clone())));
+        report.do_send(ReportLinks);
+        self.networks.push(report);
+    }
+}
+
+impl Handler<AddSessions> for Router {
+    type Result = ();
+
+    fn handle(&mut self, message: AddSessions, _: &mut Context<Self>) {
+        self.sessions = Some(message);
+    }
+}
+
+impl Handler<LinkChanged> for Router {
+    type Result = ();
+
+    fn handle(&mut self, message: LinkChanged, context: &mut Context<Self>) {
+        let LinkChanged { link, status } = message;
+        self.machine.handle_link(link, status, platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<Arrived> for Router {
+    type Result = ();
+
+    fn handle(&mut self, message: Arrived, context: &mut Context<Self>) {
+        let Arrived { link, load } = message;
+        let now = platform::now();
+        match load {
+            Load::Routing(bytes) => self.machine.handle_routing(link, bytes, now),
+            Load::Packet(packet) => self.machine.handle_packet(link, packet, now),
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<SendSegment> for Router {
+    type Result = ();
+
+    fn handle(&mut self, message: SendSegment, context: &mut Context<Self>) {
+        let SendSegment { peer, class, segment } = message;
+        self.machine.handle_segment(peer, class, segment);
+        self.drive(context);
+    }
+}
+
+impl Handler<ReadRoutes> for Router {
+    type Result = Routes;
+
+    fn handle(&mut self, _: ReadRoutes, _: &mut Context<Self>) -> Routes {
+        let mut routes: Vec<_> = self.machine.routes().map(|(_, route)| route.clone()).collect();
+        routes.sort_by(|a, b| a.node.cmp(&b.node));
+        Routes { routes, refusals: self.machine.refusals() }
+    }
+}
+
+impl Handler<PanicOnPurpose> for Router {
+    type Result = ();
+
+    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+        panic!("the router panics on purpose");
+    }
+}

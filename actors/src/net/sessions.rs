@@ -1,0 +1,313 @@
+//! The body of all sessions of this node.
+
+use crate::drive::{Body, Wake};
+use crate::platform;
+use actix::prelude::*;
+use blastema_contract::router::{PathReported, SegmentArrived, SendSegment};
+use blastema_contract::session::{
+    AddGateway, BeginAnew, Leave, ReadSessions, Say, SayNewest, SessionReported, SessionRow,
+};
+use blastema_core::net::{Crowd, NodeId, Session, SessionConfig, SessionOutput};
+use blastema_core::{Incarnation, NodeName, Why};
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use tracing::{error, info};
+
+/// The most peers that are remembered. Twice what a router knows at a time: robots change.
+const PEERS_MAX: usize = 512;
+/// A session that is built anew counts on from there: more than any life of a session needs.
+const NUMBERS_PER_LIFE: u32 = 1 << 16;
+
+/// One session per peer node.
+pub(super) struct Sessions {
+    node: NodeName,
+    incarnation: Incarnation,
+    crowd: Crowd<NodeId, Session>,
+    wake: Wake,
+    peers: BTreeMap<NodeId, Peer>,
+    router: Recipient<SendSegment>,
+    gateway: Option<Recipient<SessionReported>>,
+}
+
+struct Peer {
+    node: NodeName,
+    /// Its life, and the largest segment on the way, while there is one.
+    path: Option<(Incarnation, usize)>,
+    /// Sessions are numbered above this.
+    number: u32,
+}
+
+impl Sessions {
+    pub(super) fn new(
+        node: NodeName,
+        incarnation: Incarnation,
+        router: Recipient<SendSegment>,
+    ) -> Self {
+        Sessions {
+            node,
+            incarnation,
+            crowd: Crowd::default(),
+            wake: Wake::default(),
+            peers: BTreeMap::new(),
+            router,
+            gateway: None,
+        }
+    }
+
+    fn build(&mut self, id: NodeId) {
+        let Some(peer) = self.peers.get(&id) else { return };
+        let (node, incarnation) = (self.node.clone(), self.incarnation);
+        let config = SessionConfig::new(node, incarnation, peer.node.clone());
+        let config = SessionConfig { number: peer.number, ..config };
+        self.crowd.insert(id, Session::new(config, platform::now()));
+    }
+
+    fn meet(&mut self, node: NodeName) -> NodeId {
+        let id = NodeId::of(&node);
+        if !self.peers.contains_key(&id) {
+            if self.peers.len() >= PEERS_MAX {
+                self.forget_one();
+            }
+            self.peers.insert(id, Peer { node, path: None, number: 0 });
+            self.build(id);
+        }
+        id
+    }
+
+    /// Makes room for a new peer: somebody without a path goes.
+    fn forget_one(&mut self) {
+        let gone = self.peers.iter().find(|(_, peer)| peer.path.is_none()).map(|(id, _)| *id);
+        if let Some(id) = gone {
+            self.peers.remove(&id);
+            self.crowd.remove(id);
+            self.report(SessionReported::Ended { peer: id, why: Why::Stopped });
+        }
+    }
+
+    fn report(&self, report: SessionReported) {
+        if let Some(gateway) = &self.gateway {
+            gateway.do_send(report);
+        }
+    }
+
+    fn give_back(&self, peer: NodeId, refused: Result<(), (Why, bytes::Bytes)>) {
+        if let Err((why, message)) = refused {
+            self.report(SessionReported::Returned { peer, message, why });
+        }
+    }
+
+    fn unreachable(&self, peer: NodeId) -> Why {
+        let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
+        Why::Unreachable { node }
+    }
+}
+
+impl Actor for Sessions {
+    type Context = Context<Self>;
+}
+
+impl Supervised for Sessions {
+    /// The session that was being served is built anew; the others have not noticed.
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        self.wake = Wake::default();
+        if let Some(id) = self.crowd.last()
+            && let Some(mut broken) = self.crowd.remove(id)
+        {
+            let why = self.unreachable(id);
+            // What it still holds is given back, if it can be read at all.
+            let held = catch_unwind(AssertUnwindSafe(|| broken.surrender())).unwrap_or_default();
+            for (_, message) in held {
+                let why = why.clone();
+                self.report(SessionReported::Returned { peer: id, message, why });
+            }
+            self.report(SessionReported::Ended { peer: id, why });
+            if let Some(peer) = self.peers.get_mut(&id) {
+                peer.number = peer.number.max(broken.number()).saturating_add(NUMBERS_PER_LIFE);
+            }
+            self.build(id);
+            let path = self.peers.get(&id).and_then(|peer| peer.path);
+            if let (Some((incarnation, mtu)), Some(session)) = (path, self.crowd.get_mut(id)) {
+                session.handle_incarnation(incarnation, platform::now());
+                session.handle_path(mtu, platform::now());
+            }
+        }
+        self.drive(context);
+    }
+}
+
+impl Body for Sessions {
+    type Machine = Crowd<NodeId, Session>;
+
+    fn machine(&mut self) -> &mut Self::Machine {
+        &mut self.crowd
+    }
+
+    fn wake(&mut self) -> &mut Wake {
+        &mut self.wake
+    }
+
+    fn carry_out(&mut self, output: (NodeId, SessionOutput), _: &mut Context<Self>) {
+        let (peer, output) = output;
+        match output {
+            SessionOutput::Transmit { class, segment } => {
+                self.router.do_send(SendSegment { peer, class, segment });
+            }
+            SessionOutput::Opened { incarnation } => {
+                let Some(known) = self.peers.get(&peer) else { return };
+                let node = known.node.clone();
+                info!(%node, %incarnation, "session open");
+                self.report(SessionReported::Opened { node, incarnation });
+            }
+            SessionOutput::Message { message, .. } | SessionOutput::Newest { message, .. } => {
+                self.report(SessionReported::Message { peer, message });
+            }
+            SessionOutput::Returned { message, why, .. } => {
+                self.report(SessionReported::Returned { peer, message, why });
+            }
+            SessionOutput::Ended { incarnation, why } => {
+                info!(%peer, %incarnation, %why, "session ended");
+                self.report(SessionReported::Ended { peer, why });
+            }
+            SessionOutput::Full { .. } => self.report(SessionReported::Full { peer }),
+            SessionOutput::Room { .. } => self.report(SessionReported::Room { peer }),
+            SessionOutput::Incompatible { theirs } => {
+                error!(%peer, theirs, "the peer's sessions speak another version: update one node");
+            }
+        }
+    }
+}
+
+impl Handler<AddGateway> for Sessions {
+    type Result = ();
+
+    fn handle(&mut self, message: AddGateway, _: &mut Context<Self>) {
+        self.gateway = Some(message.0);
+    }
+}
+
+impl Handler<PathReported> for Sessions {
+    type Result = ();
+
+    fn handle(&mut self, message: PathReported, context: &mut Context<Self>) {
+        let now = platform::now();
+        match message {
+            PathReported::Reachable { node, incarnation, mtu } => {
+                let id = self.meet(node.clone());
+                if let Some(peer) = self.peers.get_mut(&id) {
+                    peer.path = Some((incarnation, mtu));
+                }
+                self.report(SessionReported::Reachable { node });
+                if let Some(session) = self.crowd.get_mut(id) {
+                    session.handle_incarnation(incarnation, now);
+                    session.handle_path(mtu, now);
+                }
+            }
+            PathReported::Changed { node, mtu } => {
+                if let Some((_, old)) =
+                    self.peers.get_mut(&node).and_then(|peer| peer.path.as_mut())
+                {
+                    *old = mtu;
+                }
+                if let Some(session) = self.crowd.get_mut(node) {
+                    session.handle_path(mtu, now);
+                }
+            }
+            PathReported::Lost { node } => {
+                let id = NodeId::of(&node);
+                if let Some(peer) = self.peers.get_mut(&id) {
+                    peer.path = None;
+                }
+                self.report(SessionReported::Unreachable { node });
+                if let Some(session) = self.crowd.get_mut(id) {
+                    session.handle_no_path(now);
+                }
+            }
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<SegmentArrived> for Sessions {
+    type Result = ();
+
+    fn handle(&mut self, message: SegmentArrived, context: &mut Context<Self>) {
+        let SegmentArrived { source, segment } = message;
+        // A peer that the router has not told of yet repeats itself.
+        let Some(session) = self.crowd.get_mut(source) else { return };
+        session.handle_segment(segment, platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<Say> for Sessions {
+    type Result = ();
+
+    fn handle(&mut self, say: Say, context: &mut Context<Self>) {
+        let Say { peer, stream, message } = say;
+        let sent = match self.crowd.get_mut(peer) {
+            Some(session) => session.handle_send(stream, message, platform::now()),
+            None => Err((self.unreachable(peer), message)),
+        };
+        self.give_back(peer, sent);
+        self.drive(context);
+    }
+}
+
+impl Handler<SayNewest> for Sessions {
+    type Result = ();
+
+    fn handle(&mut self, say: SayNewest, context: &mut Context<Self>) {
+        let SayNewest { peer, channel, message } = say;
+        let sent = match self.crowd.get_mut(peer) {
+            Some(session) => session.handle_send_newest(channel, message, platform::now()),
+            None => Err((self.unreachable(peer), message)),
+        };
+        self.give_back(peer, sent);
+        self.drive(context);
+    }
+}
+
+impl Handler<BeginAnew> for Sessions {
+    type Result = ();
+
+    fn handle(&mut self, _: BeginAnew, context: &mut Context<Self>) {
+        let ids: Vec<_> = self.peers.keys().copied().collect();
+        for session in ids {
+            if let Some(session) = self.crowd.get_mut(session) {
+                session.handle_begin_anew(platform::now());
+            }
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<Leave> for Sessions {
+    type Result = ();
+
+    fn handle(&mut self, _: Leave, context: &mut Context<Self>) {
+        let ids: Vec<_> = self.peers.keys().copied().collect();
+        for session in ids {
+            if let Some(session) = self.crowd.get_mut(session) {
+                session.handle_close(platform::now());
+            }
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<ReadSessions> for Sessions {
+    type Result = MessageResult<ReadSessions>;
+
+    fn handle(&mut self, _: ReadSessions, _: &mut Context<Self>) -> Self::Result {
+        let row = |(id, session): (NodeId, &Session)| {
+            Some(SessionRow {
+                node: self.peers.get(&id)?.node.clone(),
+                incarnation: session.peer(),
+                round_trip: session.round_trip(),
+                counters: session.counters(),
+                refusals: session.refusals(),
+            })
+        };
+        MessageResult(self.crowd.iter().filter_map(row).collect())
+    }
+}

@@ -1,0 +1,90 @@
+//! Between the links of a network and the router.
+//!
+//! ```text
+//! transport ──Received, TransportReport──► links ──LinkChanged, Arrived──► router
+//!           ◄─Transmit────────────────────       ◄─Carry, ReportLinks────
+//! ```
+
+use actix::{Message, Recipient};
+use blastema_core::net::router::LinkStatus;
+use blastema_core::net::{LinkNumber, LinkState, Neighbour, Quality, Refusals};
+use bytes::Bytes;
+use std::sync::Arc;
+
+/// What a link carries.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Load {
+    /// From router to router, no further.
+    Routing(Bytes),
+    /// A packet on its way.
+    Packet(Bytes),
+}
+
+/// The router wants a link to carry this. Dropped and counted where the link is not up.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Carry {
+    /// Which link.
+    pub link: LinkNumber,
+    /// What.
+    pub load: Load,
+}
+
+/// A link's neighbour has sent this.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Arrived {
+    /// Which link.
+    pub link: LinkNumber,
+    /// What.
+    pub load: Load,
+}
+
+/// A link is now as follows.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct LinkChanged {
+    /// Which.
+    pub link: LinkNumber,
+    /// How.
+    pub status: LinkStatus,
+}
+
+/// The router begins anew: every link is to tell how it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct ReportLinks;
+
+/// The links of a network present themselves to the router.
+#[derive(Clone, Debug, Message)]
+#[rtype(result = "()")]
+pub struct AddLinks {
+    /// Which.
+    pub links: Vec<LinkNumber>,
+    /// Takes what they are to carry.
+    pub carry: Recipient<Carry>,
+    /// Asks them how they are.
+    pub report: Recipient<ReportLinks>,
+}
+
+/// Asks a network for all its links.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "Vec<LinkRow>")]
+pub struct ReadLinks;
+
+/// One link, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LinkRow {
+    /// The network's name in the configuration.
+    pub network: Arc<str>,
+    /// The link's name there.
+    pub link: Arc<str>,
+    /// Its state.
+    pub state: LinkState,
+    /// Who is, or was last, at its other end.
+    pub neighbour: Option<Neighbour>,
+    /// How good it is.
+    pub quality: Quality,
+    /// What was refused on it.
+    pub refusals: Refusals,
+}

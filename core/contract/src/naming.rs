@@ -1,0 +1,28 @@
+//! What anyone may ask about the objects of other nodes.
+
+use actix::Message;
+use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName};
+
+/// Where are objects of this name?
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "Vec<ObjectAddress>")]
+pub struct FindObject {
+    /// The name.
+    pub object: ObjectName,
+}
+
+/// Asks for every node that a session is open with, and its objects.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "Vec<NodeRow>")]
+pub struct ReadNames;
+
+/// One node, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NodeRow {
+    /// Which.
+    pub node: NodeName,
+    /// In which of its lives.
+    pub incarnation: Incarnation,
+    /// What it has.
+    pub objects: Vec<ObjectAddress>,
+}

@@ -1,0 +1,88 @@
+//! Between the router and the sessions.
+//!
+//! ```text
+//! sessions ──SendSegment──► router ──PathReported, SegmentArrived──► sessions
+//! ```
+
+use actix::{Message, Recipient};
+use blastema_core::net::{Class, NodeId, Refusals, Route};
+use blastema_core::{Incarnation, NodeName};
+use bytes::Bytes;
+
+/// A session wants this brought to its peer.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct SendSegment {
+    /// Whom.
+    pub peer: NodeId,
+    /// How urgent it is.
+    pub class: Class,
+    /// What.
+    pub segment: Bytes,
+}
+
+/// Another node's session has sent this.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct SegmentArrived {
+    /// Which node.
+    pub source: NodeId,
+    /// What.
+    pub segment: Bytes,
+}
+
+/// The way to a node has changed.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub enum PathReported {
+    /// It can be reached, or has a new incarnation.
+    Reachable {
+        /// Which.
+        node: NodeName,
+        /// In which of its lives.
+        incarnation: Incarnation,
+        /// The largest segment on the way, in bytes.
+        mtu: usize,
+    },
+    /// What is sent to it takes another way: repeat what is not acknowledged.
+    Changed {
+        /// Which.
+        node: NodeId,
+        /// The largest segment on the way, in bytes.
+        mtu: usize,
+    },
+    /// No path leads there any more.
+    Lost {
+        /// Which.
+        node: NodeName,
+    },
+}
+
+/// The sessions present themselves to the router.
+#[derive(Clone, Debug, Message)]
+#[rtype(result = "()")]
+pub struct AddSessions {
+    /// Takes what arrives.
+    pub segments: Recipient<SegmentArrived>,
+    /// Takes news of paths.
+    pub paths: Recipient<PathReported>,
+}
+
+/// Asks for every node that can be reached, and how.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "Routes")]
+pub struct ReadRoutes;
+
+/// The answer to [`ReadRoutes`].
+#[derive(Clone, Debug, PartialEq, Eq, actix::MessageResponse)]
+pub struct Routes {
+    /// In the order of the nodes' names.
+    pub routes: Vec<Route>,
+    /// What was refused so far.
+    pub refusals: Refusals,
+}
+
+/// The receiver panics. For demonstrations and tests of what becomes of that.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct PanicOnPurpose;

@@ -1,0 +1,129 @@
+//! Between the sessions and the gateway, which speaks for the objects of the node.
+//!
+//! ```text
+//! gateway ──Say, SayNewest──► sessions ──SessionReported──► gateway
+//! ```
+
+use actix::{Message, Recipient};
+use blastema_core::net::segment::Stream;
+use blastema_core::net::session::SessionCounters;
+use blastema_core::net::{NodeId, Refusals};
+use blastema_core::{Incarnation, NodeName, Why};
+use bytes::Bytes;
+use std::time::Duration;
+
+/// Sends a message, exactly once and in the order of its stream. If it cannot be, it comes back as
+/// [`SessionReported::Returned`].
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Say {
+    /// Whom.
+    pub peer: NodeId,
+    /// In which stream.
+    pub stream: Stream,
+    /// What.
+    pub message: Bytes,
+}
+
+/// Sends a message once, if at all: of one channel the newest that arrives counts.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct SayNewest {
+    /// Whom.
+    pub peer: NodeId,
+    /// On which channel.
+    pub channel: u32,
+    /// What.
+    pub message: Bytes,
+}
+
+/// What a session has to tell.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub enum SessionReported {
+    /// A node can be reached; a session will begin.
+    Reachable {
+        /// Which.
+        node: NodeName,
+    },
+    /// No path leads to it any more; its session waits for one for a while.
+    Unreachable {
+        /// Which.
+        node: NodeName,
+    },
+    /// A session has begun.
+    Opened {
+        /// With whom.
+        node: NodeName,
+        /// In which of its lives.
+        incarnation: Incarnation,
+    },
+    /// A message has arrived.
+    Message {
+        /// From whom.
+        peer: NodeId,
+        /// What.
+        message: Bytes,
+    },
+    /// A message was not delivered, or perhaps not.
+    Returned {
+        /// To whom.
+        peer: NodeId,
+        /// What.
+        message: Bytes,
+        /// Why.
+        why: Why,
+    },
+    /// A session is over; what was unacknowledged has been returned.
+    Ended {
+        /// With whom.
+        peer: NodeId,
+        /// Why.
+        why: Why,
+    },
+    /// Stop sending to this peer, or messages will soon be returned.
+    Full {
+        /// Whom.
+        peer: NodeId,
+    },
+    /// Sending may go on.
+    Room {
+        /// Whom.
+        peer: NodeId,
+    },
+}
+
+/// The gateway presents itself to the sessions.
+#[derive(Clone, Debug, Message)]
+#[rtype(result = "()")]
+pub struct AddGateway(pub Recipient<SessionReported>);
+
+/// The gateway begins anew: every session is to end and begin again, so that both ends agree.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct BeginAnew;
+
+/// This node ends in order: what was sent is to be delivered, then every session ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Leave;
+
+/// Asks for all sessions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "Vec<SessionRow>")]
+pub struct ReadSessions;
+
+/// One session, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SessionRow {
+    /// With whom.
+    pub node: NodeName,
+    /// In which of its lives; `None` while there is none open.
+    pub incarnation: Option<Incarnation>,
+    /// The smoothed round trip.
+    pub round_trip: Option<Duration>,
+    /// What it did so far.
+    pub counters: SessionCounters,
+    /// What was refused so far.
+    pub refusals: Refusals,
+}

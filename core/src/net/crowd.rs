@@ -1,0 +1,160 @@
+//! Many machines of one kind, driven as one.
+
+use crate::{Instant, Machine};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Machines by key: the links over one transport, the sessions of one node.
+///
+/// Whoever is spoken to is asked for its outputs, nobody else; the earliest deadline is known without
+/// looking at all.
+#[derive(Debug)]
+pub struct Crowd<K, M> {
+    members: BTreeMap<K, M>,
+    /// Those that may have outputs.
+    talking: BTreeSet<K>,
+    due: BTreeSet<(Instant, K)>,
+    due_of: BTreeMap<K, Instant>,
+    /// Who was spoken to last: the one to suspect when the thread unwinds.
+    last: Option<K>,
+}
+
+impl<K, M> Default for Crowd<K, M> {
+    fn default() -> Self {
+        Crowd {
+            members: BTreeMap::new(),
+            talking: BTreeSet::new(),
+            due: BTreeSet::new(),
+            due_of: BTreeMap::new(),
+            last: None,
+        }
+    }
+}
+
+impl<K: Ord + Copy, M: Machine> Crowd<K, M> {
+    /// Adds a member, or replaces it. Both may have something to say at once.
+    pub fn insert(&mut self, key: K, machine: M) {
+        self.members.insert(key, machine);
+        self.talking.insert(key);
+    }
+
+    /// Takes a member out.
+    pub fn remove(&mut self, key: K) -> Option<M> {
+        self.talking.remove(&key);
+        self.settle(key, None);
+        self.members.remove(&key)
+    }
+
+    /// Looks at a member.
+    pub fn get(&self, key: K) -> Option<&M> {
+        self.members.get(&key)
+    }
+
+    /// Speaks to a member; its outputs are polled next.
+    pub fn get_mut(&mut self, key: K) -> Option<&mut M> {
+        let member = self.members.get_mut(&key)?;
+        self.talking.insert(key);
+        self.last = Some(key);
+        Some(member)
+    }
+
+    /// All members, in the order of their keys.
+    pub fn iter(&self) -> impl Iterator<Item = (K, &M)> {
+        self.members.iter().map(|(key, member)| (*key, member))
+    }
+
+    /// Who was being served when a panic interrupted the crowd.
+    pub fn last(&self) -> Option<K> {
+        self.last
+    }
+
+    fn settle(&mut self, key: K, due: Option<Instant>) {
+        let before = match due {
+            Some(due) => self.due_of.insert(key, due),
+            None => self.due_of.remove(&key),
+        };
+        if before != due {
+            before.map(|before| self.due.remove(&(before, key)));
+            self.due.extend(due.map(|due| (due, key)));
+        }
+    }
+}
+
+impl<K: Ord + Copy, M: Machine> Machine for Crowd<K, M> {
+    type Output = (K, M::Output);
+
+    fn poll_output(&mut self) -> Option<(K, M::Output)> {
+        while let Some(&key) = self.talking.first() {
+            self.last = Some(key);
+            let member = self.members.get_mut(&key);
+            if let Some(output) = member.and_then(Machine::poll_output) {
+                return Some((key, output));
+            }
+            self.talking.remove(&key);
+            let due = self.members.get(&key).and_then(Machine::poll_timeout);
+            self.settle(key, due);
+        }
+        None
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.due.first().map(|(due, _)| *due)
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        let due: Vec<_> = self.due.range(..).take_while(|(at, _)| *at <= now).copied().collect();
+        for (_, key) in due {
+            if let Some(member) = self.get_mut(key) {
+                member.handle_timeout(now);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Says its number whenever it is woken, every so many milliseconds.
+    struct Clock {
+        every: u64,
+        next: Instant,
+        says: Option<u64>,
+    }
+
+    impl Machine for Clock {
+        type Output = u64;
+
+        fn poll_output(&mut self) -> Option<u64> {
+            self.says.take()
+        }
+
+        fn poll_timeout(&self) -> Option<Instant> {
+            Some(self.next)
+        }
+
+        fn handle_timeout(&mut self, now: Instant) {
+            self.says = Some(self.every);
+            self.next = now + std::time::Duration::from_millis(self.every);
+        }
+    }
+
+    #[test]
+    fn each_member_is_woken_at_its_own_time_and_heard() {
+        let mut crowd = Crowd::default();
+        for every in [2, 3] {
+            crowd.insert(every, Clock { every, next: Instant::ORIGIN, says: None });
+        }
+        let mut heard = vec![];
+        while crowd.poll_output().is_some() {}
+        for now in 0..=6 {
+            crowd.handle_timeout(Instant::from_millis(now));
+            while let Some((key, says)) = crowd.poll_output() {
+                assert_eq!(key, says);
+                heard.push((now, says));
+            }
+        }
+        assert_eq!(heard, [(0, 2), (0, 3), (2, 2), (3, 3), (4, 2), (6, 2), (6, 3)]);
+        assert!(crowd.remove(2).is_some() && crowd.get(2).is_none());
+        assert_eq!(crowd.poll_timeout(), Some(Instant::from_millis(9)));
+    }
+}

@@ -1,0 +1,465 @@
+//! What nodes say to each other within a session: bindings, requests, events, names, faults.
+//!
+//! ```text
+//! kind 1 │ fields in the order of the variant
+//! ```
+//! Numbers are of variable length, texts and byte strings stand after their length, a last byte
+//! string without. An error is encoded as [`Why`] by the codec; it is no daily traffic.
+//!
+//! ```text
+//!   one node                                  the other
+//!      │ bind 1: laser, laser/scan v1 ──────────► │  the first message of a contract to an object
+//!      │ ◄─────────────────────────── bound 1     │
+//!      │ request 7 through binding 1 ───────────► │  6 bytes before the message's own
+//!      │ ◄─────────────────────────── reply 7     │
+//! ```
+
+use super::wire::{Reader, WireError, Write};
+use crate::{MessageId, ObjectName, Why, codec};
+use bytes::{BufMut, Bytes, BytesMut};
+
+/// The longest name of a topic, in bytes.
+const TOPIC_MAX: usize = 255;
+/// The most bytes of a contract's identity: what [`PeerIdentity::decode`](crate::PeerIdentity::decode)
+/// takes.
+const IDENTITY_MAX: usize = 16 * 1024;
+/// The most bytes of an error. The longest shows 24 lines of differences.
+const WHY_MAX: usize = 8 * 1024;
+
+/// What two nodes say to each other.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Message {
+    /// I shall send messages of this contract to this object under this number.
+    Bind {
+        /// The number, chosen by the sender; good for this session.
+        binding: u32,
+        /// Whom.
+        object: ObjectName,
+        /// The contract as the sender knows it, an encoded [`PeerIdentity`](crate::PeerIdentity).
+        identity: Bytes,
+    },
+    /// The contract is the same here, and the object takes it.
+    Bound {
+        /// Which.
+        binding: u32,
+    },
+    /// It cannot be.
+    BindRefused {
+        /// Which.
+        binding: u32,
+        /// Why.
+        why: Why,
+        /// The contract as the receiver knows it; empty if it does not.
+        identity: Bytes,
+    },
+    /// A message that wants a reply.
+    Request {
+        /// The binding.
+        binding: u32,
+        /// By which number to reply.
+        call: u64,
+        /// By which identity a repeated message is known.
+        id: Option<MessageId>,
+        /// The message.
+        payload: Bytes,
+    },
+    /// The reply.
+    Reply {
+        /// To which request.
+        call: u64,
+        /// The encoded reply, or why there is none.
+        result: Result<Bytes, Why>,
+    },
+    /// A message that wants no reply.
+    Tell {
+        /// The binding.
+        binding: u32,
+        /// By which identity a repeated message is known.
+        id: Option<MessageId>,
+        /// The message.
+        payload: Bytes,
+    },
+    /// Send me what is published with you on this topic.
+    Subscribe {
+        /// The number, chosen by the listener; good for this session.
+        subscription: u32,
+        /// The topic.
+        topic: String,
+        /// The contract as the listener knows it.
+        identity: Bytes,
+    },
+    /// The contract is another here; nothing will come.
+    SubscribeRefused {
+        /// Which.
+        subscription: u32,
+        /// Why.
+        why: Why,
+    },
+    /// Nobody here listens any more.
+    Unsubscribe {
+        /// Which.
+        subscription: u32,
+    },
+    /// Something was published.
+    Event {
+        /// For which subscription.
+        subscription: u32,
+        /// The event.
+        payload: Bytes,
+    },
+    /// A fault, for the receiver's recoverer.
+    Notice {
+        /// By which number to confirm.
+        number: u64,
+        /// The fault, as the fault chain encodes it.
+        payload: Bytes,
+    },
+    /// The fault has arrived.
+    Confirmed {
+        /// Which.
+        number: u64,
+    },
+    /// Objects of this node have come and gone.
+    Names {
+        /// Everything said before is void: these are all.
+        complete: bool,
+        /// Who came.
+        added: Vec<ObjectName>,
+        /// Who went.
+        removed: Vec<ObjectName>,
+    },
+    /// This node ends in order and will not be back soon: do not take it for lost.
+    Bye,
+}
+
+const BIND: u8 = 0;
+const BOUND: u8 = 1;
+const BIND_REFUSED: u8 = 2;
+const REQUEST: u8 = 3;
+const REPLY: u8 = 4;
+const REPLY_FAILED: u8 = 5;
+const TELL: u8 = 6;
+const SUBSCRIBE: u8 = 7;
+const SUBSCRIBE_REFUSED: u8 = 8;
+const UNSUBSCRIBE: u8 = 9;
+const EVENT: u8 = 10;
+const NOTICE: u8 = 11;
+const CONFIRMED: u8 = 12;
+const NAMES: u8 = 13;
+const BYE: u8 = 14;
+
+impl Message {
+    /// The message's bytes.
+    pub fn encode(&self) -> Bytes {
+        let mut bytes = BytesMut::with_capacity(24 + self.payload_length());
+        match self {
+            Message::Bind { binding, object, identity } => {
+                numbered(&mut bytes, BIND, *binding);
+                bytes.sized(object.as_str().as_bytes());
+                bytes.put_slice(identity);
+            }
+            Message::Bound { binding } => numbered(&mut bytes, BOUND, *binding),
+            Message::BindRefused { binding, why, identity } => {
+                numbered(&mut bytes, BIND_REFUSED, *binding);
+                bytes.sized(&encode_why(why));
+                bytes.put_slice(identity);
+            }
+            Message::Request { binding, call, id, payload } => {
+                numbered(&mut bytes, REQUEST, *binding);
+                bytes.varint(*call);
+                put_id(&mut bytes, *id);
+                bytes.put_slice(payload);
+            }
+            Message::Reply { call, result: Ok(payload) } => {
+                bytes.put_u8(REPLY);
+                bytes.varint(*call);
+                bytes.put_slice(payload);
+            }
+            Message::Reply { call, result: Err(why) } => {
+                bytes.put_u8(REPLY_FAILED);
+                bytes.varint(*call);
+                bytes.sized(&encode_why(why));
+            }
+            Message::Tell { binding, id, payload } => {
+                numbered(&mut bytes, TELL, *binding);
+                put_id(&mut bytes, *id);
+                bytes.put_slice(payload);
+            }
+            Message::Subscribe { subscription, topic, identity } => {
+                numbered(&mut bytes, SUBSCRIBE, *subscription);
+                bytes.sized(topic.as_bytes());
+                bytes.put_slice(identity);
+            }
+            Message::SubscribeRefused { subscription, why } => {
+                numbered(&mut bytes, SUBSCRIBE_REFUSED, *subscription);
+                bytes.sized(&encode_why(why));
+            }
+            Message::Unsubscribe { subscription } => {
+                numbered(&mut bytes, UNSUBSCRIBE, *subscription);
+            }
+            Message::Event { subscription, payload } => {
+                numbered(&mut bytes, EVENT, *subscription);
+                bytes.put_slice(payload);
+            }
+            Message::Notice { number, payload } => {
+                bytes.put_u8(NOTICE);
+                bytes.varint(*number);
+                bytes.put_slice(payload);
+            }
+            Message::Confirmed { number } => {
+                bytes.put_u8(CONFIRMED);
+                bytes.varint(*number);
+            }
+            Message::Names { complete, added, removed } => {
+                bytes.put_u8(NAMES);
+                bytes.put_u8((*complete).into());
+                for names in [added, removed] {
+                    bytes.varint(names.len() as u64);
+                    names.iter().for_each(|name| bytes.sized(name.as_str().as_bytes()));
+                }
+            }
+            Message::Bye => bytes.put_u8(BYE),
+        }
+        bytes.freeze()
+    }
+
+    fn payload_length(&self) -> usize {
+        match self {
+            Message::Bind { identity, .. } | Message::Subscribe { identity, .. } => identity.len(),
+            Message::Request { payload, .. }
+            | Message::Reply { result: Ok(payload), .. }
+            | Message::Tell { payload, .. }
+            | Message::Event { payload, .. }
+            | Message::Notice { payload, .. } => payload.len(),
+            _ => 0,
+        }
+    }
+
+    /// Reads a message.
+    ///
+    /// # Errors
+    /// [`WireError`] for anything that [`encode`](Message::encode) does not write.
+    pub fn decode(bytes: Bytes) -> Result<Message, WireError> {
+        let mut reader = Reader::new(bytes);
+        let what = "a message";
+        Ok(match reader.u8()? {
+            BIND => Message::Bind {
+                binding: number(&mut reader)?,
+                object: reader.parsed("an object's name")?,
+                identity: rest(reader, IDENTITY_MAX, "a contract's identity")?,
+            },
+            BOUND => {
+                let binding = number(&mut reader)?;
+                reader.end(what)?;
+                Message::Bound { binding }
+            }
+            BIND_REFUSED => Message::BindRefused {
+                binding: number(&mut reader)?,
+                why: read_why(&mut reader)?,
+                identity: rest(reader, IDENTITY_MAX, "a contract's identity")?,
+            },
+            REQUEST => Message::Request {
+                binding: number(&mut reader)?,
+                call: reader.varint()?,
+                id: read_id(&mut reader)?,
+                payload: reader.rest(),
+            },
+            REPLY => Message::Reply { call: reader.varint()?, result: Ok(reader.rest()) },
+            REPLY_FAILED => {
+                let call = reader.varint()?;
+                let why = read_why(&mut reader)?;
+                reader.end(what)?;
+                Message::Reply { call, result: Err(why) }
+            }
+            TELL => Message::Tell {
+                binding: number(&mut reader)?,
+                id: read_id(&mut reader)?,
+                payload: reader.rest(),
+            },
+            SUBSCRIBE => Message::Subscribe {
+                subscription: number(&mut reader)?,
+                topic: reader.text(TOPIC_MAX, "a topic's name")?,
+                identity: rest(reader, IDENTITY_MAX, "a contract's identity")?,
+            },
+            SUBSCRIBE_REFUSED => {
+                let subscription = number(&mut reader)?;
+                let why = read_why(&mut reader)?;
+                reader.end(what)?;
+                Message::SubscribeRefused { subscription, why }
+            }
+            UNSUBSCRIBE => {
+                let subscription = number(&mut reader)?;
+                reader.end(what)?;
+                Message::Unsubscribe { subscription }
+            }
+            EVENT => Message::Event { subscription: number(&mut reader)?, payload: reader.rest() },
+            NOTICE => Message::Notice { number: reader.varint()?, payload: reader.rest() },
+            CONFIRMED => {
+                let number = reader.varint()?;
+                reader.end(what)?;
+                Message::Confirmed { number }
+            }
+            NAMES => {
+                let complete = reader.u8()? != 0;
+                let added = read_names(&mut reader)?;
+                let removed = read_names(&mut reader)?;
+                reader.end(what)?;
+                Message::Names { complete, added, removed }
+            }
+            BYE => {
+                reader.end(what)?;
+                Message::Bye
+            }
+            _ => return Err(WireError::Malformed { what: "a message's kind" }),
+        })
+    }
+}
+
+fn numbered(bytes: &mut BytesMut, kind: u8, number: u32) {
+    bytes.put_u8(kind);
+    bytes.varint(number.into());
+}
+
+fn number(reader: &mut Reader) -> Result<u32, WireError> {
+    u32::try_from(reader.varint()?).map_err(|_| WireError::TooLarge { what: "a number" })
+}
+
+fn rest(reader: Reader, limit: usize, what: &'static str) -> Result<Bytes, WireError> {
+    let rest = reader.rest();
+    if rest.len() > limit { Err(WireError::TooLarge { what }) } else { Ok(rest) }
+}
+
+/// One byte, 0, where there is none.
+fn put_id(bytes: &mut BytesMut, id: Option<MessageId>) {
+    bytes.put_u8(id.is_some().into());
+    if let Some(MessageId { sender, sequence }) = id {
+        bytes.put_u64(sender);
+        bytes.varint(sequence);
+    }
+}
+
+fn read_id(reader: &mut Reader) -> Result<Option<MessageId>, WireError> {
+    match reader.u8()? {
+        0 => Ok(None),
+        1 => Ok(Some(MessageId { sender: reader.u64()?, sequence: reader.varint()? })),
+        _ => Err(WireError::Malformed { what: "a message's identity" }),
+    }
+}
+
+fn encode_why(why: &Why) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
+        // Its text is longer than any that this program writes: the kind is what counts.
+        let reason = why.to_string().chars().take(1024).collect();
+        let short = Why::Undecodable { reason };
+        codec::encode_bounded(&short, WHY_MAX, &mut bytes).expect("1024 letters fit");
+    }
+    bytes
+}
+
+fn read_why(reader: &mut Reader) -> Result<Why, WireError> {
+    let bytes = reader.sized(WHY_MAX, "an error")?;
+    codec::decode_bounded::<Why, WHY_MAX>(&bytes)
+        .map_err(|_| WireError::Malformed { what: "an error" })
+}
+
+fn read_names(reader: &mut Reader) -> Result<Vec<ObjectName>, WireError> {
+    let count = reader.varint()?;
+    // No room is taken on the strength of a promise: each name costs at least two bytes.
+    let mut names = Vec::new();
+    for _ in 0..count {
+        names.push(reader.parsed("an object's name")?);
+    }
+    Ok(names)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn examples() -> Vec<(Message, &'static [u8])> {
+        let object = ObjectName::new("arm").unwrap();
+        let payload = Bytes::from_static(b"xy");
+        let id = Some(MessageId { sender: 2, sequence: 300 });
+        let unknown = Why::Stopped;
+        vec![
+            (
+                Message::Bind { binding: 1, object: object.clone(), identity: payload.clone() },
+                b"\0\x01\x03armxy",
+            ),
+            (Message::Bound { binding: 200 }, b"\x01\xc8\x01"),
+            (
+                Message::BindRefused { binding: 1, why: unknown.clone(), identity: Bytes::new() },
+                b"\x02\x01\x01\x02",
+            ),
+            (
+                Message::Request { binding: 1, call: 7, id: None, payload: payload.clone() },
+                b"\x03\x01\x07\0xy",
+            ),
+            (
+                Message::Request { binding: 1, call: 7, id, payload: payload.clone() },
+                b"\x03\x01\x07\x01\0\0\0\0\0\0\0\x02\xac\x02xy",
+            ),
+            (Message::Reply { call: 7, result: Ok(payload.clone()) }, b"\x04\x07xy"),
+            (Message::Reply { call: 7, result: Err(unknown.clone()) }, b"\x05\x07\x01\x02"),
+            (Message::Tell { binding: 1, id: None, payload: payload.clone() }, b"\x06\x01\0xy"),
+            (
+                Message::Subscribe {
+                    subscription: 3,
+                    topic: "t".into(),
+                    identity: payload.clone(),
+                },
+                b"\x07\x03\x01txy",
+            ),
+            (Message::SubscribeRefused { subscription: 3, why: unknown }, b"\x08\x03\x01\x02"),
+            (Message::Unsubscribe { subscription: 3 }, b"\x09\x03"),
+            (Message::Event { subscription: 3, payload: payload.clone() }, b"\x0a\x03xy"),
+            (Message::Notice { number: 4, payload }, b"\x0b\x04xy"),
+            (Message::Confirmed { number: 4 }, b"\x0c\x04"),
+            (
+                Message::Names {
+                    complete: true,
+                    added: vec![object.clone()],
+                    removed: vec![object],
+                },
+                b"\x0d\x01\x01\x03arm\x01\x03arm",
+            ),
+            (Message::Bye, b"\x0e"),
+        ]
+    }
+
+    #[test]
+    fn the_bytes_of_messages_are_these_for_ever_and_come_back() {
+        for (message, golden) in examples() {
+            assert_eq!(&message.encode()[..], golden, "{message:?}");
+            assert_eq!(Message::decode(Bytes::from_static(golden)), Ok(message));
+        }
+    }
+
+    #[test]
+    fn cut_and_foreign_messages_are_refused() {
+        for (message, golden) in examples() {
+            // Whatever is cut off a last byte string is not missed here.
+            for cut in 0..golden.len().saturating_sub(2) {
+                if let Ok(other) = Message::decode(Bytes::from_static(&golden[..cut])) {
+                    assert_ne!(other, message);
+                }
+            }
+        }
+        for foreign in [&b"\x0f"[..], b"\x01\x01!", b"\x0d\0\xff\xff\x7f\x01a", b"\x05\x07\x01\x63"]
+        {
+            assert!(Message::decode(Bytes::copy_from_slice(foreign)).is_err(), "{foreign:?}");
+        }
+    }
+
+    #[test]
+    fn an_error_too_long_to_send_is_sent_short() {
+        let why = Why::ContractDiffers { difference: "x".repeat(100_000) };
+        let message = Message::Reply { call: 1, result: Err(why) };
+        let Ok(Message::Reply { result: Err(short), .. }) = Message::decode(message.encode())
+        else {
+            panic!("it did not come back");
+        };
+        assert!(short.to_string().contains("the contract differs"));
+    }
+}
