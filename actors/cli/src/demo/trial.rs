@@ -15,7 +15,7 @@ use super::known::Known;
 use super::ledger::Losses;
 use super::moment::Moment;
 use super::protocol::{Command, Event, FaultNote, OrderId};
-use super::report::{Named, Row};
+use super::report::{Named, Row, paper_figure};
 use super::robot::{Cable, Flow, Module};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -283,6 +283,7 @@ impl Trial {
             lost,
             doubled,
             perished,
+            paper: paper_figure(self.injection.title()),
             problems,
         }
     }
