@@ -111,8 +111,7 @@ impl Site {
 
     fn blocker(&self, name: &str) -> ChildSpec<Blocker> {
         let (gate, ear, said) = (self.gate.clone(), self.ear.clone(), self.said.clone());
-        let make =
-            move || Blocker { gate: gate.clone(), ear: ear.clone(), said: said.clone() };
+        let make = move || Blocker { gate: gate.clone(), ear: ear.clone(), said: said.clone() };
         ChildSpec::new(name, make).max_block(Duration::from_millis(100))
     }
 
@@ -220,8 +219,7 @@ fn an_arbiter_that_does_not_come_back_is_lost_and_its_components_move_with_their
 fn a_hang_on_a_thread_of_its_own_takes_nobody_along() {
     actix_rt::System::new().block_on(async {
         let site = Site::new(1, Duration::from_millis(100)).await;
-        let (mut child, blocker) =
-            site.stage.start(site.blocker("blocker").on_own_thread()).await;
+        let (mut child, blocker) = site.stage.start(site.blocker("blocker").on_own_thread()).await;
         blocker.tell(Block(1)).unwrap();
         let (culprit, _, _, victims) = site.hangs().await;
         assert_eq!((culprit, victims), (name("blocker"), vec![]));
@@ -338,9 +336,7 @@ fn a_handler_that_waits_too_long_is_seen_unless_it_said_so() {
         beater.tell(Do::Wait(3000)).unwrap();
         advance(Duration::from_secs(4)).await;
         let seen = sighted.drain();
-        let [Sighted::Waits { ref object, during, age, .. }] = seen[..] else {
-            panic!("{seen:?}")
-        };
+        let [Sighted::Waits { ref object, during, age, .. }] = seen[..] else { panic!("{seen:?}") };
         assert_eq!((object, during), (&name("beater"), "Do"));
         assert!(age >= Duration::from_secs(1) && age < Duration::from_millis(1200), "{age:?}");
     });
