@@ -10,6 +10,7 @@ use super::life::LifeToken;
 use super::pulse;
 use super::spec::Limits;
 use super::stamp::Place;
+use super::watch::Glimpsed;
 use crate::component::{Component, Handle};
 use crate::death_watch::Mourners;
 use crate::lane::{Lane, WhenFull};
@@ -286,6 +287,13 @@ impl<C: Component> Anchor<C> {
             }
         };
         self.record.bury(M::NAME, &refused);
+    }
+}
+
+impl<C: Component> Glimpsed for Anchor<C> {
+    fn glimpse(&self) -> Alive {
+        let allowance = self.record.seat().map(|seated| seated.slot.stamp.read().allowance);
+        self.alive(allowance.is_some_and(|allowance| !allowance.is_zero()))
     }
 }
 

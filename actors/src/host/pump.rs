@@ -143,8 +143,10 @@ impl<C: Component> Pump<C> {
         };
         pump.begin_life();
         let record = &pump.anchor.record;
+        let anchor = Arc::downgrade(&pump.anchor);
         let watched = Watched {
             object: record.name.clone(),
+            inside: anchor,
             pulse: pump.pulse.clone(),
             stamp: pump.slot.stamp,
             limits: record.limits.clone(),
