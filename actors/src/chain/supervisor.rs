@@ -2,11 +2,11 @@
 
 use super::directory::{Directory, SupervisorPorts};
 use crate::drive::{Body, Wake};
-use crate::guardian::Guardian;
+use crate::guardian::{Guardian, answers_the_monitor};
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
-use blastema_contract::reports::{Exit, Exited, FaultDeclared, StateReported};
+use blastema_contract::reports::{AreYouAlive, Exit, Exited, FaultDeclared, StateReported};
 use blastema_contract::supervisor::{
     AddChild, Begin, Branch, End, Forsake, GaveUp, IsolateAll, IsolateChild, Leaf, ReadTree,
     Recovered, RemoveChild, ResetChild, RestartChild, SafeStop,
@@ -34,7 +34,7 @@ pub(crate) struct SupervisorSetup {
     /// Its children in their start order.
     pub(crate) children: Vec<(Box<dyn Child>, ChildRules)>,
     /// Is told of starts that took too long, and when it gives up.
-    pub(crate) faults: Recipient<FaultDeclared>,
+    pub(crate) monitor: Recipient<FaultDeclared>,
     /// Is told when it is at work, and when it has ended.
     pub(crate) states: Recipient<StateReported>,
     /// Where strategies find who keeps an object.
@@ -51,7 +51,7 @@ pub(crate) struct Supervisor {
     waiting: BTreeMap<Ticket, oneshot::Sender<Outcome>>,
     tickets: u64,
     parent: Option<Recipient<ChildReport>>,
-    faults: Recipient<FaultDeclared>,
+    monitor: Recipient<FaultDeclared>,
     states: Recipient<StateReported>,
     directory: Directory,
 }
@@ -74,7 +74,7 @@ impl Supervisor {
     }
 
     fn new(setup: SupervisorSetup) -> Self {
-        let SupervisorSetup { name, rules, children: given, faults, states, directory } = setup;
+        let SupervisorSetup { name, rules, children: given, monitor, states, directory } = setup;
         let mut supervisor = Supervisor {
             name,
             machine: Supervision::new(rules),
@@ -83,7 +83,7 @@ impl Supervisor {
             waiting: BTreeMap::new(),
             tickets: 0,
             parent: None,
-            faults,
+            monitor,
             states,
             directory,
         };
@@ -148,7 +148,7 @@ impl Supervisor {
         kind: FaultKind,
         detail: String,
     ) {
-        self.faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        self.monitor.do_send(FaultDeclared { object, incarnation, kind, detail });
     }
 
     fn child(&mut self, name: &ObjectName) -> Option<&mut Box<dyn Child>> {
@@ -252,6 +252,8 @@ impl Body for Supervisor {
         }
     }
 }
+
+answers_the_monitor!(Supervisor);
 
 impl Actor for Supervisor {
     type Context = Context<Self>;
@@ -461,6 +463,11 @@ pub(crate) struct SupervisorChild {
 impl SupervisorChild {
     /// Where its tree can be read.
     pub(crate) fn tree(&self) -> Recipient<ReadTree> {
+        self.address.clone().recipient()
+    }
+
+    /// Where it answers the monitor.
+    pub(crate) fn inquiries(&self) -> Recipient<AreYouAlive> {
         self.address.clone().recipient()
     }
 
