@@ -235,9 +235,13 @@ impl<C: Component> Anchor<C> {
 
     /// Closes the queue until the next life; what was in it is returned or counted.
     pub(crate) fn close(&self) {
-        for mail in self.lane.stop() {
-            self.return_mail(mail, Why::Stopped);
-        }
+        self.lane.stop().into_iter().for_each(|mail| self.return_mail(mail, Why::Stopped));
+    }
+
+    /// The same, by the life that ends; without effect when it was given up and another has begun.
+    pub(crate) fn close_by(&self, incarnation: Incarnation) {
+        let left = self.lane.stop_by(incarnation);
+        left.into_iter().for_each(|mail| self.return_mail(mail, Why::Stopped));
     }
 
     /// A message that is not going to be served.

@@ -143,6 +143,14 @@ impl<C: Component> Anchor<C> {
         self.close();
         self.subscriptions().iter().for_each(|subscription| subscription.end());
     }
+
+    /// The same, by the life that ends in order.
+    pub(crate) fn end_by(&self, incarnation: Incarnation) {
+        if self.lane.owner() == Some(incarnation) {
+            self.close_by(incarnation);
+            self.subscriptions().iter().for_each(|subscription| subscription.end());
+        }
+    }
 }
 
 impl<C: Component> Mortal for Anchor<C> {

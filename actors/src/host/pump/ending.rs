@@ -41,26 +41,27 @@ impl<C: Component> Pump<C> {
         let incarnation = self.life.incarnation;
         self.life.token.end();
         if let Service::Message(_) = self.service {
+            let contract = label::name(self.slot.stamp.read().during);
             self.anchor.record.blame(incarnation);
-            self.anchor.record.bury(during, &Why::PeerDied { incarnation });
+            self.anchor.record.bury(contract, &Why::PeerDied { incarnation });
         }
         self.bury();
-        if self.anchor.lane.owner() != Some(incarnation) {
+        let restarted_as = self.may_restart().then(|| incarnation.next());
+        let mine = match restarted_as {
+            Some(next) => self.anchor.lane.pass_on(incarnation, next),
+            None => self.anchor.lane.leave(incarnation),
+        };
+        if !mine {
             return self.leave(); // It had been given up before; nobody waits for its report.
         }
-        let restarted_as = self.may_restart().then(|| incarnation.next());
         match restarted_as {
             Some(next) => {
-                self.anchor.lane.give_to(Some(next));
                 self.life = Rc::new(Life::new(next, self.slot.stamp));
                 self.course = Course::new(self.course.is_starting());
                 self.start_failed = false;
                 self.begin_life();
             }
-            None => {
-                self.anchor.lane.leave(incarnation);
-                self.over = true;
-            }
+            None => self.over = true,
         }
         self.report_exit(incarnation, exit, restarted_as);
     }
@@ -120,7 +121,7 @@ impl<C: Component> Pump<C> {
         self.bury();
         let exit = match end {
             End::Stopped => {
-                self.anchor.end();
+                self.anchor.end_by(incarnation);
                 Exit::Stopped
             }
             End::Returned | End::Fatal => {

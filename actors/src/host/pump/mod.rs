@@ -168,6 +168,10 @@ impl<C: Component> Pump<C> {
         if self.course.is_starting() {
             self.chores.limit(Chore::ReadyLimit, record.limits.ready_within);
         }
+        // Whoever gave this life up before its place was known could not tell it so.
+        if self.anchor.lane.owner() != Some(self.life.incarnation) {
+            self.life.token.end();
+        }
     }
 
     pub(crate) fn slot(&self) -> u32 {
@@ -295,7 +299,10 @@ impl<C: Component> Pump<C> {
         match self.anchor.lane.take(self.life.incarnation, cx.waker()) {
             Taken::Got(mail) => self.open(mail, cx),
             Taken::Empty => Progress::Wait,
-            Taken::Retired => Progress::Over,
+            Taken::Retired => {
+                self.life.token.end();
+                Progress::Over
+            }
         }
     }
 
