@@ -12,8 +12,9 @@ use crate::chain::notifier::Notifier;
 use crate::chain::recoverer::{Recoverer, RecovererSetup};
 use crate::chain::strategy::{ToolBox, Tools};
 use crate::guardian::Guardian;
-use crate::host::arbiters::Arbiters;
+use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
 use crate::host::environment::{HostEnvironment, Reports};
+use crate::host::watch::{self as lookout, WatchGuard};
 use crate::net::{self, NetEnvironment, NetHandle};
 use crate::{panics, platform};
 use actix::prelude::*;
@@ -22,14 +23,17 @@ use blastema_contract::monitor::{Dismiss, Enrol, ReadTable};
 use blastema_contract::notifier::AddPort;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::strategy::Reroute;
+use blastema_contract::strategy::{Reroute, RestNode};
 use blastema_core::detection::{
     DetectorLimits, EnrolError, Enrolment, MonitorLimits, NotifierLimits, ObjectKind, Port, Watch,
 };
 use blastema_core::recovery::{self, RecovererLimits};
-use blastema_core::{Incarnation, NameError, NodeName, ObjectAddress, ObjectName};
+use blastema_core::scanner::ScannerConfig;
+use blastema_core::{
+    Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
+};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -45,6 +49,8 @@ pub(super) struct Chain {
     inquiries: Vec<(ObjectName, Recipient<AreYouAlive>)>,
     notifier: Recipient<AddPort>,
     recoverer: Recipient<Recover>,
+    /// Looks at arbiters and components; it ends when it is dropped.
+    lookout: Mutex<Option<WatchGuard>>,
     router: Arc<OnceLock<Recipient<Reroute>>>,
 }
 
@@ -74,9 +80,14 @@ impl Chain {
     }
 
     pub(super) fn stop(&self) {
+        self.look_out(None);
         if let Some(arbiter) = &self.arbiter {
             arbiter.stop();
         }
+    }
+
+    fn look_out(&self, lookout: Option<WatchGuard>) {
+        *self.lookout.lock().unwrap_or_else(PoisonError::into_inner) = lookout;
     }
 }
 
@@ -205,6 +216,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         dismiss: monitor.clone().recipient(),
         arbiter,
         inquiries,
+        lookout: Mutex::default(),
         notifier: notifier.recipient(),
         recoverer: recoverer.recipient(),
         router,
@@ -277,6 +289,19 @@ fn make_networks(
     Ok((Networks { handle, cables, arbiter }, enrolments))
 }
 
+/// A thread that hangs cannot be ended. When several have been given up, only a new process helps.
+fn rest_when_threads_run_out(threads: &Arbiters, node: &NodeName, rest: Recipient<RestNode>) {
+    let node = node.clone();
+    threads.on_abandoned(Box::new(move |count| {
+        if count < ABANDONED_LIMIT {
+            return;
+        }
+        let reason = format!("{count} threads hang for good; begin the process anew");
+        let fault = Fault::of_node(node.clone(), FaultKind::Hang, reason.clone(), platform::now());
+        rest.do_send(RestNode { fault, reason });
+    }));
+}
+
 pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
     let node = NodeName::new(&builder.name)?;
@@ -332,6 +357,17 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         actors.insert(facts.name, facts.actor);
     }
     chain.enrol_all(enrolments).await?;
+
+    let config = ScannerConfig { grace: builder.grace, ..ScannerConfig::default() };
+    let list = environment.watch_list.clone();
+    let (threads, sighted) = (environment.arbiters.clone(), monitor.recipient());
+    chain.look_out(Some(match builder.placement {
+        Placement::Here => lookout::start_task(list, threads, config, sighted),
+        Placement::Threads { .. } | Placement::ComponentsHere => {
+            lookout::start_thread(list, threads, config, sighted)?
+        }
+    }));
+    rest_when_threads_run_out(&environment.arbiters, &node, keeper.clone().recipient());
 
     let shared = Shared {
         name: node,
