@@ -3,7 +3,7 @@
 use crate::puppet::{Pull, Strings, life, strike};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
-use blastema::{Fault, Incarnation};
+use blastema::{Fault, Incarnation, NodeBuilder};
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -66,9 +66,8 @@ async fn every_way_of_not_coming_up_is_answered_by_a_new_life() {
     }
 }
 
-#[blastema_testkit::test]
-async fn a_node_whose_component_never_comes_up_does_not_start_and_comes_to_safe_rest() {
-    let strings = Strings::default();
+/// A node with wheels, and a camera that never comes up; and what its safe outputs were told.
+fn hopeless(strings: &Strings) -> (NodeBuilder, Arc<Mutex<Vec<Fault>>>) {
     (0..99).for_each(|_| strings.pull("camera", "on_initialize", Pull::Fail("no device")));
     let rested: Arc<Mutex<Vec<Fault>>> = Arc::default();
     let outputs = rested.clone();
@@ -76,32 +75,54 @@ async fn a_node_whose_component_never_comes_up_does_not_start_and_comes_to_safe_
         .safe_outputs(move |fault| outputs.lock().unwrap().push(fault.clone()))
         .child(strings.spec("wheels"))
         .child(strings.spec("camera"));
-
-    let started = TestNode::try_start(builder).await;
-
-    let Err(StartError::GaveUp { reason }) = started else { panic!("it started") };
-    assert!(reason.contains("camera"), "{reason}");
-    assert!(!rested.lock().unwrap().is_empty(), "the safe outputs were applied");
-    let diary = strings.diary();
-    assert!(diary.iter().any(|line| line == "wheels#1 on_finalize"), "{diary:?}");
-    assert_eq!(diary.iter().filter(|line| line.ends_with("on_initialize")).count(), 1 + 4);
+    (builder, rested)
 }
 
 #[blastema_testkit::test]
-async fn a_new_life_that_fails_to_come_up_is_tried_until_the_budget_is_spent() {
+async fn a_component_that_never_comes_up_is_put_to_safe_rest_and_the_node_serves_without_it() {
     let strings = Strings::default();
-    let outer = SupervisorSpec::new("vision", Strategy::OneForOne)
-        .intensity(3, Duration::from_secs(10))
-        .child(strings.spec("camera"));
-    let mut node = TestNode::start(Node::builder("module1").supervisor(outer)).await;
+    let (builder, rested) = hopeless(&strings);
+
+    let mut node = TestNode::start(builder).await;
+
+    assert_eq!(node.state(), NodeState::Running);
+    assert_eq!(life(&node, "wheels").await, 1);
+    let fault = node.await_fault(FaultKind::InitializationFailed, "camera").await;
+    let reason = node.await_given_up(FaultKind::InitializationFailed, "camera").await;
+    assert!(reason.contains("service is not restored"), "{reason}");
+    assert_eq!(node.tree().await.unwrap().children[1].state, ChildState::Resting);
+    let rested: Vec<_> = rested.lock().unwrap().iter().map(|fault| fault.id).collect();
+    assert_eq!(rested, [fault.id]);
+    assert_eq!(strings.lines("camera").len(), 4 * 2, "four lives: on_initialize and on_finalize");
+}
+
+#[blastema_testkit::test]
+async fn a_node_that_may_not_try_again_does_not_start_and_comes_to_safe_rest() {
+    let strings = Strings::default();
+    let (builder, rested) = hopeless(&strings);
+
+    let started = TestNode::try_start(builder.intensity(2, Duration::from_secs(10))).await;
+
+    let Err(StartError::GaveUp { reason }) = started else { panic!("it started") };
+    assert!(reason.contains("camera needed more than 2 restarts"), "{reason}");
+    let rested: Vec<_> = rested.lock().unwrap().iter().map(|f| f.kind.clone()).collect();
+    assert_eq!(rested[0], FaultKind::RestartStorm, "the safe outputs were applied");
+    let diary = strings.diary();
+    assert!(diary.iter().any(|line| line == "wheels#1 on_finalize"), "{diary:?}");
+}
+
+#[blastema_testkit::test]
+async fn a_new_life_that_fails_to_come_up_is_tried_again_as_one_and_the_same_fault() {
+    let strings = Strings::default();
+    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("camera"))).await;
     (0..2).for_each(|_| strings.pull("camera", "on_initialize", Pull::Fail("no device")));
 
     strike(&node, "camera").await;
-    for _ in 0..2 {
-        node.await_fault(FaultKind::InitializationFailed, "camera").await;
-        node.await_recovered(FaultKind::InitializationFailed, "camera").await;
-    }
+    node.await_fault(FaultKind::Panic, "camera").await;
+    node.await_fault(FaultKind::InitializationFailed, "camera").await;
+    node.await_recovered(FaultKind::InitializationFailed, "camera").await;
 
     assert_eq!(life(&node, "camera").await, 4);
-    assert_eq!(node.tree().await.unwrap().children[0].incarnation, Incarnation(1));
+    assert_eq!(node.faults().await.entries[1].fault.count, 2);
+    node.expect_no_faults().await;
 }
