@@ -52,7 +52,9 @@ impl LinkConfig {
             node,
             incarnation,
             expected: None,
-            hello_interval: Duration::from_millis(20),
+            // A process that shares its cores stands still for some 100 ms when they are overloaded;
+            // with 50 ms, such a link is suspect, and not yet down.
+            hello_interval: Duration::from_millis(50),
             // Expected at 1, suspect at 2, down at 3.5 intervals after the last hello: two lost in a
             // row divert traffic, three take the link down (ITU-T G.8013: 3.5 intervals).
             suspect_after_percent: 100,
