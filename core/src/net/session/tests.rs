@@ -1,6 +1,8 @@
 //! Two sessions and the wire between them, every state with every input.
 
 use super::*;
+use crate::NodeName;
+use crate::net::segment::Open;
 
 const MS: Duration = Duration::from_millis(1);
 
@@ -20,6 +22,9 @@ fn text(text: &'static str) -> Bytes {
     Bytes::from_static(text.as_bytes())
 }
 
+/// Says whether the wire loses what this end sends.
+type Lose = Box<dyn FnMut(usize, &Segment) -> bool>;
+
 /// A wire that takes a millisecond and loses what it is told to.
 struct Pair {
     ends: [Session; 2],
@@ -28,7 +33,7 @@ struct Pair {
     /// Every segment that went out, by its sender.
     sent: Vec<(usize, Segment)>,
     told: [Vec<SessionOutput>; 2],
-    lose: Box<dyn FnMut(usize, &Segment) -> bool>,
+    lose: Lose,
 }
 
 impl Pair {
