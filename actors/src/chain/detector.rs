@@ -1,6 +1,7 @@
 //! The detector's body.
 
 use crate::drive::{Body, Wake};
+use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::fut::wrap_future;
 use actix::prelude::*;
@@ -157,3 +158,5 @@ impl Handler<Subscribe> for Detector {
         }
     }
 }
+
+answers_the_monitor!(Detector);

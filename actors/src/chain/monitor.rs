@@ -1,6 +1,7 @@
 //! The monitor's body.
 
 use crate::drive::{Body, Wake};
+use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::fut::wrap_future;
 use actix::prelude::*;
@@ -188,6 +189,12 @@ impl Handler<Sighted> for Monitor {
             }
             Sighted::Resumed { objects } => machine.handle_resumed(&objects, now),
             Sighted::Lost { culprit, victims } => machine.handle_lost(&culprit, &victims, now),
+            Sighted::Silent { object, incarnation, silent_for } => {
+                machine.handle_silent(&object, incarnation, silent_for, now);
+            }
+            Sighted::Spoke { object, incarnation } => {
+                machine.handle_spoke(&object, incarnation, now);
+            }
             Sighted::Stalled { gap } => machine.handle_stall(gap, now),
         }
         self.drive(context);
@@ -230,3 +237,5 @@ impl Handler<ReadTable> for Monitor {
         MessageResult(self.machine.read_table(platform::now()))
     }
 }
+
+answers_the_monitor!(Monitor);

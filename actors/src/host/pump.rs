@@ -142,6 +142,14 @@ impl<C: Component> Pump<C> {
             supervisor,
         };
         pump.begin_life();
+        let record = &pump.anchor.record;
+        let watched = Watched {
+            object: record.name.clone(),
+            pulse: pump.pulse.clone(),
+            stamp: pump.slot.stamp,
+            limits: record.limits.clone(),
+        };
+        record.environment.watch_list.enter(pump.slot.index, watched);
         pump
     }
 
@@ -153,13 +161,6 @@ impl<C: Component> Pump<C> {
         let (seat, token) = (self.seat.clone(), self.life.token.clone());
         let place = Place { index: self.slot.index, stamp: self.slot.stamp };
         record.set_seat(Some(Seated { seat, slot: place, token }));
-        let watched = Watched {
-            object: record.name.clone(),
-            pulse: self.pulse.clone(),
-            stamp: self.slot.stamp,
-            limits: record.limits.clone(),
-        };
-        record.environment.watch_list.enter(self.slot.index, watched);
         self.chores.begin(record.limits.interval);
         if self.course.is_starting() {
             self.chores.limit(Chore::ReadyLimit, record.limits.ready_within);
@@ -537,6 +538,9 @@ impl<C: Component> Pump<C> {
             self.died_in_service(payload);
         }
         self.pulse.run(None);
+        if self.is_abandoned() {
+            self.leave(); // The hub goes on to neighbours, who must not stand behind this fence.
+        }
         if self.over || self.life.has_wishes() || !self.outbox.is_empty() {
             waker.wake_by_ref(); // The pump's own poll reports, and ends what is to end.
         }
@@ -572,8 +576,7 @@ impl<C: Component> Pump<C> {
         }
         self.bury();
         if self.anchor.lane.owner() != Some(incarnation) {
-            self.over = true; // It had been given up before; nobody waits for its report.
-            return;
+            return self.leave(); // It had been given up before; nobody waits for its report.
         }
         let restarted_as = self.may_restart().then(|| incarnation.next());
         match restarted_as {

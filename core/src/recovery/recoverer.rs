@@ -171,6 +171,16 @@ struct Case {
     given_up: bool,
 }
 
+impl Case {
+    fn known(&self) -> Vec<Fault> {
+        self.faults.iter().map(|noted| noted.fault.clone()).collect()
+    }
+}
+
+fn ids(faults: &[Fault]) -> Vec<FaultId> {
+    faults.iter().map(|fault| fault.id).collect()
+}
+
 #[derive(Clone, Debug)]
 struct Symptom {
     fault: Fault,
@@ -248,7 +258,13 @@ impl Recoverer {
     pub fn handle_fault(&mut self, fault: Fault, now: Instant) {
         let id = fault.id;
         let has_it = |case: &Case| case.faults.iter().any(|noted| noted.fault.id == id);
-        if self.symptoms.contains_key(&id) || self.cases.get(&fault.place).is_some_and(has_it) {
+        if self.cases.get(&fault.place).is_some_and(has_it) {
+            return;
+        }
+        if !self.is_ours(&fault) {
+            return self.treat(fault, now);
+        }
+        if self.symptoms.contains_key(&id) {
             return;
         }
         if let Some(root) = fault.symptom_of
@@ -342,44 +358,54 @@ impl Recoverer {
         self.approach(place, reason, now);
     }
 
-    /// Waits for the next attempt, or makes it; where there is none, safe stop is the last.
+    /// Waits for the next attempt, or makes it.
     fn approach(&mut self, place: &Place, reason: String, now: Instant) {
         let case = self.cases.get_mut(place).expect("a case in treatment is open");
-        if case.rung == case.ladder.steps().len() {
-            let first_time = !std::mem::replace(&mut case.given_up, true);
-            let rests = case.ladder.steps().iter().any(|step| step.measure == Measure::SafeStop);
-            if !rests {
-                case.ladder = case.ladder.clone().then(Measure::SafeStop);
-            }
-            let faults: Vec<Fault> = case.faults.iter().map(|noted| noted.fault.clone()).collect();
-            if first_time {
-                for fault in &faults {
-                    self.tell(fault, Settled::GaveUp { reason: reason.clone() });
-                }
-            }
-            if rests {
-                self.cases.remove(place);
-                let ids: Vec<FaultId> = faults.iter().map(|fault| fault.id).collect();
-                self.release_symptoms(&ids, now);
-                let fault = faults.into_iter().next().expect("a case has its first fault");
-                return self.outputs.push_back(RecovererAction::LastResort { fault, reason });
-            }
+        if case.rung == case.ladder.steps().len() && !self.fall_back(place, reason, now) {
+            return;
         }
         let case = self.cases.get_mut(place).expect("a case in treatment is open");
         let step = &case.ladder.steps()[case.rung];
         if step.measure == Measure::Observe {
-            let case = self.cases.remove(place).expect("a case in treatment is open");
-            for noted in &case.faults {
-                self.tell(&noted.fault, Settled::Observed);
+            for fault in self.close(place, now) {
+                self.tell(&fault, Settled::Observed);
             }
-            let ids: Vec<FaultId> = case.faults.iter().map(|noted| noted.fault.id).collect();
-            return self.release_symptoms(&ids, now);
+            return;
         }
         let delay = step.backoff.delay(case.attempt, self.seed ^ self.orders);
         case.progress = Progress::Waiting { due: now + delay };
         if delay.is_zero() {
             self.give_order(place, now);
         }
+    }
+
+    /// The ladder is at its end. Safe stop is left, or, if that has been tried, the node's own rest; then
+    /// the case is closed.
+    fn fall_back(&mut self, place: &Place, reason: String, now: Instant) -> bool {
+        let case = self.cases.get_mut(place).expect("a case in treatment is open");
+        let untold = !std::mem::replace(&mut case.given_up, true);
+        let rested = case.ladder.steps().iter().any(|step| step.measure == Measure::SafeStop);
+        if !rested {
+            case.ladder = case.ladder.clone().then(Measure::SafeStop);
+        }
+        if untold {
+            for fault in case.known() {
+                self.tell(&fault, Settled::GaveUp { reason: reason.clone() });
+            }
+        }
+        if rested {
+            let first = self.close(place, now).into_iter().next();
+            let fault = first.expect("a case has its first fault");
+            self.outputs.push_back(RecovererAction::LastResort { fault, reason });
+        }
+        !rested
+    }
+
+    /// Ends a case that has no cure.
+    fn close(&mut self, place: &Place, now: Instant) -> Vec<Fault> {
+        let faults = self.cases.remove(place).map(|case| case.known()).unwrap_or_default();
+        self.release_symptoms(&ids(&faults), now);
+        faults
     }
 
     fn give_order(&mut self, place: &Place, now: Instant) {
@@ -394,9 +420,8 @@ impl Recoverer {
             |noted: &Noted| matches!(noted.fault.kind, FaultKind::Hang | FaultKind::Silence);
         let telling = case.faults.iter().find(|noted| stuck(noted)).unwrap_or(&case.faults[0]);
         let telling = telling.fault.clone();
-        let faults: Vec<Fault> = case.faults.iter().map(|noted| noted.fault.clone()).collect();
-        for fault in &faults {
-            self.tell(fault, Settled::Decided { measure: measure.clone(), attempt });
+        for fault in case.known() {
+            self.tell(&fault, Settled::Decided { measure: measure.clone(), attempt });
         }
         self.open.insert(number, (place.clone(), measure.clone()));
         let idle = Engaged { orders: 0, idle_since: now };
@@ -408,32 +433,40 @@ impl Recoverer {
     /// The measure has worked: whatever it cured is settled, the rest is treated in its turn.
     fn settle_case(&mut self, place: &Place, measure: &Measure, done: Done, now: Instant) {
         let case = self.cases.remove(place).expect("a case that is settled is open");
+        let kind = case.faults[0].fault.kind.clone();
         let contained = matches!(measure, Measure::Isolate | Measure::SafeStop);
-        let first = case.faults[0].fault.kind.clone();
+        let restarted = *measure == Measure::Restart;
+        // What came while the measure was under way may already belong to the new life.
         let cured = |noted: &Noted| {
-            let newer = done.incarnation.is_some_and(|life| noted.fault.incarnation < life);
-            let replaced = *measure == Measure::Restart && (newer || done.incarnation.is_none());
-            contained || replaced || noted.since < case.order || noted.fault.kind == first
+            let replaced = done.incarnation.is_none_or(|life| noted.fault.incarnation < life);
+            contained || noted.since < case.order || (restarted && replaced)
         };
         let (cured, left): (Vec<Noted>, Vec<Noted>) = case.faults.into_iter().partition(cured);
-        for noted in &cured {
+        let cured: Vec<Fault> = cured.into_iter().map(|noted| noted.fault).collect();
+        for fault in &cured {
             let settled = if contained {
                 Settled::Contained { measure: measure.clone() }
             } else {
                 Settled::Recovered { incarnation: done.incarnation }
             };
-            self.tell(&noted.fault, settled);
+            self.tell(fault, settled);
         }
         // Whether restarts go on is for the supervisor to say, and a route for the network.
-        if !contained && !matches!(measure, Measure::Restart | Measure::Reroute) {
-            let until = now + self.limits.memory;
-            let memory = Memory { rung: case.rung, attempt: case.attempt, until };
-            self.memories.insert((place.clone(), first), memory);
+        if !contained && !restarted && *measure != Measure::Reroute {
+            self.remember((place.clone(), kind), case.rung, case.attempt, now);
         }
-        let ids: Vec<FaultId> = cured.iter().map(|noted| noted.fault.id).collect();
-        self.release_symptoms(&ids, now);
+        self.release_symptoms(&ids(&cured), now);
         for noted in left {
             self.treat(noted.fault, now);
+        }
+    }
+
+    fn remember(&mut self, what: (Place, FaultKind), rung: usize, attempt: u32, now: Instant) {
+        self.memories.retain(|_, memory| now <= memory.until);
+        // More than that at once is a storm, in which nobody's past matters.
+        if self.memories.len() < self.limits.cases {
+            let until = now + self.limits.memory;
+            self.memories.insert(what, Memory { rung, attempt, until });
         }
     }
 
@@ -465,14 +498,17 @@ impl Recoverer {
         self.cases.values().any(|case| case.faults.iter().any(|noted| noted.fault.id == id))
     }
 
+    /// What another node found in itself has a number of that node's record, which says nothing here.
+    fn is_ours(&self, fault: &Fault) -> bool {
+        match &fault.place {
+            Place::Object(address) => address.node == self.node,
+            Place::Link { node, .. } => *node == self.node,
+            Place::Node(_) => true,
+        }
+    }
+
     fn tell(&mut self, fault: &Fault, settled: Settled) {
-        // What another node found in itself has a number of that node's record, not of ours.
-        let elsewhere = match &fault.place {
-            Place::Object(address) => address.node != self.node,
-            Place::Link { node, .. } => *node != self.node,
-            Place::Node(_) => false,
-        };
-        if !elsewhere {
+        if self.is_ours(fault) {
             let (fault, place) = (fault.id, fault.place.clone());
             self.outputs.push_back(RecovererAction::Settle { fault, place, settled });
         }
@@ -530,7 +566,6 @@ impl Machine for Recoverer {
                 self.release_symptoms(&[id], now);
             }
         }
-        self.memories.retain(|_, memory| now <= memory.until);
         let idle =
             |engaged: &Engaged| engaged.orders == 0 && engaged.idle_since + self.limits.idle <= now;
         let (released, kept) =

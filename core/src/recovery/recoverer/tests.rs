@@ -213,6 +213,18 @@ fn a_fault_that_the_measure_cannot_have_cured_is_treated_next() {
 }
 
 #[test]
+fn a_panic_of_the_new_life_is_not_taken_for_cured_by_its_beginning() {
+    let mut rig = Rig::new();
+    rig.find(panic_of(1, "arm", 1));
+    rig.find(panic_of(2, "arm", 2));
+
+    assert_eq!(
+        rig.outcome(1, works(2)),
+        ["1 recovered #2", "#2 restart here:arm against panic, 1"]
+    );
+}
+
+#[test]
 fn a_symptom_waits_for_its_root_and_may_then_pass() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::Hang, at("planner"), 1));
