@@ -206,7 +206,7 @@ impl SupervisorSpec {
             name,
             rules: self.rules,
             children,
-            faults: ground.monitor.clone().recipient(),
+            monitor: ground.monitor.clone().recipient(),
             states: ground.monitor.clone().recipient(),
             directory: ground.directory.clone(),
         };
