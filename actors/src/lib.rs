@@ -13,9 +13,10 @@ mod guardian;
 mod host;
 mod lane;
 mod letter;
-mod node;
 mod net;
+mod node;
 mod panics;
+pub mod plain;
 pub mod platform;
 mod ports;
 mod reference;
@@ -32,6 +33,8 @@ compile_error!(
 
 pub use chain::strategy::{RecoveryStrategy, Tools};
 
+pub use blastema_contract::link::LinkRow;
+pub use blastema_contract::session::SessionRow;
 pub use blastema_core as core;
 pub use blastema_core::{Contract, Described};
 pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
@@ -43,7 +46,10 @@ pub use host::life::TimerId;
 pub use host::office::DeadLetterOffice;
 pub use host::spec::{ChildSpec, SpecError};
 pub use lane::WhenFull;
-pub use node::{FaultEvents, Node, NodeBuilder, NodeState, StartError, SupervisorSpec};
+pub use node::{
+    Cable, Direction, FaultEvents, Impairment, Link, MemoryMedium, Network, Node, NodeBuilder,
+    NodeState, StartError, SupervisorSpec,
+};
 pub use ports::{ListenPort, Ports};
 pub use reference::ActorRef;
 pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};

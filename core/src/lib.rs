@@ -22,6 +22,7 @@ pub mod net;
 pub mod quarantine;
 pub mod random;
 pub mod recovery;
+pub mod scanner;
 pub mod time;
 
 pub use codec::{DecodeError, EncodeError};

@@ -1,5 +1,6 @@
 //! The monitor's body.
 
+use super::at_work;
 use crate::drive::{Body, Wake};
 use crate::platform;
 use actix::fut::wrap_future;
@@ -13,7 +14,7 @@ use blastema_contract::reports::{
     Alive, AreYouAlive, Exited, FaultDeclared, Heartbeat, Sighted, StateReported,
 };
 use blastema_core::detection::{self, EnrolError, MonitorLimits, MonitorOutput, Progress, Watch};
-use blastema_core::{NodeName, ObjectName};
+use blastema_core::{Incarnation, NodeName, ObjectName};
 use std::collections::BTreeMap;
 use tracing::error;
 
@@ -21,6 +22,7 @@ use tracing::error;
 pub(crate) struct Monitor {
     machine: detection::Monitor,
     wake: Wake,
+    incarnation: Incarnation,
     detector: Recipient<Observed>,
     /// Where objects answer; no more than the machine's table has rows.
     inquiries: BTreeMap<ObjectName, Recipient<AreYouAlive>>,
@@ -34,7 +36,13 @@ impl Monitor {
         detector: Recipient<Observed>,
     ) -> Self {
         let machine = detection::Monitor::new(node, limits, platform::now());
-        Monitor { machine, wake: Wake::default(), detector, inquiries: BTreeMap::new() }
+        Monitor {
+            machine,
+            wake: Wake::default(),
+            incarnation: Incarnation::FIRST,
+            detector,
+            inquiries: BTreeMap::new(),
+        }
     }
 
     fn ask(&mut self, object: ObjectName, context: &mut Context<Self>) {
@@ -102,6 +110,7 @@ impl Supervised for Monitor {
     fn restarting(&mut self, _: &mut Context<Self>) {
         self.machine = self.machine.clone().reborn(platform::now());
         self.wake = Wake::default();
+        self.incarnation = self.incarnation.next();
     }
 }
 
@@ -188,6 +197,12 @@ impl Handler<Sighted> for Monitor {
             }
             Sighted::Resumed { objects } => machine.handle_resumed(&objects, now),
             Sighted::Lost { culprit, victims } => machine.handle_lost(&culprit, &victims, now),
+            Sighted::Silent { object, incarnation, silent_for } => {
+                machine.handle_silent(&object, incarnation, silent_for, now);
+            }
+            Sighted::Spoke { object, incarnation } => {
+                machine.handle_spoke(&object, incarnation, now);
+            }
             Sighted::Stalled { gap } => machine.handle_stall(gap, now),
         }
         self.drive(context);
@@ -228,5 +243,13 @@ impl Handler<ReadTable> for Monitor {
 
     fn handle(&mut self, _: ReadTable, _: &mut Context<Self>) -> Self::Result {
         MessageResult(self.machine.read_table(platform::now()))
+    }
+}
+
+impl Handler<AreYouAlive> for Monitor {
+    type Result = Alive;
+
+    fn handle(&mut self, _: AreYouAlive, _: &mut Context<Self>) -> Alive {
+        at_work(self.incarnation)
     }
 }

@@ -1,5 +1,6 @@
 //! The notifier's body.
 
+use super::at_work;
 use crate::drive::{Body, Wake};
 use crate::platform;
 use actix::fut::wrap_future;
@@ -7,6 +8,8 @@ use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::notifier::{AddPort, FaultCleared, FaultFound, ReadPorts, RemovePort};
 use blastema_contract::recoverer::{Recover, StandDown};
+use blastema_contract::reports::{Alive, AreYouAlive};
+use blastema_core::Incarnation;
 use blastema_core::detection::{self, Notice, NotifierLimits, NotifierOutput, Port};
 use std::collections::BTreeMap;
 use tracing::error;
@@ -15,6 +18,7 @@ use tracing::error;
 pub(crate) struct Notifier {
     machine: detection::Notifier,
     wake: Wake,
+    incarnation: Incarnation,
     /// Where the machine's ports lead.
     doors: BTreeMap<Port, Door>,
 }
@@ -28,7 +32,12 @@ impl Notifier {
     /// A notifier without ports.
     pub(crate) fn new(limits: NotifierLimits) -> Self {
         let machine = detection::Notifier::new(limits);
-        Notifier { machine, wake: Wake::default(), doors: BTreeMap::new() }
+        Notifier {
+            machine,
+            wake: Wake::default(),
+            incarnation: Incarnation::FIRST,
+            doors: BTreeMap::new(),
+        }
     }
 
     fn hand_over(&mut self, port: Port, number: u64, notice: Notice, context: &mut Context<Self>) {
@@ -100,6 +109,7 @@ impl Supervised for Notifier {
     fn restarting(&mut self, _: &mut Context<Self>) {
         self.machine = self.machine.clone().reborn(platform::now());
         self.wake = Wake::default();
+        self.incarnation = self.incarnation.next();
     }
 }
 
@@ -155,5 +165,13 @@ impl Handler<ReadPorts> for Notifier {
 
     fn handle(&mut self, _: ReadPorts, _: &mut Context<Self>) -> Self::Result {
         MessageResult(self.machine.read_ports())
+    }
+}
+
+impl Handler<AreYouAlive> for Notifier {
+    type Result = Alive;
+
+    fn handle(&mut self, _: AreYouAlive, _: &mut Context<Self>) -> Alive {
+        at_work(self.incarnation)
     }
 }

@@ -170,7 +170,7 @@ impl Bench {
             name: object(name),
             rules,
             children,
-            monitor: self.faults.recipient(),
+            faults: self.faults.recipient(),
             states: self.states.recipient(),
             directory: self.directory.clone(),
         };

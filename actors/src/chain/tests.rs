@@ -305,6 +305,8 @@ fn each_of_the_three_survives_being_struck_with_all_it_knew() {
         chain.notifier.do_send(Strike);
         settle().await;
         assert_eq!(chain.deaths.drain().len(), 3);
+        let alive = chain.detector.send(AreYouAlive).await.expect("the detector lives");
+        assert_eq!(alive.incarnation, ONE.next());
 
         chain.beat("arm");
         advance(Duration::from_millis(400)).await;

@@ -24,8 +24,8 @@ const LOST: u8 = 2;
 const MUTED: u8 = 4;
 
 /// One arbiter's signs of life. Written by its thread, and by whoever gives it up.
-#[derive(Default)]
 pub(crate) struct Pulse {
+    id: u64,
     beat: AtomicU64,
     /// 1 + the slot of the component on the thread right now; 0 between polls.
     running: AtomicU32,
@@ -62,7 +62,26 @@ pub(crate) fn rough_now() -> Instant {
     }
 }
 
+impl Default for Pulse {
+    fn default() -> Self {
+        static NEXT: AtomicU64 = AtomicU64::new(1);
+        Pulse {
+            id: NEXT.fetch_add(1, Relaxed),
+            beat: AtomicU64::new(0),
+            running: AtomicU32::new(0),
+            gate: AtomicU8::new(0),
+            time: AtomicU64::new(0),
+            deadlines: Mutex::default(),
+        }
+    }
+}
+
 impl Pulse {
+    /// Tells it from every other pulse of the process.
+    pub(crate) fn id(&self) -> u64 {
+        self.id
+    }
+
     /// The pulse of this thread, if it is an arbiter that was enrolled.
     #[inline]
     pub(crate) fn here() -> Option<Arc<Pulse>> {

@@ -142,6 +142,14 @@ impl<C: Component> Pump<C> {
             supervisor,
         };
         pump.begin_life();
+        let record = &pump.anchor.record;
+        let watched = Watched {
+            object: record.name.clone(),
+            pulse: pump.pulse.clone(),
+            stamp: pump.slot.stamp,
+            limits: record.limits.clone(),
+        };
+        record.environment.watch_list.enter(pump.slot.index, watched);
         pump
     }
 
@@ -153,13 +161,6 @@ impl<C: Component> Pump<C> {
         let (seat, token) = (self.seat.clone(), self.life.token.clone());
         let place = Place { index: self.slot.index, stamp: self.slot.stamp };
         record.set_seat(Some(Seated { seat, slot: place, token }));
-        let watched = Watched {
-            object: record.name.clone(),
-            pulse: self.pulse.clone(),
-            stamp: self.slot.stamp,
-            limits: record.limits.clone(),
-        };
-        record.environment.watch_list.enter(self.slot.index, watched);
         self.chores.begin(record.limits.interval);
         if self.course.is_starting() {
             self.chores.limit(Chore::ReadyLimit, record.limits.ready_within);

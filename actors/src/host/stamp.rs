@@ -26,7 +26,7 @@ pub(crate) struct Stamp {
 }
 
 /// What a look at a stamp finds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct StampReading {
     pub(crate) turn: u64,
     pub(crate) alive: u64,

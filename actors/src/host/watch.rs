@@ -1,11 +1,33 @@
-//! The watch: who hangs, who waits too long, who is silent.
+//! The watch: it looks at pulses and stamps at even intervals, and tells the monitor what it sees.
+//!
+//! It runs on a thread of its own, so that a busy robot is not a dead one and a stuck arbiter is still
+//! seen. In tests it is a task under their clock. The judging is [`Scanner`]'s.
 
+use super::arbiters::Arbiters;
+use super::label;
 use super::pulse::Pulse;
 use super::spec::Limits;
 use super::stamp::Stamp;
-use blastema_core::ObjectName;
+use crate::platform;
+use actix::Recipient;
+use blastema_contract::reports::Sighted;
+use blastema_core::detection::Watch;
+use blastema_core::scanner::{
+    Judged, PulseReading, Scanner, ScannerConfig, Sighting, StampReading,
+};
+use blastema_core::{Incarnation, Instant, Machine, ObjectName};
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+use std::{io, thread};
+
+/// How often pulses are looked at: as often as they beat.
+const PULSES: Duration = super::pulse::BEAT;
+/// Every so many looks stamps are looked at too. There are many of them: at every look it would cost
+/// six percent of a core for a hundred thousand.
+const STAMPS: u64 = 10;
 
 /// One component as the watch sees it.
 pub(crate) struct Watched {
@@ -15,16 +37,252 @@ pub(crate) struct Watched {
     pub(crate) limits: Limits,
 }
 
-/// Everything that is to be watched. Clones share it.
+impl Watched {
+    fn judged(&self) -> Judged {
+        let max_silence = match self.limits.watch {
+            // Half an interval of lateness is not another lost sign.
+            Watch::Push(push) => Some(push.interval * push.tolerance + push.interval / 2),
+            _ => None,
+        };
+        Judged {
+            object: self.object.clone(),
+            arbiter: self.pulse.id(),
+            max_block: self.limits.max_block,
+            max_wait: self.limits.max_wait,
+            max_silence,
+        }
+    }
+}
+
+/// Everything that is to be watched: as many entries as components live. Clones share it.
 #[derive(Clone, Default)]
-pub(crate) struct WatchList(Arc<Mutex<BTreeMap<u32, Watched>>>);
+pub(crate) struct WatchList(Arc<Entries>);
+
+#[derive(Default)]
+struct Entries {
+    by_slot: Mutex<BTreeMap<u32, Watched>>,
+    /// Raised by every change.
+    version: AtomicU64,
+}
 
 impl WatchList {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<u32, Watched>> {
+        self.0.by_slot.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     pub(crate) fn enter(&self, slot: u32, watched: Watched) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(slot, watched);
+        self.lock().insert(slot, watched);
+        self.0.version.fetch_add(1, Relaxed);
     }
 
     pub(crate) fn leave(&self, slot: u32) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).remove(&slot);
+        if self.lock().remove(&slot).is_some() {
+            self.0.version.fetch_add(1, Relaxed);
+        }
+    }
+}
+
+/// Ends the watch when dropped.
+pub(crate) struct WatchGuard {
+    ended: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for WatchGuard {
+    fn drop(&mut self) {
+        self.ended.store(true, Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // It never waits for anybody, so that it is gone after the present look.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Watches from a thread of its own.
+///
+/// # Errors
+/// The operating system has no thread left.
+pub(crate) fn start_thread(
+    list: WatchList,
+    arbiters: Arbiters,
+    config: ScannerConfig,
+    monitor: Recipient<Sighted>,
+) -> io::Result<WatchGuard> {
+    let ended = Arc::new(AtomicBool::new(false));
+    let mut eyes = Eyes::new(list, arbiters, config, monitor);
+    let told = ended.clone();
+    let thread = platform::start_thread("watch", move || {
+        while !told.load(Relaxed) {
+            thread::sleep(PULSES);
+            eyes.look(platform::now());
+        }
+    })?;
+    Ok(WatchGuard { ended, thread: Some(thread) })
+}
+
+/// Watches from a task on this arbiter, under its clock: it sees who waits and who is silent, but not
+/// who hangs.
+pub(crate) fn start_task(
+    list: WatchList,
+    arbiters: Arbiters,
+    config: ScannerConfig,
+    monitor: Recipient<Sighted>,
+) -> WatchGuard {
+    let ended = Arc::new(AtomicBool::new(false));
+    let mut eyes = Eyes::new(list, arbiters, config, monitor);
+    let told = ended.clone();
+    actix_rt::spawn(async move {
+        while !told.load(Relaxed) {
+            tokio::time::sleep(PULSES).await;
+            eyes.look(platform::now());
+        }
+    });
+    WatchGuard { ended, thread: None }
+}
+
+/// What the watch knows between two looks.
+struct Eyes {
+    list: WatchList,
+    version: u64,
+    scanner: Scanner,
+    looks: u64,
+    stamps: BTreeMap<u32, Known>,
+    pulses: BTreeMap<u64, Arc<Pulse>>,
+    arbiters: Arbiters,
+    monitor: Recipient<Sighted>,
+}
+
+struct Known {
+    object: ObjectName,
+    arbiter: u64,
+    stamp: &'static Stamp,
+}
+
+impl Eyes {
+    fn new(
+        list: WatchList,
+        arbiters: Arbiters,
+        config: ScannerConfig,
+        monitor: Recipient<Sighted>,
+    ) -> Self {
+        Eyes {
+            list,
+            version: u64::MAX,
+            scanner: Scanner::new(config),
+            looks: 0,
+            stamps: BTreeMap::new(),
+            pulses: BTreeMap::new(),
+            arbiters,
+            monitor,
+        }
+    }
+
+    fn look(&mut self, now: Instant) {
+        let version = self.list.0.version.load(Relaxed);
+        if version != self.version {
+            self.version = version;
+            self.learn(now);
+        }
+        self.scanner.handle_look(now);
+        for (id, pulse) in &self.pulses {
+            let running = pulse.running();
+            let turn = running.and_then(|slot| self.stamps.get(&slot));
+            let reading = PulseReading {
+                beat: pulse.beats(),
+                running,
+                turn: turn.map(|known| known.stamp.read().turn),
+                fenced: pulse.is_fenced(),
+            };
+            self.scanner.handle_pulse(*id, reading, now);
+        }
+        if self.looks % STAMPS == 0 {
+            let stamps = &self.stamps;
+            self.scanner.handle_stamps(now, |slot| read(stamps.get(&slot)));
+        }
+        self.looks += 1;
+        while let Some(sighting) = self.scanner.poll_output() {
+            if let Some(sighted) = self.translate(sighting) {
+                self.monitor.do_send(sighted);
+            }
+        }
+    }
+
+    /// Brings what is known up to date with the list.
+    fn learn(&mut self, now: Instant) {
+        let list = self.list.clone();
+        let entries = list.lock();
+        let scanner = &mut self.scanner;
+        self.stamps.retain(|slot, known| {
+            let entry = entries.get(slot);
+            let same = entry.is_some_and(|entry| {
+                entry.object == known.object && entry.pulse.id() == known.arbiter
+            });
+            if !same {
+                scanner.handle_leave(*slot);
+            }
+            same
+        });
+        for (slot, entry) in entries.iter() {
+            if self.stamps.contains_key(slot) {
+                continue;
+            }
+            scanner.handle_enter(*slot, entry.judged(), now);
+            let (object, arbiter) = (entry.object.clone(), entry.pulse.id());
+            self.stamps.insert(*slot, Known { object, arbiter, stamp: entry.stamp });
+            self.pulses.insert(arbiter, entry.pulse.clone());
+        }
+        let stamps = &self.stamps;
+        self.pulses.retain(|id, pulse| {
+            // A fenced arbiter is followed until it comes back or is lost, also if nobody is left.
+            let awaited = pulse.is_fenced() && !pulse.is_lost();
+            let kept = awaited || stamps.values().any(|known| known.arbiter == *id);
+            if !kept {
+                scanner.handle_gone(*id);
+            }
+            kept
+        });
+    }
+
+    fn translate(&self, sighting: Sighting) -> Option<Sighted> {
+        let during = |slot| {
+            let known = self.stamps.get(&slot);
+            label::name(known.map_or(u32::MAX, |known| known.stamp.read().during))
+        };
+        Some(match sighting {
+            Sighting::Hangs { slot, object, age, victims } => Sighted::Hangs {
+                object,
+                incarnation: read(self.stamps.get(&slot)).incarnation,
+                during: during(slot),
+                age,
+                victims: victims.into(),
+            },
+            Sighting::Waits { slot, object, incarnation, age } => {
+                Sighted::Waits { object, incarnation, during: during(slot), age }
+            }
+            Sighting::Silent { object, incarnation, silent_for } => {
+                Sighted::Silent { object, incarnation, silent_for }
+            }
+            Sighting::Spoke { object, incarnation } => Sighted::Spoke { object, incarnation },
+            Sighting::Resumed { objects } => Sighted::Resumed { objects: objects.into() },
+            Sighting::Lost { arbiter, culprit, victims } => {
+                // It may have come back just now; then nobody has to move.
+                if !self.arbiters.lose(self.pulses.get(&arbiter)?) {
+                    return None;
+                }
+                Sighted::Lost { culprit, victims: victims.into() }
+            }
+            Sighting::Stalled { gap } => Sighted::Stalled { gap },
+        })
+    }
+}
+
+fn read(known: Option<&Known>) -> StampReading {
+    let reading = known.map(|known| known.stamp.read()).unwrap_or_default();
+    StampReading {
+        turn: reading.turn,
+        alive: reading.alive,
+        incarnation: Incarnation(reading.incarnation),
+        speaks: reading.speaks,
+        allowance: reading.allowance,
     }
 }

@@ -4,6 +4,7 @@ use super::NetEnvironment;
 use super::door::{Condition, Doors, Gate};
 use super::notice;
 use super::sessions::Sessions;
+use crate::host::office::DeadLetterOffice;
 use crate::platform;
 use crate::registry::{Doorway, Registry, ReplyTo};
 use crate::topic::{Forward, ForwardId, TopicKey, Topics};
@@ -28,6 +29,8 @@ use tracing::{debug, error, warn};
 
 /// How often the registry is looked at for objects that came or went.
 const NAMES_INTERVAL: Duration = Duration::from_millis(200);
+/// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
+const LEAVE_PATIENCE: Duration = Duration::from_millis(500);
 /// Events of one subscription that may wait in the gateway's mailbox; beyond, they are dropped.
 const EVENTS_MAX: usize = 1024;
 
@@ -95,6 +98,7 @@ struct Wiring {
     recoverer: Option<Recipient<Recover>>,
     sessions: Addr<Sessions>,
     doors: Arc<Doors>,
+    dead_letters: DeadLetterOffice,
 }
 
 /// Speaks for the objects of this node.
@@ -114,6 +118,8 @@ pub(super) struct Gateway {
     next: u64,
     /// Messages without a reply, and events, that did not arrive.
     lost: u64,
+    /// The node ends; the sessions follow once nothing waits here.
+    leaving: bool,
 }
 
 struct Forwarded {
@@ -130,9 +136,9 @@ impl Gateway {
         sessions: Addr<Sessions>,
         doors: Arc<Doors>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
-        let NetEnvironment { registry, topics, recoverer, .. } = environment.clone();
+        let NetEnvironment { registry, topics, recoverer, dead_letters, .. } = environment.clone();
         move |_| Gateway {
-            wiring: Wiring { registry, topics, recoverer, sessions, doors },
+            wiring: Wiring { registry, topics, recoverer, sessions, doors, dead_letters },
             exchange: Exchange::default(),
             naming: Naming::default(),
             peers: BTreeMap::new(),
@@ -142,6 +148,7 @@ impl Gateway {
             notices: BTreeMap::new(),
             next: 0,
             lost: 0,
+            leaving: false,
         }
     }
 
@@ -166,6 +173,21 @@ impl Gateway {
         while let Some(output) = self.exchange.poll_output() {
             self.carry_out(output, context);
         }
+        if self.leaving && !self.exchange.is_waiting() {
+            self.leave();
+        }
+    }
+
+    fn leave(&mut self) {
+        if std::mem::take(&mut self.leaving) {
+            self.exchange.handle_leave();
+            while let Some(ExchangeOutput::Send { peer, stream, message }) =
+                self.exchange.poll_output()
+            {
+                self.wiring.sessions.do_send(Say { peer, stream, message });
+            }
+            self.wiring.sessions.do_send(Leave);
+        }
     }
 
     fn carry_out(&mut self, output: ExchangeOutput, context: &mut Context<Self>) {
@@ -185,10 +207,15 @@ impl Gateway {
                     reply_to(result);
                 }
             }
-            ExchangeOutput::Lost { peer, why } => {
-                self.lost += 1;
-                debug!(%peer, %why, "a message did not arrive");
+            ExchangeOutput::Lost { to: Some((object, contract)), why, .. } => {
+                self.wiring.dead_letters.take(&object, contract, &why);
             }
+            ExchangeOutput::Lost { peer, to: None, why } => {
+                self.lost += 1;
+                debug!(%peer, %why, "an event did not arrive");
+            }
+            ExchangeOutput::Full { peer } => self.set(peer, Condition::Full),
+            ExchangeOutput::Room { peer } => self.set(peer, Condition::Open),
             ExchangeOutput::Differs { peer, difference } => {
                 let node =
                     self.peers.get(&peer).map_or(String::new(), |(node, _)| node.to_string());
@@ -545,9 +572,9 @@ impl Handler<Leave> for Gateway {
     type Result = ();
 
     fn handle(&mut self, _: Leave, context: &mut Context<Self>) {
-        self.exchange.handle_leave();
+        self.leaving = true;
+        context.run_later(LEAVE_PATIENCE, |gateway, _| gateway.leave());
         self.drive(context);
-        self.wiring.sessions.do_send(Leave);
     }
 }
 

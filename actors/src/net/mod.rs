@@ -22,8 +22,11 @@ mod links;
 mod notice;
 mod router;
 mod sessions;
+#[cfg(test)]
+mod tests;
 
 use crate::guardian::Guardian;
+use crate::host::office::DeadLetterOffice;
 use crate::registry::{Registry, RemoteDoors};
 use crate::topic::Topics;
 use actix::prelude::*;
@@ -34,6 +37,7 @@ use blastema_contract::naming::{NodeRow, ReadNames};
 use blastema_contract::recoverer::Recover;
 use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
 use blastema_contract::session::{AddGateway, Leave, ReadSessions, SessionRow};
+use blastema_contract::strategy::Reroute;
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::{LinkNumber, NodeId};
 use blastema_core::{Incarnation, NodeName, ObjectName};
@@ -95,6 +99,8 @@ pub(crate) struct NetEnvironment {
     pub(crate) registry: Registry,
     /// Its topics.
     pub(crate) topics: Topics,
+    /// Gets what was accepted and did not arrive.
+    pub(crate) dead_letters: DeadLetterOffice,
     /// Gets faults that other nodes tell us of.
     pub(crate) recoverer: Option<Recipient<Recover>>,
     /// Is told how links are.
@@ -258,6 +264,11 @@ impl NetHandle {
 
     /// Takes [`PanicOnPurpose`], for the demonstration and tests.
     pub(crate) fn router(&self) -> Recipient<PanicOnPurpose> {
+        self.router.clone().recipient()
+    }
+
+    /// Takes requests for another way, from the recovery strategy.
+    pub(crate) fn reroute(&self) -> Recipient<Reroute> {
         self.router.clone().recipient()
     }
 

@@ -8,9 +8,11 @@ use blastema_contract::monitor::NodeReported;
 use blastema_contract::router::{
     AddSessions, PanicOnPurpose, PathReported, ReadRoutes, Routes, SegmentArrived, SendSegment,
 };
+use blastema_contract::strategy::Reroute;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::{self, LinkNumber, RouterConfig, RouterOutput};
-use blastema_core::{Incarnation, NodeName};
+use blastema_core::recovery::{Done, Failed};
+use blastema_core::{Incarnation, NodeName, Place};
 use std::collections::BTreeMap;
 use tracing::{debug, error, info};
 
@@ -207,5 +209,22 @@ impl Handler<PanicOnPurpose> for Router {
 
     fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
         panic!("the router panics on purpose");
+    }
+}
+
+/// The alternative was chosen before it was needed: what is left to do is to say whether there is one.
+impl Handler<Reroute> for Router {
+    type Result = Result<Done, Failed>;
+
+    fn handle(&mut self, message: Reroute, _: &mut Context<Self>) -> Self::Result {
+        let Reroute { place } = message;
+        let node = match place {
+            Place::Link { neighbour: Some(node), .. } | Place::Node(node) => node,
+            other => return Err(format!("nobody is known to be behind {other}").into()),
+        };
+        match self.reached.contains_key(&node) {
+            true => Ok(Done::default()),
+            false => Err(format!("no other way leads to {node}").into()),
+        }
     }
 }

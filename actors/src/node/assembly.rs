@@ -2,6 +2,7 @@
 
 use super::builder::{NodeBuilder, Placement, StartError};
 use super::keeper::{Keeper, NodeState, StartRoot};
+use super::network::{Cable, Network};
 use super::tree::{Ground, Harvest, Planted};
 use super::{Node, Root, Shared};
 use crate::chain::detector::Detector;
@@ -13,19 +14,22 @@ use crate::chain::strategy::{ToolBox, Tools};
 use crate::guardian::Guardian;
 use crate::host::arbiters::Arbiters;
 use crate::host::environment::{HostEnvironment, Reports};
+use crate::net::{self, NetEnvironment, NetHandle};
 use crate::{panics, platform};
 use actix::prelude::*;
 use blastema_contract::detector::{ReadRecord, Subscribe};
 use blastema_contract::monitor::{Dismiss, Enrol, ReadTable};
 use blastema_contract::notifier::AddPort;
+use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
+use blastema_contract::strategy::Reroute;
 use blastema_core::detection::{
     DetectorLimits, EnrolError, Enrolment, MonitorLimits, NotifierLimits, ObjectKind, Port, Watch,
 };
 use blastema_core::recovery::{self, RecovererLimits};
-use blastema_core::{NameError, NodeName, ObjectAddress, ObjectName};
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
+use blastema_core::{Incarnation, NameError, NodeName, ObjectAddress, ObjectName};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, OnceLock};
 use tokio::sync::watch;
 
 /// The fault chain as the rest of the node sees it.
@@ -36,6 +40,9 @@ pub(super) struct Chain {
     enrol: Recipient<Enrol>,
     dismiss: Recipient<Dismiss>,
     arbiter: Option<ArbiterHandle>,
+    notifier: Recipient<AddPort>,
+    recoverer: Recipient<Recover>,
+    router: Arc<OnceLock<Recipient<Reroute>>>,
 }
 
 impl Chain {
@@ -108,16 +115,19 @@ fn named(name: &str) -> ObjectName {
     ObjectName::new(name).expect("the middleware's own names are well formed")
 }
 
+/// An arbiter on a thread of its own, for the middleware.
+fn own_arbiter() -> std::io::Result<ArbiterHandle> {
+    let arbiter = Arbiter::try_with_tokio_rt(|| {
+        tokio::runtime::Builder::new_current_thread().enable_all().build()
+    })?;
+    Ok(arbiter.handle())
+}
+
 /// Makes the fault chain; it has nothing to watch yet.
 fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartError> {
     let arbiter = match builder.placement {
         Placement::Here => None,
-        Placement::Threads { .. } | Placement::ComponentsHere => Some(
-            Arbiter::try_with_tokio_rt(|| {
-                tokio::runtime::Builder::new_current_thread().enable_all().build()
-            })?
-            .handle(),
-        ),
+        Placement::Threads { .. } | Placement::ComponentsHere => Some(own_arbiter()?),
     };
     let place = arbiter.as_ref();
     let guardian = Guardian::default();
@@ -144,10 +154,11 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
     });
 
     let directory = Directory::default();
+    let router: Arc<OnceLock<Recipient<Reroute>>> = Arc::default();
     let tools = Tools::new(ToolBox {
         node: node.clone(),
         directory: directory.clone(),
-        router: None,
+        router: router.clone(),
         safe_outputs: builder.safe_outputs.clone(),
         rest_node: keeper.clone().recipient(),
     });
@@ -167,7 +178,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
     notifier.do_send(AddPort {
         port: Port::Local,
         recover: recoverer.clone().recipient(),
-        stand_down: Some(recoverer.recipient()),
+        stand_down: Some(recoverer.clone().recipient()),
     });
 
     let chain = Chain {
@@ -177,25 +188,102 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         enrol: monitor.clone().recipient(),
         dismiss: monitor.clone().recipient(),
         arbiter,
+        notifier: notifier.recipient(),
+        recoverer: recoverer.recipient(),
+        router,
     };
     Ok(Parts { guardian, chain, monitor, keeper, state, directory })
+}
+
+/// The networks of a node that runs.
+pub(super) struct Networks {
+    pub(super) handle: NetHandle,
+    pub(super) cables: BTreeMap<String, Cable>,
+    arbiter: Option<ArbiterHandle>,
+}
+
+impl Networks {
+    pub(super) fn stop(&self) {
+        if let Some(arbiter) = &self.arbiter {
+            arbiter.stop();
+        }
+    }
+}
+
+/// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
+fn make_networks(
+    networks: Vec<Network>,
+    placement: Placement,
+    (node, incarnation): (&NodeName, Incarnation),
+    parts: &Parts,
+    environment: &HostEnvironment,
+) -> Result<(Networks, Vec<Enrol>), StartError> {
+    let Parts { guardian, chain, monitor, .. } = parts;
+    let arbiter = match placement {
+        Placement::Here => None,
+        Placement::Threads { .. } | Placement::ComponentsHere => Some(own_arbiter()?),
+    };
+    let (mut specs, mut cables) = (Vec::new(), BTreeMap::new());
+    let (mut neighbours, mut enrolments) = (BTreeSet::new(), Vec::new());
+    for network in networks {
+        let laid = network.lay(guardian, arbiter.as_ref())?;
+        if let Some(cable) = laid.cable {
+            cables.insert(laid.spec.name.to_string(), cable);
+        }
+        enrolments.extend(laid.transports.iter().map(|name| middleware(name.as_str())));
+        enrolments.push(middleware(&format!("net/links/{}", laid.spec.name)));
+        neighbours.extend(laid.neighbours);
+        specs.push(laid.spec);
+    }
+    enrolments.extend(["net/router", "net/sessions", "net/gateway"].map(middleware));
+    let net_environment = NetEnvironment {
+        node: node.clone(),
+        incarnation,
+        guardian: guardian.clone(),
+        arbiter: arbiter.clone(),
+        registry: environment.registry.clone(),
+        topics: environment.topics.clone(),
+        recoverer: Some(chain.recoverer.clone()),
+        links: Some(monitor.clone().recipient()),
+        nodes: Some(monitor.clone().recipient()),
+    };
+    let handle = net::start(net_environment, specs)
+        .map_err(|error| StartError::Network(error.to_string()))?;
+    // The recipient is set once, here.
+    let _ = chain.router.set(handle.reroute());
+    for neighbour in neighbours {
+        let recover = handle.recoverer_of(&neighbour);
+        let port = Port::Remote(neighbour);
+        chain.notifier.do_send(AddPort { port, recover, stand_down: None });
+    }
+    Ok((Networks { handle, cables, arbiter }, enrolments))
 }
 
 pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
     let node = NodeName::new(&builder.name)?;
-    let Parts { guardian, chain, monitor, keeper, state, directory } = make_chain(&builder, &node)?;
+    let incarnation = platform::node_incarnation();
+    let parts = make_chain(&builder, &node)?;
 
     let arbiters = match builder.placement {
         Placement::Threads { shared } => Arbiters::pool(shared),
         Placement::ComponentsHere | Placement::Here => Arbiters::here(),
     };
     let reports = Reports {
-        exits: Some(monitor.clone().recipient()),
-        states: Some(monitor.clone().recipient()),
-        faults: Some(monitor.clone().recipient()),
+        exits: Some(parts.monitor.clone().recipient()),
+        states: Some(parts.monitor.clone().recipient()),
+        faults: Some(parts.monitor.clone().recipient()),
     };
     let environment = HostEnvironment::new(arbiters, reports);
+    let (networks, network_enrolments) = if builder.networks.is_empty() {
+        (None, Vec::new())
+    } else {
+        let (networks, placement) = (builder.networks, builder.placement);
+        let who = (&node, incarnation);
+        let (networks, enrolments) = make_networks(networks, placement, who, &parts, &environment)?;
+        (Some(networks), enrolments)
+    };
+    let Parts { guardian, chain, monitor, keeper, state, directory } = parts;
 
     let plan = Arc::new(builder.plan);
     let ground = Ground {
@@ -215,6 +303,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         ["chain/notifier", "chain/detector", "chain/monitor", "chain/recoverer", "keeper"]
             .map(middleware)
             .into();
+    enrolments.extend(network_enrolments);
     enrolments.extend(harvest.supervisors.iter().map(|name| middleware(name.as_str())));
     let mut actors: BTreeMap<ObjectName, _> = BTreeMap::new();
     for facts in harvest.components {
@@ -226,9 +315,10 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
 
     let shared = Shared {
         name: node,
-        incarnation: platform::node_incarnation(),
+        incarnation,
         environment,
         chain,
+        networks,
         root: Root::of(&root),
         shutdown: keeper.clone().recipient(),
         state,

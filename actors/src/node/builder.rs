@@ -1,6 +1,7 @@
 //! How a node is described.
 
 use super::Node;
+use super::network::Network;
 use super::tree::SupervisorSpec;
 use crate::chain::strategy::{RecoveryStrategy, SafeOutputs, StrategyTable};
 use crate::component::Component;
@@ -29,6 +30,9 @@ pub enum StartError {
     /// An object cannot be watched as its spec says.
     #[error(transparent)]
     Watch(#[from] EnrolError),
+    /// The networks cannot be used together.
+    #[error("{0}")]
+    Network(String),
     /// The operating system has no thread left.
     #[error("a thread could not be started: {0}")]
     Thread(#[from] io::Error),
@@ -62,6 +66,7 @@ pub struct NodeBuilder {
     pub(super) safe_outputs: Option<SafeOutputs>,
     pub(super) placement: Placement,
     pub(super) grace: Duration,
+    pub(super) networks: Vec<Network>,
 }
 
 impl fmt::Debug for NodeBuilder {
@@ -83,6 +88,7 @@ impl NodeBuilder {
             placement: Placement::Threads { shared: cores },
             // Twenty beats: a handler that was merely slow has come back by then.
             grace: Duration::from_millis(200),
+            networks: Vec::new(),
         }
     }
 
@@ -108,6 +114,12 @@ impl NodeBuilder {
     /// rest.
     pub fn intensity(mut self, times: u32, period: Duration) -> Self {
         self.root = self.root.intensity(times, period);
+        self
+    }
+
+    /// One more network that the node is on.
+    pub fn network(mut self, network: Network) -> Self {
+        self.networks.push(network);
         self
     }
 

@@ -14,11 +14,13 @@ mod assembly;
 mod builder;
 mod faults;
 mod keeper;
+mod network;
 mod tree;
 
 pub use builder::{NodeBuilder, StartError};
 pub use faults::FaultEvents;
 pub use keeper::NodeState;
+pub use network::{Cable, Direction, Impairment, Link, MemoryMedium, Network};
 pub use tree::SupervisorSpec;
 
 use crate::chain::supervisor::SupervisorChild;
@@ -30,11 +32,15 @@ use crate::reference::ActorRef;
 use crate::sender::Sender;
 use crate::topic::Publisher;
 use actix::Recipient;
-use assembly::Chain;
+use assembly::{Chain, Networks};
 use blastema_contract::detector::{FaultEvent, ReadRecord, Subscribe};
+use blastema_contract::link::LinkRow;
 use blastema_contract::monitor::ReadTable;
+use blastema_contract::router::PanicOnPurpose;
+use blastema_contract::session::SessionRow;
 use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
 use blastema_core::detection::{Record, Row};
+use blastema_core::net::Route;
 use blastema_core::{Contract, Event, Incarnation, NodeName, ObjectName, Why};
 use keeper::Shutdown;
 use std::any::Any;
@@ -68,6 +74,7 @@ struct Shared {
     incarnation: Incarnation,
     environment: HostEnvironment,
     chain: Chain,
+    networks: Option<Networks>,
     root: Root,
     shutdown: Recipient<Shutdown>,
     state: watch::Receiver<NodeState>,
@@ -181,6 +188,42 @@ impl Node {
         self.0.root.tree.send(ReadTree).await.ok()
     }
 
+    /// All links, in the order in which they were described; none without a network.
+    pub async fn links(&self) -> Vec<LinkRow> {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_links().await,
+            None => Vec::new(),
+        }
+    }
+
+    /// Every node that can be reached from here, and over which link.
+    pub async fn routes(&self) -> Vec<Route> {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_routes().await.routes,
+            None => Vec::new(),
+        }
+    }
+
+    /// The sessions with other nodes.
+    pub async fn sessions(&self) -> Vec<SessionRow> {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_sessions().await,
+            None => Vec::new(),
+        }
+    }
+
+    /// The cable of a network that was described [`with_faults`](Network::with_faults).
+    pub fn cable(&self, network: &str) -> Option<Cable> {
+        self.0.networks.as_ref()?.cables.get(network).cloned()
+    }
+
+    /// Makes this node's router panic, for demonstrations and tests; nothing without a network.
+    pub fn panic_router(&self) {
+        if let Some(networks) = &self.0.networks {
+            networks.handle.router().do_send(PanicOnPurpose);
+        }
+    }
+
     /// What was not delivered here, with the reasons.
     pub fn dead_letters(&self) -> &DeadLetterOffice {
         &self.0.environment.dead_letters
@@ -235,16 +278,27 @@ impl Node {
     pub async fn shutdown(&self) {
         // A keeper that does not answer has ended already.
         let _ = self.0.shutdown.send(Shutdown).await;
-        self.0.environment.arbiters.stop();
-        self.0.chain.stop();
+        if let Some(networks) = &self.0.networks {
+            networks.handle.leave();
+        }
+        self.0.stop_threads();
+    }
+}
+
+impl Shared {
+    fn stop_threads(&self) {
+        self.environment.arbiters.stop();
+        if let Some(networks) = &self.networks {
+            networks.stop();
+        }
+        self.chain.stop();
     }
 }
 
 impl Drop for Shared {
     fn drop(&mut self) {
         // Whoever lets go of the last reference without a shutdown still leaves no thread behind.
-        self.environment.arbiters.stop();
-        self.chain.stop();
+        self.stop_threads();
     }
 }
 

@@ -124,6 +124,22 @@ pub enum Sighted {
         /// Who stood still behind it.
         victims: Arc<[ObjectName]>,
     },
+    /// This object should give signs of life and gives none; its arbiter turns.
+    Silent {
+        /// Who.
+        object: ObjectName,
+        /// Which of its lives.
+        incarnation: Incarnation,
+        /// For how long, at least.
+        silent_for: Duration,
+    },
+    /// An object that was silent gives signs of life again.
+    Spoke {
+        /// Who.
+        object: ObjectName,
+        /// Which of its lives.
+        incarnation: Incarnation,
+    },
     /// The watch itself was not scheduled for so long: every silence up to now is void.
     Stalled {
         /// For how long.

@@ -201,6 +201,7 @@ impl Monitor {
         }
         let died = exit != Exit::Stopped;
         entry.end = Some(if died { Ending::Died } else { Ending::Stopped });
+        entry.state = Some(if died { Lifecycle::Fatal } else { Lifecycle::Finalized });
         entry.note = Some(describe(&exit));
         entry.suspect = false;
         self.watchdog.handle_end(object, incarnation);
@@ -952,9 +953,26 @@ mod tests {
         assert_eq!(seen(&mut monitor, 210), ["m:laser Exited"]);
         let row = row(&monitor, "m:laser", 220);
         assert_eq!((row.incarnation, row.restarts, row.suspicions), (THREE, 1, 0));
-        assert_eq!((row.opinion, row.last_sign), (Opinion::Unheard, None));
+        assert_eq!((row.opinion, row.last_sign, row.state), (Opinion::Unheard, None, None));
         let told = run(&mut monitor, 9000);
         assert_eq!(told, [(5210, "m:laser Silent".to_string())]);
+    }
+
+    #[test]
+    fn a_life_that_is_over_is_not_shown_in_the_state_that_it_had_before() {
+        for (exit, state, opinion) in [
+            (panicked(), Lifecycle::Fatal, Opinion::Failed),
+            (Exit::Aborted, Lifecycle::Fatal, Opinion::Failed),
+            (Exit::Stopped, Lifecycle::Finalized, Opinion::AtRest),
+        ] {
+            let mut monitor = watched(Watch::Guard);
+            monitor.handle_state(&object("laser"), TWO, Lifecycle::Active, None, at(0));
+
+            monitor.handle_exited(&object("laser"), TWO, exit, None, at(1));
+
+            let row = row(&monitor, "m:laser", 1);
+            assert_eq!((row.state, row.opinion), (Some(state), opinion));
+        }
     }
 
     #[test]

@@ -17,8 +17,11 @@ use crate::{ContractIdentity, MessageId, NodeName, ObjectName, PeerIdentity, Why
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-/// The most messages that wait for one binding: one round trip's worth of a fast sender.
-const WAITING_MAX: usize = 1024;
+/// The messages that should wait for one binding at most: one round trip's worth of a fast sender.
+/// Beyond, senders are told to stop.
+const WAITING: usize = 1024;
+/// The most messages that wait for one binding, whatever senders were told.
+const WAITING_MAX: usize = 8 * WAITING;
 /// The most bindings and subscriptions that a peer may have here, each.
 const BINDINGS_MAX: usize = 16 * 1024;
 
@@ -104,8 +107,20 @@ pub enum ExchangeOutput {
     Lost {
         /// For which node.
         peer: NodeId,
+        /// For which object there, and by which contract; `None` for an event.
+        to: Option<(ObjectName, &'static str)>,
         /// Why.
         why: Why,
+    },
+    /// Too much waits for the peer to agree to a contract: senders should stop.
+    Full {
+        /// Whom.
+        peer: NodeId,
+    },
+    /// They may go on.
+    Room {
+        /// Whom.
+        peer: NodeId,
     },
     /// Our contract differs from the peer's.
     Differs {
@@ -282,9 +297,10 @@ impl Exchange {
         for reply_as in session.calls.into_values() {
             self.outputs.push_back(ExchangeOutput::Resolve { reply_as, result: Err(why.clone()) });
         }
-        for binding in session.bindings.into_values() {
+        for ((object, contract, _), binding) in session.bindings {
             for waiting in binding.waiting.into_iter().flatten() {
-                self.outputs.push_back(refuse(peer, waiting.reply_as, why.clone()));
+                let to = (object.clone(), contract);
+                self.outputs.push_back(refuse(peer, to, waiting.reply_as, why.clone()));
             }
         }
         for number in session.notices {
@@ -302,7 +318,7 @@ impl Exchange {
         let Some(session) = known.and_then(|peer| peer.session.as_mut()) else {
             let unreachable = Why::Unreachable { node: node.to_string() };
             let why = if reachable { Why::Restarting } else { unreachable };
-            self.outputs.push_back(refuse(peer, reply_as, why));
+            self.outputs.push_back(refuse(peer, (object, contract.name), reply_as, why));
             return;
         };
         let key = (object, contract.name, contract.fingerprint);
@@ -313,10 +329,14 @@ impl Exchange {
                 self.outputs.push_back(session.send(peer, number, waiting));
             }
             Some(Binding { waiting: Some(queue), .. }) => {
+                if queue.len() == WAITING {
+                    self.outputs.push_back(ExchangeOutput::Full { peer });
+                }
                 if queue.len() < WAITING_MAX {
                     queue.push(waiting);
                 } else {
-                    self.outputs.push_back(refuse(peer, reply_as, Why::Full));
+                    let refused = refuse(peer, (key.0, key.1), reply_as, Why::Full);
+                    self.outputs.push_back(refused);
                 }
             }
             None => {
@@ -441,6 +461,12 @@ impl Exchange {
         self.tell_all(&Message::Bye);
     }
 
+    /// Something waits for a peer to agree to a contract.
+    pub fn is_waiting(&self) -> bool {
+        let sessions = self.peers.values().filter_map(|peer| peer.session.as_ref());
+        sessions.flat_map(|session| session.bindings.values()).any(|b| b.waiting.is_some())
+    }
+
     fn tell_all(&mut self, message: &Message) {
         for (peer, state) in &self.peers {
             if state.session.is_some() {
@@ -468,8 +494,13 @@ impl Exchange {
                     self.outputs.push_back(ExchangeOutput::Resolve { reply_as, result: Err(why) });
                 }
             }
-            Message::Tell { .. } | Message::Event { .. } => {
-                self.outputs.push_back(ExchangeOutput::Lost { peer, why });
+            Message::Tell { binding, .. } => {
+                let key = session.and_then(|session| session.numbers.get(&binding));
+                let to = key.map(|(object, contract, _)| (object.clone(), *contract));
+                self.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
+            }
+            Message::Event { .. } => {
+                self.outputs.push_back(ExchangeOutput::Lost { peer, to: None, why });
             }
             // What belongs to the session itself ends with it.
             _ => {}
@@ -588,8 +619,11 @@ impl Exchange {
         let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) else {
             return;
         };
-        let binding = session.numbers.remove(&number).and_then(|key| session.bindings.remove(&key));
-        let Some(Binding { contract, waiting, .. }) = binding else {
+        let binding = session.numbers.remove(&number).and_then(|key| {
+            let binding = session.bindings.remove(&key)?;
+            Some((key, binding))
+        });
+        let Some(((object, name, _), Binding { contract, waiting, .. })) = binding else {
             self.refusals.unexpected += 1;
             return;
         };
@@ -605,8 +639,13 @@ impl Exchange {
             let difference = difference.clone();
             self.outputs.push_back(ExchangeOutput::Differs { peer, difference });
         }
-        for waiting in waiting.into_iter().flatten() {
-            self.outputs.push_back(refuse(peer, waiting.reply_as, why.clone()));
+        let waiting = waiting.unwrap_or_default();
+        if waiting.len() > WAITING {
+            self.outputs.push_back(ExchangeOutput::Room { peer });
+        }
+        for Waiting { reply_as, .. } in waiting {
+            let to = (object.clone(), name);
+            self.outputs.push_back(refuse(peer, to, reply_as, why.clone()));
         }
     }
 
@@ -643,7 +682,10 @@ impl Session {
     fn bound(&mut self, peer: NodeId, number: u32) -> Option<Vec<ExchangeOutput>> {
         let key = self.numbers.get(&number)?;
         let waiting = self.bindings.get_mut(key)?.waiting.take()?;
-        Some(waiting.into_iter().map(|waiting| self.send(peer, number, waiting)).collect())
+        let room = (waiting.len() > WAITING).then_some(ExchangeOutput::Room { peer });
+        let sent = waiting.into_iter().map(|waiting| self.send(peer, number, waiting));
+        // Room first: the session may find itself full, and must have the last word.
+        Some(room.into_iter().chain(sent).collect())
     }
 }
 
@@ -657,9 +699,14 @@ fn subscribe(topic: &TopicContract, interest: &Interest) -> Message {
     Message::Subscribe { subscription: *subscription, topic: topic.topic.clone(), identity }
 }
 
-fn refuse(peer: NodeId, reply_as: Option<u64>, why: Why) -> ExchangeOutput {
+fn refuse(
+    peer: NodeId,
+    to: (ObjectName, &'static str),
+    reply_as: Option<u64>,
+    why: Why,
+) -> ExchangeOutput {
     match reply_as {
         Some(reply_as) => ExchangeOutput::Resolve { reply_as, result: Err(why) },
-        None => ExchangeOutput::Lost { peer, why },
+        None => ExchangeOutput::Lost { peer, to: Some(to), why },
     }
 }

@@ -87,7 +87,6 @@ impl Chaos {
     }
 
     fn object(&mut self) -> Injection {
-        let module = self.dice.one_of(&Module::ALL);
         let sabotage = self.dice.one_of(&[
             Sabotage::Panic,
             Sabotage::Hang { millis: HANG_MILLIS },
@@ -96,12 +95,19 @@ impl Chaos {
             Sabotage::Silence,
             Sabotage::Flood { messages: FLOOD_MESSAGES },
         ]);
+        let module = match sabotage {
+            Sabotage::Flood { .. } => self.dice.one_of(&[Module::Module1, Module::Module2]),
+            _ => self.dice.one_of(&Module::ALL),
+        };
         let cells = module.skin();
         let cell = cells.start + u32::try_from(self.dice.below(cells.len() as u64)).unwrap_or(0);
-        let object = if self.dice.below(2) == 0 {
-            skin(cell)
-        } else {
-            self.dice.one_of(module.components()).to_owned()
+        let object = match sabotage {
+            // Only of those who are asked it is known how long their messages wait.
+            Sabotage::Flood { .. } => self.dice.one_of(module.passive()).to_owned(),
+            // Who is asked is never silent.
+            Sabotage::Silence => skin(cell),
+            _ if self.dice.below(2) == 0 => skin(cell),
+            _ => self.dice.one_of(module.components()).to_owned(),
         };
         Injection::Object { module, object, sabotage }
     }

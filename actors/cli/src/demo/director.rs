@@ -64,7 +64,7 @@ pub(crate) enum DemoError {
 
 /// What happens to the director.
 enum Happening {
-    Said(Module, i32, Event),
+    Said(Said),
     Ended(Ended),
     Entered(i32, Reader, Writer),
     EntryFailed(io::Error),
@@ -81,9 +81,16 @@ pub(crate) struct Director {
     rewired: u32,
     door: Option<Door>,
     crew: BTreeMap<Module, Member>,
-    said: (Sender<(Module, i32, Event)>, Receiver<(Module, i32, Event)>),
+    said: (Sender<Said>, Receiver<Said>),
     ended: (Sender<Ended>, Receiver<Ended>),
     signals: Signals,
+}
+
+/// What a module's process said.
+struct Said {
+    module: Module,
+    process: i32,
+    event: Event,
 }
 
 /// One module's process, as the director keeps it.
@@ -152,7 +159,7 @@ impl Director {
             let happening = tokio::select! {
                 biased;
                 name = self.signals.next() => Happening::Interrupted(name),
-                Some((module, id, event)) = self.said.1.recv() => Happening::Said(module, id, event),
+                Some(said) = self.said.1.recv() => Happening::Said(said),
                 Some(ended) = self.ended.1.recv() => Happening::Ended(ended),
                 entered = admit(self.door.as_ref()) => match entered {
                     Ok((process, reader, writer)) => Happening::Entered(process, reader, writer),
@@ -168,7 +175,7 @@ impl Director {
     fn handle(&mut self, happening: Happening, display: &Display) -> Result<(), DemoError> {
         let now = Moment::now();
         match happening {
-            Happening::Said(module, id, event) => self.handle_event(module, id, &event, now)?,
+            Happening::Said(said) => self.handle_said(&said, now)?,
             Happening::Ended(ended) => self.handle_ended(ended, now)?,
             Happening::Entered(process, reader, writer) => self.enter(process, reader, writer),
             Happening::EntryFailed(error) => return Err(ControlError::Socket(error).into()),
@@ -185,15 +192,10 @@ impl Director {
         Ok(())
     }
 
-    fn handle_event(
-        &mut self,
-        module: Module,
-        id: i32,
-        event: &Event,
-        now: Moment,
-    ) -> Result<(), DemoError> {
-        let Some(member) = self.crew.get_mut(&module).filter(|member| member.process.id == id)
-        else {
+    fn handle_said(&mut self, said: &Said, now: Moment) -> Result<(), DemoError> {
+        let &Said { module, process, ref event } = said;
+        let member = self.crew.get_mut(&module).filter(|member| member.process.id == process);
+        let Some(member) = member else {
             // The last words of a process that is gone.
             return Ok(());
         };
@@ -351,7 +353,7 @@ impl Director {
 async fn all_ended(
     crew: &mut BTreeMap<Module, Member>,
     ended: &mut Receiver<Ended>,
-    said: &mut Receiver<(Module, i32, Event)>,
+    said: &mut Receiver<Said>,
 ) {
     while !crew.is_empty() {
         tokio::select! {
@@ -380,10 +382,10 @@ async fn speak(mut writer: Writer, mut queue: Receiver<Command>, wiring: Wiring,
 }
 
 /// Takes in what a module says, until it ends.
-async fn listen(module: Module, id: i32, mut reader: Reader, said: Sender<(Module, i32, Event)>) {
+async fn listen(module: Module, process: i32, mut reader: Reader, said: Sender<Said>) {
     // A channel that fails is closed; the module notices and ends, which is reported.
     while let Ok(Some(event)) = reader.next().await {
-        if said.send((module, id, event)).await.is_err() {
+        if said.send(Said { module, process, event }).await.is_err() {
             break;
         }
     }

@@ -83,6 +83,9 @@ impl FakeRobot {
         if self.flaw == Flaw::FalseAlarm {
             let note = self.note(FaultKind::Silence, object(Module::Module1, "safety"), 350);
             self.says(Module::Module1, 350, Event::Found(note));
+            let symptom = self.note(FaultKind::Silence, object(Module::Module1, "planner"), 350);
+            self.says(Module::Module1, 355, Event::Explained { id: symptom.id, symptom_of: 1 });
+            self.says(Module::Module1, 350, Event::Found(symptom));
         }
         loop {
             while let Some(output) = story.poll_output() {

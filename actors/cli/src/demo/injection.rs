@@ -152,7 +152,8 @@ impl Injection {
         let (named, touched) = match self {
             Injection::Object { module, object, sabotage } => {
                 let here = note.place == Place::Object(address(*module, object));
-                (here && note.kind == kind_of(*sabotage), here)
+                let comes_along = companions_of(*sabotage).contains(&note.kind);
+                (here && note.kind == kind_of(*sabotage), here && comes_along)
             }
             Injection::Cut { cable, .. } => {
                 let here = is_cable(&note.place, cable);
@@ -213,6 +214,17 @@ fn kind_of(sabotage: Sabotage) -> FaultKind {
         Sabotage::FailInitialization => FaultKind::InitializationFailed,
         Sabotage::Silence => FaultKind::Silence,
         Sabotage::Flood { .. } => FaultKind::Overload,
+    }
+}
+
+/// What an object may rightly be said to suffer besides.
+fn companions_of(sabotage: Sabotage) -> &'static [FaultKind] {
+    match sabotage {
+        // That is how it is made to start anew.
+        Sabotage::FailInitialization => &[FaultKind::Panic],
+        // Who hangs is silent, too.
+        Sabotage::Hang { .. } => &[FaultKind::Silence],
+        Sabotage::Panic | Sabotage::ErrorState | Sabotage::Silence | Sabotage::Flood { .. } => &[],
     }
 }
 
@@ -289,6 +301,7 @@ mod tests {
         };
         check(FaultKind::Hang, object(Module::Module1, "planner"), Judgement::Named);
         check(FaultKind::Silence, object(Module::Module1, "planner"), Judgement::Companion);
+        check(FaultKind::Panic, object(Module::Module1, "planner"), Judgement::Foreign);
         check(FaultKind::Hang, object(Module::Module1, "safety"), Judgement::Foreign);
         check(FaultKind::Hang, object(Module::Module2, "planner"), Judgement::Foreign);
 

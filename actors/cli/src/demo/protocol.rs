@@ -152,6 +152,13 @@ pub(crate) enum Event {
         /// How often by now.
         count: u32,
     },
+    /// A fault turned out to be a consequence of another.
+    Explained {
+        /// Its number.
+        id: u64,
+        /// The other's.
+        symptom_of: u64,
+    },
     /// A measure was chosen.
     Decided {
         /// The fault's number.
@@ -380,6 +387,7 @@ mod tests {
             symptom_of: Some(0),
         }));
         round_trip(Event::Repeated { id: 1, count: 3 });
+        round_trip(Event::Explained { id: 2, symptom_of: 1 });
         round_trip(Event::Decided { id: 1, measure: "restart".into() });
         round_trip(Event::Recovered { id: 1, at });
         round_trip(Event::GaveUp { id: 1, reason: "too often".into() });

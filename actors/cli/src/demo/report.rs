@@ -66,6 +66,8 @@ pub(crate) struct Row {
     pub(crate) doubled: u64,
     /// Reliable messages that went down with a killed process, at most.
     pub(crate) perished: u64,
+    /// The paper's figure in milliseconds, if it measured something like it.
+    pub(crate) paper: Option<&'static str>,
     /// What broke a promise.
     pub(crate) problems: Vec<String>,
 }

@@ -67,6 +67,16 @@ impl Module {
         }
     }
 
+    /// Those of them that are passive in the paper's sense: they are asked whether they live, and how
+    /// long messages wait in their queues. All others give signs of life by themselves.
+    pub(crate) const fn passive(self) -> &'static [&'static str] {
+        match self {
+            Module::Module1 => &["planner"],
+            Module::Module2 => &["operator"],
+            Module::Module3 => &[],
+        }
+    }
+
     /// Which of the hundred cells of the robot's skin are here.
     pub(crate) const fn skin(self) -> Range<u32> {
         match self {

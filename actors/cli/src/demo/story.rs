@@ -11,7 +11,7 @@ use super::protocol::{Event, FaultNote, Sabotage};
 use super::report::{NOTES, Report, Row};
 use super::robot::{CABLES, Module};
 use super::trial::{Deed, Patience, Trial};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 /// Until all three processes have found each other, on a machine that is busy with something else.
@@ -42,6 +42,8 @@ pub(crate) struct Story {
     rows_left_out: u64,
     broken: bool,
     problems: Vec<String>,
+    /// Faults that nobody made, unless they turn out to be symptoms.
+    stray: BTreeMap<(Module, u64), String>,
     outputs: VecDeque<Output>,
 }
 
@@ -130,6 +132,7 @@ impl Story {
             rows_left_out: 0,
             broken: false,
             problems: Vec::new(),
+            stray: BTreeMap::new(),
             outputs: VecDeque::new(),
             plan,
         }
@@ -140,6 +143,9 @@ impl Story {
         self.now = now;
         self.known.handle_event(from, event);
         self.tell(from, event);
+        if let Event::Explained { id, .. } = event {
+            self.stray.remove(&(from, *id));
+        }
         match (&mut self.scene, event) {
             (Scene::Trying(trial), Event::Found(note)) => {
                 let late = self.last.as_ref().map(|last| last.judge(note));
@@ -239,13 +245,13 @@ impl Story {
     /// What came of it so far.
     pub(crate) fn report(&self) -> Report {
         let mut report = Report {
-            promises_kept: !self.broken && self.number > 0,
+            promises_kept: !self.broken && self.stray.is_empty() && self.number > 0,
             seed: self.plan.seed,
             chaos: self.plan.chaos,
             took: self.now - self.began_at,
             rows: self.rows.clone(),
             rows_left_out: self.rows_left_out,
-            problems: self.problems.clone(),
+            problems: self.problems.iter().chain(self.stray.values()).cloned().collect(),
             messages: self.known.ledger.losses(),
             received: self.known.ledger.received(),
             given_back: 0,
@@ -349,9 +355,10 @@ impl Story {
         let belongs = |last: &Injection| last.judge(note) != Judgement::Foreign;
         if note.symptom_of.is_none() && !self.last.as_ref().is_some_and(belongs) {
             let FaultNote { kind, place, detail, .. } = note;
-            self.complain(format!(
-                "{from} named {kind} in {place}, where nothing was done: {detail}"
-            ));
+            let text = format!("{from} named {kind} in {place}, where nothing was done: {detail}");
+            if self.stray.len() < PROBLEM_LIMIT {
+                self.stray.insert((from, note.id), text);
+            }
         }
     }
 
@@ -463,6 +470,7 @@ mod tests {
         let report = tell(Plan::default(), Flaw::FalseAlarm);
 
         assert!(!report.promises_kept);
+        assert_eq!(report.problems.len(), 1, "a symptom is none: {:?}", report.problems);
         assert!(report.problems[0].contains("where nothing was done"), "{:?}", report.problems);
     }
 

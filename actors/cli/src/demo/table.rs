@@ -1,7 +1,7 @@
 //! The table at the end, beside the paper's figures.
 
 use super::ink::{Ink, Line};
-use super::report::{Delivery, Figures, Report, Response, Row, millis, paper_figure};
+use super::report::{Delivery, Figures, Report, Response, Row, millis};
 use std::time::Duration;
 
 /// What the wide form takes; narrower terminals get a paragraph for each row.
@@ -60,7 +60,7 @@ fn wide_row(row: &Row) -> Vec<Line> {
     )
     .and(count_ink(row.lost), format!("{:>5}", row.lost))
     .and(count_ink(row.doubled), format!("{:>9}", row.doubled))
-    .and(Ink::Plain, format!("  {}{}", perished(row), paper_figure(row.fault).unwrap_or_default()));
+    .and(Ink::Plain, format!("  {}{}", perished(row), row.paper.unwrap_or_default()));
     let problems = row.problems.iter().map(|text| Line::of(Ink::Bad, format!("     ! {text}")));
     std::iter::once(figures).chain(problems).collect()
 }
@@ -82,7 +82,7 @@ fn narrow_row(row: &Row) -> Vec<Line> {
             .and(count_ink(row.doubled), format!("doubled {}", row.doubled))
             .and(Ink::Plain, format!("  {}", perished(row))),
     ];
-    if let Some(paper) = paper_figure(row.fault) {
+    if let Some(paper) = row.paper {
         lines.push(Line::of(Ink::Plain, format!("    paper: {paper}")));
     }
     lines.extend(row.problems.iter().map(|text| Line::of(Ink::Bad, format!("    ! {text}"))));
@@ -187,7 +187,7 @@ mod tests {
     use crate::demo::ink::Palette;
     use crate::demo::known::Measured;
     use crate::demo::ledger::Losses;
-    use crate::demo::report::{NOTES, Named};
+    use crate::demo::report::{NOTES, Named, paper_figure};
     use crate::demo::robot::Module;
     use crate::demo::timings::Timings;
     use crate::golden;
@@ -210,6 +210,7 @@ mod tests {
             lost: 0,
             doubled: 0,
             perished: 0,
+            paper: paper_figure(fault),
             problems: vec![],
         }
     }

@@ -15,7 +15,7 @@ use super::known::Known;
 use super::ledger::Losses;
 use super::moment::Moment;
 use super::protocol::{Command, Event, FaultNote, OrderId};
-use super::report::{Named, Row};
+use super::report::{Named, Row, paper_figure};
 use super::robot::{Cable, Flow, Module};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -71,6 +71,8 @@ pub(crate) struct Trial {
     struck: Option<Struck>,
     repair: Repair,
     named: BTreeMap<(Module, u64), FaultNote>,
+    /// Faults that have nothing to do with what was done, unless they turn out to be symptoms.
+    foreign: BTreeMap<(Module, u64), FaultNote>,
     reported: bool,
     served_at: Option<Moment>,
     passed: BTreeMap<&'static str, Moment>,
@@ -123,6 +125,7 @@ impl Trial {
             struck: None,
             repair: if repairs { Repair::NotNeeded } else { Repair::Needed },
             named: BTreeMap::new(),
+            foreign: BTreeMap::new(),
             reported: false,
             served_at: None,
             passed: BTreeMap::new(),
@@ -158,6 +161,9 @@ impl Trial {
                 self.enter(Phase::Settling, known, now);
             }
             Event::Found(note) => self.handle_found(from, note),
+            Event::Explained { id, .. } => {
+                self.foreign.remove(&(from, *id));
+            }
             Event::Recovered { id, .. } if self.named.contains_key(&(from, *id)) => {
                 self.reported = true;
             }
@@ -254,6 +260,9 @@ impl Trial {
     pub(crate) fn row(&self, known: &Known) -> Row {
         let Losses { lost, doubled, perished } = known.ledger.losses() - self.before;
         let mut problems = self.problems.clone();
+        for ((finder, _), FaultNote { kind, place, detail, .. }) in &self.foreign {
+            problems.push(format!("{finder} named {kind} in {place}: {detail}"));
+        }
         if lost > 0 {
             problems.push(format!("{lost} reliable messages were lost"));
         }
@@ -274,6 +283,7 @@ impl Trial {
             lost,
             doubled,
             perished,
+            paper: paper_figure(self.injection.title()),
             problems,
         }
     }
@@ -327,9 +337,9 @@ impl Trial {
                 self.named.entry((from, note.id)).or_insert_with(|| note.clone());
             }
             Judgement::Companion => {}
-            Judgement::Foreign => self
-                .problems
-                .push(format!("{from} named {} in {}: {}", note.kind, note.place, note.detail)),
+            Judgement::Foreign => {
+                self.foreign.entry((from, note.id)).or_insert_with(|| note.clone());
+            }
         }
     }
 

@@ -131,7 +131,8 @@ impl Gauges {
             sent: source.made - source.waiting.len() as u64,
             given_back: source.given_back,
         };
-        let response = |(module, timings): (&Module, &Timings)| (module.to_string(), timings.clone());
+        let response =
+            |(module, timings): (&Module, &Timings)| (module.to_string(), timings.clone());
         Snapshot {
             at: Moment::now(),
             objects: Vec::new(),
@@ -162,6 +163,11 @@ mod tests {
         (Gauges::new(module, events), told)
     }
 
+    fn source(gauges: &Gauges) -> SourceState {
+        let snapshot = gauges.snapshot();
+        snapshot.sources.into_iter().find(|source| source.flow == FLOW.name).expect("it is here")
+    }
+
     #[test]
     fn what_is_given_back_is_offered_again_in_order() {
         let (gauges, _told) = gauges(FLOW.from);
@@ -169,7 +175,7 @@ mod tests {
 
         gauges.offer(FLOW, |_| false);
         gauges.offer(FLOW, |_| false);
-        let between = gauges.snapshot().sources.remove(0);
+        let between = source(&gauges);
         gauges.offer(FLOW, |sample| {
             taken.push(sample.number);
             true
@@ -177,7 +183,7 @@ mod tests {
 
         assert_eq!((between.sent, between.given_back), (0, 2));
         assert_eq!(taken, [1, 2, 3]);
-        assert_eq!(gauges.snapshot().sources[0].sent, 3);
+        assert_eq!(source(&gauges).sent, 3);
     }
 
     #[test]

@@ -1,11 +1,41 @@
 //! One module of the demonstration's robot: a node in a process of its own, which does what the
 //! director says and tells what it finds.
+//!
+//! ```text
+//!  director ── commands ──► Post ──► Duty ──► objects (each handles its own harm)
+//!           ◄── events ──── Gauges ◄── flows, echoes, ticks; fault history; monitor's table
+//! ```
+//!
+//! The gauges stand outside of the objects, so that what is measured survives what is done to them.
+
+mod aboard;
+mod cell;
+mod duty;
+mod gauges;
+mod laser;
+mod messages;
+mod motors;
+mod odometry;
+mod operator;
+mod pacer;
+mod planner;
+mod post;
+mod report;
+mod safety;
+mod stopwatch;
+mod ticker;
+mod wounds;
 
 use crate::args::ModuleOptions;
 use crate::demo::control::{ControlError, enter};
 use crate::demo::protocol::{Command, Event, VERSION};
 use crate::demo::robot::Module;
+use post::Post;
 use std::io;
+use tokio::sync::mpsc::channel;
+
+/// Lines that may wait between the module and the director.
+const QUEUE: usize = 4_096;
 
 /// Why a module ends with a failure.
 #[derive(Debug, thiserror::Error)]
@@ -21,22 +51,42 @@ pub(crate) enum ModuleError {
     System(#[from] io::Error),
 }
 
+/// Runs a module until the director is gone or says that it is over.
+///
+/// # Errors
+/// It was not started by a director, or cannot reach it.
 pub(crate) fn run(options: &ModuleOptions) -> Result<(), ModuleError> {
     let name = || ModuleError::Name(options.name.clone());
     let module = Module::from_name(&options.name).ok_or_else(name)?;
     blastema::platform::end_with_parent(options.parent)?;
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    runtime.block_on(async {
-        let (mut reader, mut writer) = enter(&options.control, options.parent).await?;
-        let hello = Event::Hello { name: module.name().into(), version: VERSION };
-        writer.send(&hello).await?;
-        while let Some(command) = reader.next::<Command>().await? {
-            match command {
-                Command::Start { .. } => writer.send(&Event::Ready).await?,
-                Command::Shutdown => break,
-                _ => {}
+    let options = options.clone();
+    blastema::run(async move { serve(module, &options).await })
+}
+
+async fn serve(module: Module, options: &ModuleOptions) -> Result<(), ModuleError> {
+    let (mut reader, mut writer) = enter(&options.control, options.parent).await?;
+    let hello = Event::Hello { name: module.name().into(), version: VERSION };
+    writer.send(&hello).await?;
+    let Some(Command::Start { wiring }) = reader.next().await? else { return Ok(()) };
+
+    let (events, mut told) = channel::<Event>(QUEUE);
+    tokio::spawn(async move {
+        while let Some(event) = told.recv().await {
+            // A director that is gone is noticed by the reader.
+            if writer.send(&event).await.is_err() {
+                break;
             }
         }
-        Ok(())
-    })
+    });
+    let (heard, commands) = channel::<Command>(QUEUE);
+    tokio::spawn(async move {
+        // An end of the channel is an end of the module; so is a line that cannot be understood.
+        while let Ok(Some(command)) = reader.next().await {
+            if heard.send(command).await.is_err() {
+                break;
+            }
+        }
+    });
+    Post::new(module, events).hold(wiring, commands).await;
+    Ok(())
 }

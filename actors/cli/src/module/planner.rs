@@ -87,6 +87,6 @@ mod tests {
 
         assert!((ahead.forward - FASTEST_M_PER_S).abs() < 1e-9 && ahead.turning.abs() < 1e-9);
         assert!(left.turning > 1.0 && left.forward < 1e-9);
-        assert!(near.forward < 0.1 * FASTEST_M_PER_S + 1e-9);
+        assert!(near.forward < 0.11 * FASTEST_M_PER_S);
     }
 }

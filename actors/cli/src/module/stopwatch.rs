@@ -27,7 +27,8 @@ impl Component for Stopwatch {
         self.number += 1;
         let asked = Moment::now();
         // A request that fails is not an answer: the flows count what is lost.
-        if other.ask_within(Echo { number: self.number }, DEADLINE).await == Ok(self.number) {
+        let answer = other.ask_within(Echo { number: self.number }, DEADLINE).await;
+        if answer.is_ok_and(|number| number == self.number) {
             self.gauges.answered(self.of, Moment::now() - asked);
         }
         Ok(())

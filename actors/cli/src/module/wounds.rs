@@ -134,11 +134,7 @@ macro_rules! vulnerable {
         }
 
         impl Handle<$crate::module::messages::Noise> for $component {
-            async fn handle(
-                &mut self,
-                _: $crate::module::messages::Noise,
-                _: &mut Context<Self>,
-            ) {
+            async fn handle(&mut self, _: $crate::module::messages::Noise, _: &mut Context<Self>) {
                 $crate::module::wounds::endure().await;
             }
         }

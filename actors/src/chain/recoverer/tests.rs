@@ -38,7 +38,7 @@ impl Chain {
         let tools = Tools::new(ToolBox {
             node: here.clone(),
             directory: bench.directory.clone(),
-            router: Some(router.recipient()),
+            router: Arc::new(std::sync::OnceLock::from(router.recipient())),
             safe_outputs: Some(apply),
             rest_node: node.recipient(),
         });

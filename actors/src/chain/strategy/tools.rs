@@ -10,7 +10,7 @@ use blastema_contract::supervisor::{
 use blastema_core::recovery::{Done, Failed};
 use blastema_core::{Fault, NodeName, ObjectName, Place};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// The application's declared safe outputs: called whenever something comes to safe rest. It must not
 /// block.
@@ -20,8 +20,9 @@ pub(crate) type SafeOutputs = Arc<dyn Fn(&Fault) + Send + Sync>;
 pub(crate) struct ToolBox {
     pub(crate) node: NodeName,
     pub(crate) directory: Directory,
-    /// `None` in a node without a network.
-    pub(crate) router: Option<Recipient<Reroute>>,
+    /// Empty in a node without a network. The network needs the recoverer, and the recoverer the
+    /// network: that is why it is filled later.
+    pub(crate) router: Arc<OnceLock<Recipient<Reroute>>>,
     pub(crate) safe_outputs: Option<SafeOutputs>,
     pub(crate) rest_node: Recipient<RestNode>,
 }
@@ -78,7 +79,7 @@ impl Tools {
     /// # Errors
     /// There is no other way, or no network.
     pub async fn reroute(&self, place: &Place) -> Result<Done, Failed> {
-        let router = self.0.router.as_ref().ok_or("this node has no network")?;
+        let router = self.0.router.get().ok_or("this node has no network")?;
         match router.send(Reroute { place: place.clone() }).await {
             Ok(outcome) => outcome,
             Err(_) => Err("the router did not answer".into()),

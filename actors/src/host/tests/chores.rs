@@ -206,8 +206,7 @@ fn a_detached_sender_ends_with_the_life_that_made_it() {
         let kit = kit().await;
         let heard = Log::default();
         let kept = heard.clone();
-        let (_ear, _) =
-            kit.stage.start(ChildSpec::new("ear", move || Ear(kept.clone()))).await;
+        let (_ear, _) = kit.stage.start(ChildSpec::new("ear", move || Ear(kept.clone()))).await;
         kit.worker.tell(Job::Detach).unwrap();
         settle().await;
         let sender = kit.detached.lock().unwrap().take().unwrap();

@@ -4,7 +4,9 @@ mod bounds;
 mod chores;
 mod death;
 mod doorway;
+mod hang;
 mod lifecycle;
+mod plain_actors;
 mod serving;
 mod topics;
 

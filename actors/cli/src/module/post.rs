@@ -1,0 +1,109 @@
+//! Where the module stands at its post: between the director and the node.
+
+use super::aboard;
+use super::duty::Duty;
+use super::gauges::Gauges;
+use super::report::{event_of, links_of, objects_of};
+use crate::demo::moment::Moment;
+use crate::demo::protocol::{Command, Event, OrderId, Snapshot};
+use crate::demo::robot::Module;
+use crate::demo::wiring::Wiring;
+use blastema::prelude::*;
+use std::time::Duration;
+use tokio::sync::mpsc::{Receiver, Sender as Queue};
+use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
+
+/// How often a snapshot is sent.
+const SNAPSHOT: Duration = Duration::from_millis(100);
+/// How long the node may take to stop in order. The director waits longer.
+const FAREWELL: Duration = Duration::from_secs(1);
+/// How long the last event may take to the director.
+const LAST_WORD: Duration = Duration::from_millis(50);
+
+/// A module at work.
+#[derive(Debug)]
+pub(super) struct Post {
+    module: Module,
+    gauges: Gauges,
+}
+
+impl Post {
+    /// What it finds goes to `events`.
+    pub(super) fn new(module: Module, events: Queue<Event>) -> Post {
+        Post { module, gauges: Gauges::new(module, events) }
+    }
+
+    /// Runs the node, and does what it is told until nobody tells it anything any more.
+    pub(super) async fn hold(self, wiring: Wiring, mut commands: Receiver<Command>) {
+        let node = match aboard::build(self.module, &wiring, &self.gauges).start().await {
+            Ok(node) => node,
+            Err(error) => {
+                let address_taken = aboard::is_address_taken(&error);
+                self.gauges.tell(Event::StartFailed { reason: error.to_string(), address_taken });
+                sleep(LAST_WORD).await;
+                return;
+            }
+        };
+        let mut faults = node.fault_events();
+        self.gauges.tell(Event::Ready);
+        let mut snapshots = interval(SNAPSHOT);
+        snapshots.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        loop {
+            tokio::select! {
+                command = commands.recv() => match command {
+                    None | Some(Command::Shutdown) => break,
+                    Some(command) => self.obey(&node, command).await,
+                },
+                Some(step) = faults.next() => {
+                    if let Some(event) = event_of(step) {
+                        self.gauges.tell(event);
+                    }
+                }
+                _ = snapshots.tick() => self.report(&node).await,
+            }
+        }
+        // A node that cannot stop in order is ended with its process.
+        let _ = timeout(FAREWELL, node.shutdown()).await;
+    }
+
+    async fn obey(&self, node: &Node, command: Command) {
+        match command {
+            Command::Strike { order, object, sabotage } => {
+                match Duty::new(node, &self.gauges, order, object.as_str()) {
+                    Ok(duty) => drop(tokio::spawn(duty.carry_out(sabotage))),
+                    Err(why) => self.refuse(order, why.to_string()),
+                }
+            }
+            Command::Cut { order, cables } => {
+                let cut = |cable: &String| aboard::cut(node, cable);
+                self.answer(order, cables.iter().try_for_each(cut));
+            }
+            Command::Restore { order, cables } => {
+                let restore = |cable: &String| aboard::restore(node, cable);
+                self.answer(order, cables.iter().try_for_each(restore));
+            }
+            Command::PanicRouter { order } => self.answer(order, aboard::panic_router(node)),
+            Command::Watch { since } => self.gauges.watch(since),
+            Command::Status => self.report(node).await,
+            Command::Start { .. } | Command::Shutdown => {}
+        }
+    }
+
+    async fn report(&self, node: &Node) {
+        let table = node.table().await;
+        let (objects, links) = (objects_of(&table), links_of(&table));
+        let snapshot = Snapshot { objects, links, ..self.gauges.snapshot() };
+        self.gauges.tell(Event::Snapshot(Box::new(snapshot)));
+    }
+
+    fn answer(&self, order: OrderId, outcome: Result<(), Why>) {
+        match outcome {
+            Ok(()) => self.gauges.tell(Event::CarriedOut { order, at: Moment::now() }),
+            Err(why) => self.refuse(order, why.to_string()),
+        }
+    }
+
+    fn refuse(&self, order: OrderId, reason: String) {
+        self.gauges.tell(Event::Refused { order, reason });
+    }
+}

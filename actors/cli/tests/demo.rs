@@ -1,0 +1,161 @@
+//! The main job on real processes: what it promises, and that it leaves nothing behind.
+//!
+//! These are the only tests that wait in real time: processes are not to be had in virtual time.
+
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// A run of the program with a folder for its temporary files, so that what it leaves is seen.
+struct Run {
+    child: Option<Child>,
+    id: u32,
+    folder: TempDir,
+}
+
+impl Run {
+    fn start(arguments: &[&str]) -> Run {
+        let folder = tempfile::tempdir().expect("a folder can be made");
+        let child = Command::new(env!("CARGO_BIN_EXE_blastema"))
+            .args(arguments)
+            .env("TMPDIR", folder.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program can be started");
+        Run { id: child.id(), child: Some(child), folder }
+    }
+
+    fn output(&mut self) -> Output {
+        let child = self.child.take().expect("a run ends once");
+        child.wait_with_output().expect("the program can be waited for")
+    }
+
+    fn signal(&self, name: &str) {
+        let status = Command::new("kill").args([name, &self.id.to_string()]).status();
+        assert!(status.is_ok_and(|status| status.success()), "kill {name} {}", self.id);
+    }
+
+    /// The modules that this run has started and that are still there.
+    fn modules(&self) -> Vec<String> {
+        let parent = format!("--parent\0{}\0", self.id);
+        let processes = fs::read_dir("/proc").expect("there is a /proc").flatten();
+        let lines = processes.filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
+        let lines = lines.map(|line| String::from_utf8_lossy(&line).into_owned());
+        lines.filter(|line| line.ends_with(&parent)).collect()
+    }
+
+    fn await_modules(&self, count: usize) {
+        await_that(&format!("{count} modules"), || self.modules().len() == count);
+    }
+
+    fn assert_nothing_is_left(&self) {
+        await_that("no module", || self.modules().is_empty());
+        let left: Vec<_> = names_in(self.folder.path());
+        assert!(left.is_empty(), "left behind: {left:?}");
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        if let Some(mut child) = self.child.take() {
+            // The test has failed already.
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+fn names_in(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).expect("the folder is there").flatten();
+    entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
+}
+
+fn await_that(what: &str, holds: impl Fn() -> bool) {
+    let due = Instant::now() + Duration::from_secs(10);
+    while !holds() {
+        assert!(Instant::now() < due, "{what}: not within 10 s");
+        sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn the_robot_recovers_from_every_fault_of_the_story_and_leaves_nothing_behind() {
+    let mut run = Run::start(&["demo", "--json"]);
+    let output = run.output();
+
+    let text = String::from_utf8_lossy(&output.stdout);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    let report: Value = serde_json::from_str(&text).unwrap_or_else(|error| {
+        panic!("no document: {error}\n{text}\n{errors}");
+    });
+    let rows = report["rows"].as_array().expect("there are rows");
+    assert_eq!(rows.len(), 10, "{text}");
+    for row in rows {
+        assert_eq!(row["problems"], Value::Array(vec![]), "{row}");
+        assert!(row["named"]["code"].is_string(), "{row}");
+        assert!(row["detected_after_ms"].is_number(), "{row}");
+        assert!(row["recovered_after_ms"].is_number(), "{row}");
+    }
+    assert_eq!(report["messages"]["lost"], 0, "{text}");
+    assert_eq!(report["messages"]["doubled"], 0, "{text}");
+    assert!(report["received"].as_u64() > Some(1_000), "{text}");
+    for response in report["responses"].as_array().expect("there are response times") {
+        assert!(response["count"].as_u64() > Some(100), "{response}");
+    }
+    assert_eq!(report["promises_kept"], true, "{text}");
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    run.assert_nothing_is_left();
+}
+
+#[test]
+fn a_signal_ends_all_processes_and_says_so() {
+    for signal in ["-INT", "-TERM", "-HUP"] {
+        let mut run = Run::start(&["demo"]);
+        run.await_modules(3);
+
+        run.signal(signal);
+        let output = run.output();
+
+        assert_eq!(output.status.code(), Some(2), "{signal}");
+        assert!(String::from_utf8_lossy(&output.stderr).contains("before its time"), "{signal}");
+        run.assert_nothing_is_left();
+    }
+}
+
+#[test]
+fn no_module_outlives_a_director_that_is_killed() {
+    let mut run = Run::start(&["demo"]);
+    run.await_modules(3);
+    // From then on the socket's folder is gone.
+    await_that("no folder", || names_in(run.folder.path()).is_empty());
+
+    run.signal("-KILL");
+    run.output();
+
+    run.assert_nothing_is_left();
+}
+
+#[test]
+fn a_wrong_command_line_is_refused() {
+    for arguments in [&["demo", "--for", "60"][..], &["demo", "--seeed", "1"], &["dance"]] {
+        let output = Run::start(arguments).output();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(output.stdout.is_empty(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_module_cannot_be_run_by_hand() {
+    let parent = std::process::id().to_string();
+    let arguments =
+        ["module", "--name", "module1", "--control", "/nonexistent/socket", "--parent", &parent];
+    let output = Run::start(&arguments).output();
+
+    assert_eq!(output.status.code(), Some(2));
+}

@@ -1,0 +1,347 @@
+//! Hangs, fences, lost arbiters; silence and waiting.
+
+use super::{Log, Stage, acc, logged};
+use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
+use crate::host::watch::{self, WatchGuard};
+use crate::{
+    ChildSpec, Component, Context, Event, Failure, Handle, Incarnation, ObjectName, Ports, Sender,
+    Why,
+};
+use blastema_contract::child::ChildEvent;
+use blastema_contract::reports::Sighted;
+use blastema_core::detection::Watch;
+use blastema_core::scanner::ScannerConfig;
+use blastema_doubles::{Probe, advance, paused};
+use std::sync::mpsc;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// Says this when it is heard.
+#[derive(Clone, Debug, PartialEq, Event)]
+struct Said(u64);
+
+/// Blocks the thread until the test lets it go; then says something, and replies.
+#[derive(Clone, Debug, PartialEq, crate::Request)]
+#[contract(reply = u64)]
+struct Block(u64);
+
+type Gate = Arc<Mutex<mpsc::Receiver<()>>>;
+/// What came of what a component said after it was let go.
+type Said0 = Arc<Mutex<Vec<Option<Why>>>>;
+
+struct Blocker {
+    gate: Gate,
+    ear: Sender<Said>,
+    said: Said0,
+}
+
+impl Component for Blocker {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Said>().on("news");
+    }
+}
+
+impl Handle<Block> for Blocker {
+    async fn handle(&mut self, Block(n): Block, cx: &mut Context<Self>) -> u64 {
+        self.gate.lock().unwrap().recv().unwrap();
+        cx.publish(Said(666));
+        let said = self.ear.tell(Said(n)).map_err(|refused| refused.why).err();
+        self.said.lock().unwrap().push(said);
+        n
+    }
+}
+
+impl Handle<Said> for Blocker {
+    async fn handle(&mut self, Said(n): Said, _: &mut Context<Self>) {
+        let _ = self.ear.tell(Said(n));
+    }
+}
+
+struct Ear(Log);
+impl Component for Ear {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Said>();
+        ports.listen::<Said>();
+    }
+}
+impl Handle<Said> for Ear {
+    async fn handle(&mut self, Said(n): Said, _: &mut Context<Self>) {
+        self.0.lock().unwrap().push(n);
+    }
+}
+
+/// A stage on real threads, with the watch, an ear on a thread of its own, and what blocks.
+struct Site {
+    stage: Stage,
+    sighted: Probe<Sighted>,
+    open: mpsc::Sender<()>,
+    gate: Gate,
+    said: Said0,
+    heard: Log,
+    ear: Sender<Said>,
+    _ear: Box<dyn blastema_contract::child::Child>,
+    _watch: WatchGuard,
+}
+
+impl Site {
+    async fn new(shared: usize, grace: Duration) -> Self {
+        let stage = Stage::on(Arbiters::pool(shared));
+        let sighted = Probe::start();
+        let config = ScannerConfig { grace, gap: Duration::from_secs(1), ..Default::default() };
+        let environment = &stage.environment;
+        let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
+        let watch = watch::start_thread(list, arbiters, config, sighted.recipient()).unwrap();
+        let (open, gate) = mpsc::channel();
+        let heard = Log::default();
+        let kept = heard.clone();
+        let spec = ChildSpec::new("ear", move || Ear(kept.clone())).on_own_thread();
+        let (ear_child, ear) = stage.start(spec).await;
+        Site {
+            ear: ear.sender(),
+            stage,
+            sighted,
+            open,
+            gate: Arc::new(Mutex::new(gate)),
+            said: Said0::default(),
+            heard,
+            _ear: ear_child,
+            _watch: watch,
+        }
+    }
+
+    fn blocker(&self, name: &str) -> ChildSpec<Blocker> {
+        let (gate, ear, said) = (self.gate.clone(), self.ear.clone(), self.said.clone());
+        let make =
+            move || Blocker { gate: gate.clone(), ear: ear.clone(), said: said.clone() };
+        ChildSpec::new(name, make).max_block(Duration::from_millis(100))
+    }
+
+    /// Waits until this holds. It may take as long as a busy machine needs.
+    async fn until(&self, what: &str, mut holds: impl FnMut() -> bool) {
+        for _ in 0..2000 {
+            if holds() {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        panic!("{what}: never");
+    }
+
+    async fn hangs(&self) -> (ObjectName, Incarnation, &'static str, Vec<ObjectName>) {
+        match self.sighted.wait(|sighted| matches!(sighted, Sighted::Hangs { .. })).await {
+            Sighted::Hangs { object, incarnation, during, victims, .. } => {
+                (object, incarnation, during, victims.to_vec())
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+fn name(text: &str) -> ObjectName {
+    ObjectName::new(text).unwrap()
+}
+
+const LONG: Duration = Duration::from_secs(30);
+
+#[test]
+fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that_come_back() {
+    actix_rt::System::new().block_on(async {
+        let site = Site::new(1, LONG).await;
+        let (mut child, blocker) = site.stage.start(site.blocker("blocker")).await;
+        let (spec, _) = acc("neighbour");
+        let (_neighbour, neighbour) = site.stage.start(spec).await;
+        let hung = tokio::task::spawn_local({
+            let blocker = blocker.clone();
+            async move { blocker.ask_within(Block(1), LONG).await }
+        });
+        let (culprit, life, during, victims) = site.hangs().await;
+        assert_eq!((culprit, life, during), (name("blocker"), Incarnation(1), "Block"));
+        assert_eq!(victims, [name("neighbour")]);
+        blocker.tell(Said(5)).unwrap();
+
+        child.abandon();
+        let died = hung.await.unwrap().unwrap_err().why;
+        assert_eq!(died, Why::PeerDied { incarnation: Incarnation(1) }, "while it still blocks");
+        assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
+        site.until("its queue came along", || logged(&site.heard) == [5]).await;
+
+        let early = site.sighted.drain();
+        assert!(!early.iter().any(|s| matches!(s, Sighted::Resumed { .. })), "{early:?}");
+        site.open.send(()).unwrap();
+        assert_eq!(neighbour.ask_within(super::Add(3), LONG).await, Ok(3));
+        assert_eq!(neighbour.incarnation(), Incarnation(1), "it never moved");
+        assert_eq!(*site.said.lock().unwrap(), [Some(Why::Fenced)]);
+        assert_eq!(logged(&site.heard), [], "what the zombie said went nowhere");
+        assert_eq!(site.stage.environment.arbiters.abandoned(), 0);
+        let resumed = site.sighted.wait(|s| matches!(s, Sighted::Resumed { .. })).await;
+        assert_eq!(resumed, Sighted::Resumed { objects: [name("neighbour")].into() });
+        site.stage.environment.arbiters.stop();
+    });
+}
+
+#[test]
+fn an_arbiter_that_does_not_come_back_is_lost_and_its_components_move_with_their_queues() {
+    actix_rt::System::new().block_on(async {
+        let site = Site::new(1, Duration::from_millis(100)).await;
+        let told = Arc::new(Mutex::new(vec![]));
+        let kept = told.clone();
+        let arbiters = &site.stage.environment.arbiters;
+        arbiters.on_abandoned(Box::new(move |count| kept.lock().unwrap().push(count)));
+        let (mut child, blocker) = site.stage.start(site.blocker("blocker")).await;
+        let (mut moving, neighbour) = site.stage.start(site.blocker("neighbour")).await;
+        blocker.tell(Block(1)).unwrap();
+        site.hangs().await;
+        neighbour.tell(Said(7)).unwrap();
+        let topics = &site.stage.environment.topics;
+        topics.publisher("news").unwrap().publish(Said(8)).unwrap();
+
+        child.abandon();
+        let lost = site.sighted.wait(|sighted| matches!(sighted, Sighted::Lost { .. })).await;
+        let (culprit, victims) = (name("blocker"), [name("neighbour")].into());
+        assert_eq!(lost, Sighted::Lost { culprit, victims });
+        assert_eq!((arbiters.abandoned(), told.lock().unwrap().clone()), (1, vec![1]));
+        moving.abandon();
+        assert_eq!(site.stage.begin(&mut *moving, 2).await, ChildEvent::Started);
+        site.until("queue and events came along", || site.heard.lock().unwrap().len() == 2).await;
+        assert_eq!(logged(&site.heard), [7, 8]);
+        assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
+        site.until("the event, too", || logged(&site.heard) == [8]).await;
+
+        site.open.send(()).unwrap();
+        site.until("the thread ends", || arbiters.abandoned() == 0).await;
+        assert_eq!(*site.said.lock().unwrap(), [Some(Why::Fenced)]);
+        assert_eq!(neighbour.incarnation(), Incarnation(2));
+        assert!(ABANDONED_LIMIT > 1);
+        arbiters.stop();
+    });
+}
+
+#[test]
+fn a_hang_on_a_thread_of_its_own_takes_nobody_along() {
+    actix_rt::System::new().block_on(async {
+        let site = Site::new(1, Duration::from_millis(100)).await;
+        let (mut child, blocker) =
+            site.stage.start(site.blocker("blocker").on_own_thread()).await;
+        blocker.tell(Block(1)).unwrap();
+        let (culprit, _, _, victims) = site.hangs().await;
+        assert_eq!((culprit, victims), (name("blocker"), vec![]));
+
+        child.abandon();
+        assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
+        let arbiters = &site.stage.environment.arbiters;
+        site.until("the thread is given up", || arbiters.abandoned() == 1).await;
+
+        site.open.send(()).unwrap();
+        site.until("the thread ends", || arbiters.abandoned() == 0).await;
+        arbiters.stop();
+    });
+}
+
+/// Gives signs of life until it is told not to.
+struct Beater(bool);
+
+#[derive(Clone, Event)]
+enum Do {
+    Hush,
+    Speak,
+    Wait(u64),
+    WaitDeclared(u64),
+}
+
+impl Component for Beater {
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        cx.every(Duration::from_millis(50), |beater: &mut Beater, cx| {
+            if beater.0 {
+                cx.alive();
+            }
+        });
+        Ok(())
+    }
+}
+
+impl Handle<Do> for Beater {
+    async fn handle(&mut self, what: Do, cx: &mut Context<Self>) {
+        match what {
+            Do::Hush => self.0 = false,
+            Do::Speak => self.0 = true,
+            Do::Wait(millis) => tokio::time::sleep(Duration::from_millis(millis)).await,
+            Do::WaitDeclared(millis) => {
+                let span = Duration::from_millis(millis);
+                let _declared = cx.long_operation(2 * span);
+                tokio::time::sleep(span).await;
+            }
+        }
+    }
+}
+
+fn watched() -> (Stage, Probe<Sighted>, WatchGuard) {
+    let (stage, sighted) = (Stage::new(), Probe::start());
+    let environment = &stage.environment;
+    let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
+    let watch = watch::start_task(list, arbiters, ScannerConfig::default(), sighted.recipient());
+    (stage, sighted, watch)
+}
+
+#[test]
+fn silence_is_seen_and_its_end_too() {
+    paused(async {
+        let (stage, sighted, _watch) = watched();
+        let spec = ChildSpec::new("beater", || Beater(true));
+        let push = Watch::push(Duration::from_millis(100), 3);
+        let (mut child, beater) = stage.start(spec.watch(push)).await;
+        advance(Duration::from_secs(5)).await;
+        assert_eq!(sighted.drain(), []);
+
+        beater.tell(Do::Hush).unwrap();
+        advance(Duration::from_secs(1)).await;
+        let (object, incarnation) = (name("beater"), Incarnation(1));
+        let seen = sighted.drain();
+        let [Sighted::Silent { silent_for, .. }] = seen[..] else { panic!("{seen:?}") };
+        assert!(silent_for >= Duration::from_millis(350), "{silent_for:?}");
+        assert!(silent_for <= Duration::from_millis(460), "{silent_for:?}");
+
+        beater.tell(Do::Speak).unwrap();
+        advance(Duration::from_millis(200)).await;
+        assert_eq!(sighted.drain(), [Sighted::Spoke { object, incarnation }]);
+
+        child.stop();
+        advance(Duration::from_secs(5)).await;
+        assert_eq!(sighted.drain(), [], "who is stopped need not speak");
+    });
+}
+
+#[test]
+fn a_round_that_succeeds_is_a_sign_of_life() {
+    struct Worker;
+    impl Component for Worker {}
+    paused(async {
+        let (stage, sighted, _watch) = watched();
+        let push = Watch::push(Duration::from_millis(100), 3);
+        let spec = ChildSpec::new("worker", || Worker).rate_hz(10.0).watch(push);
+        let (_child, _) = stage.start(spec).await;
+        advance(Duration::from_secs(10)).await;
+        assert_eq!(sighted.drain(), []);
+    });
+}
+
+#[test]
+fn a_handler_that_waits_too_long_is_seen_unless_it_said_so() {
+    paused(async {
+        let (stage, sighted, _watch) = watched();
+        let spec = ChildSpec::new("beater", || Beater(true)).max_wait(Duration::from_secs(1));
+        let (_child, beater) = stage.start(spec).await;
+
+        beater.tell(Do::WaitDeclared(3000)).unwrap();
+        advance(Duration::from_secs(4)).await;
+        assert_eq!(sighted.drain(), []);
+
+        beater.tell(Do::Wait(3000)).unwrap();
+        advance(Duration::from_secs(4)).await;
+        let seen = sighted.drain();
+        let [Sighted::Waits { ref object, during, age, .. }] = seen[..] else {
+            panic!("{seen:?}")
+        };
+        assert_eq!((object, during), (&name("beater"), "Do"));
+        assert!(age >= Duration::from_secs(1) && age < Duration::from_millis(1200), "{age:?}");
+    });
+}

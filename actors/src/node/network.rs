@@ -1,0 +1,242 @@
+//! The networks of a node as they are described.
+
+use super::builder::StartError;
+use crate::guardian::Guardian;
+use crate::net::{LinkSpec, NetworkSpec};
+use crate::platform;
+use actix::prelude::*;
+use blastema_contract::transport::{
+    Cut, Impair, InjectedFaults, MediumAddress, ReadInjectedFaults, Restore, Transport,
+};
+use blastema_core::{NodeName, ObjectName};
+use blastema_transports::{
+    Faulty, FaultyConfig, Memory, MemoryConfig, Tcp, TcpConfig, Udp, UdpConfig,
+};
+use std::fmt;
+use std::net::SocketAddr;
+use std::time::Duration;
+
+pub use blastema_contract::transport::Direction;
+pub use blastema_core::impairment::Impairment;
+pub use blastema_transports::MemoryMedium;
+
+/// One network that a node is on: a medium, and the neighbours that it leads to.
+///
+/// Several networks, or several links of one network, may lead to the same neighbour: the cheapest that
+/// is up is used, and the next takes over when it fails, without loss or duplicates for what is sent
+/// reliably. Nodes that are no neighbours reach each other through those that are.
+///
+/// ```
+/// use blastema::{Link, Network};
+///
+/// let ethernet = Network::udp("ethernet", "127.0.0.1:7400".parse()?)
+///     .link(Link::new("module2", "127.0.0.1:7401".parse()?));
+/// # Ok::<(), std::net::AddrParseError>(())
+/// ```
+#[must_use = "a network does nothing until it is given to a node"]
+pub struct Network {
+    name: String,
+    medium: Medium,
+    links: Vec<Link>,
+    faults: Option<u64>,
+}
+
+enum Medium {
+    Udp(UdpConfig),
+    Tcp(TcpConfig),
+    Memory(MemoryConfig),
+}
+
+impl fmt::Debug for Network {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Network").field("name", &self.name).field("links", &self.links).finish()
+    }
+}
+
+impl Network {
+    /// UDP, at this address of our own. Links name the neighbours; nobody else is listened to.
+    pub fn udp(name: &str, bind: SocketAddr) -> Self {
+        Network::udp_with(name, {
+            let mut config = UdpConfig::default();
+            config.bind = bind;
+            config
+        })
+    }
+
+    /// UDP with every setting.
+    pub fn udp_with(name: &str, config: UdpConfig) -> Self {
+        Network::over(name, Medium::Udp(config))
+    }
+
+    /// TCP, at this address of our own, with one connection to each neighbour.
+    pub fn tcp(name: &str, bind: SocketAddr) -> Self {
+        Network::tcp_with(name, {
+            let mut config = TcpConfig::default();
+            config.bind = bind;
+            config
+        })
+    }
+
+    /// TCP with every setting.
+    pub fn tcp_with(name: &str, config: TcpConfig) -> Self {
+        Network::over(name, Medium::Tcp(config))
+    }
+
+    /// Between nodes of one process, under whatever clock they have: for tests. `own` is the name of
+    /// our end of the medium.
+    pub fn memory(name: &str, medium: &MemoryMedium, own: &str) -> Self {
+        Network::over(name, Medium::Memory(MemoryConfig::new(medium, own)))
+    }
+
+    fn over(name: &str, medium: Medium) -> Self {
+        Network { name: name.to_owned(), medium, links: Vec::new(), faults: None }
+    }
+
+    /// One more neighbour.
+    pub fn link(mut self, link: Link) -> Self {
+        self.links.push(link);
+        self
+    }
+
+    /// Puts a cable before the medium that can be cut and made bad while the node runs, by
+    /// [`Node::cable`](crate::Node::cable). Chance is drawn from `seed`.
+    pub fn with_faults(mut self, seed: u64) -> Self {
+        self.faults = Some(seed);
+        self
+    }
+}
+
+/// One neighbour on a [`Network`].
+#[derive(Clone, Debug)]
+#[must_use = "a link does nothing until it is given to a network"]
+pub struct Link {
+    name: Option<String>,
+    neighbour: String,
+    remote: MediumAddress,
+    cost: u16,
+    hello_interval: Duration,
+}
+
+impl Link {
+    /// The node called `neighbour`, at this address.
+    pub fn new(neighbour: &str, remote: SocketAddr) -> Self {
+        Link::at(neighbour, MediumAddress::Ip(remote))
+    }
+
+    /// The node called `neighbour`, at this end of a memory medium.
+    pub fn in_memory(neighbour: &str, end: &str) -> Self {
+        Link::at(neighbour, MediumAddress::Memory(end.into()))
+    }
+
+    fn at(neighbour: &str, remote: MediumAddress) -> Self {
+        // A dead link is found after three and a half hellos: 70 ms.
+        let (cost, hello_interval) = (10, Duration::from_millis(20));
+        Link { name: None, neighbour: neighbour.to_owned(), remote, cost, hello_interval }
+    }
+
+    /// How people call it. Unless this says otherwise, it has the network's name where it is the only
+    /// link there, and else both names, as in `ethernet/module2`.
+    pub fn named(mut self, name: &str) -> Self {
+        self.name = Some(name.to_owned());
+        self
+    }
+
+    /// How dear it is to use, 10 unless this says otherwise. Of two paths the cheaper is taken.
+    pub fn cost(mut self, cost: u16) -> Self {
+        self.cost = cost;
+        self
+    }
+
+    /// How often a hello is sent. Shorter finds a dead link sooner and costs more; the neighbour finds
+    /// this end dead after three and a half of them.
+    pub fn hello_every(mut self, interval: Duration) -> Self {
+        self.hello_interval = interval;
+        self
+    }
+}
+
+/// A cable that can be cut and made bad while the node runs. From [`Node::cable`](crate::Node::cable).
+#[derive(Clone, Debug)]
+pub struct Cable(Addr<Faulty>);
+
+impl Cable {
+    /// Cuts it. A reported cut is one of which the medium knows at once, as Ethernet does; another is
+    /// noticed only by silence.
+    pub fn cut(&self, direction: Direction, reported: bool) {
+        self.0.do_send(Cut { direction, reported });
+    }
+
+    /// Makes it bad: loss, delay, duplicates.
+    pub fn impair(&self, direction: Direction, impairment: Impairment) {
+        self.0.do_send(Impair { direction, impairment });
+    }
+
+    /// Mends it.
+    pub fn restore(&self) {
+        self.0.do_send(Restore);
+    }
+
+    /// What it did to the frames so far; `None` once the node has ended.
+    pub async fn injected(&self) -> Option<InjectedFaults> {
+        self.0.send(ReadInjectedFaults).await.ok()
+    }
+}
+
+/// A network whose transport runs.
+pub(super) struct Laid {
+    pub(super) spec: NetworkSpec,
+    pub(super) cable: Option<Cable>,
+    pub(super) neighbours: Vec<NodeName>,
+    pub(super) transports: Vec<ObjectName>,
+}
+
+impl Network {
+    /// Starts the transport.
+    pub(super) fn lay(
+        self,
+        guardian: &Guardian,
+        arbiter: Option<&ArbiterHandle>,
+    ) -> Result<Laid, StartError> {
+        let Network { name, medium, links, faults } = self;
+        let object = ObjectName::new(&format!("transport/{name}"))?;
+        let mut transports = vec![object.clone()];
+        let mut transport = match medium {
+            Medium::Udp(config) => {
+                let make = move |_: &mut Context<Udp>| Udp::new(config);
+                Transport::from(guardian.start(object, arbiter, make))
+            }
+            Medium::Tcp(config) => {
+                let make = move |_: &mut Context<Tcp>| Tcp::new(config);
+                Transport::from(guardian.start(object, arbiter, make))
+            }
+            Medium::Memory(config) => {
+                let make = move |_: &mut Context<Memory>| Memory::new(config);
+                Transport::from(guardian.start(object, arbiter, make))
+            }
+        };
+        let cable = match faults {
+            None => None,
+            Some(seed) => {
+                let object = ObjectName::new(&format!("cable/{name}"))?;
+                transports.push(object.clone());
+                let (inner, config) = (transport.clone(), FaultyConfig::new(seed, platform::now));
+                let make = move |_: &mut Context<Faulty>| Faulty::new(inner, config);
+                let faulty = guardian.start(object, arbiter, make);
+                transport = Transport::from(faulty.clone());
+                Some(Cable(faulty))
+            }
+        };
+        let mut neighbours = Vec::new();
+        let mut specs = Vec::new();
+        let alone = links.len() == 1;
+        for Link { name: own, neighbour, remote, cost, hello_interval } in links {
+            let node = NodeName::new(&neighbour)?;
+            let usual = if alone { name.clone() } else { format!("{name}/{neighbour}") };
+            let name = own.unwrap_or(usual).into();
+            neighbours.push(node.clone());
+            specs.push(LinkSpec { name, remote, neighbour: Some(node), cost, hello_interval });
+        }
+        let spec = NetworkSpec { name: name.into(), transport, links: specs };
+        Ok(Laid { spec, cable, neighbours, transports })
+    }
+}

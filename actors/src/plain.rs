@@ -1,0 +1,170 @@
+//! Plain actix actors among components: the one place where actix types are shown.
+//!
+//! A plain actor sends to components as everybody does, through a [`Sender`]; [`recipient`] is for
+//! code that wants an actix `Recipient`. Components send to a plain actor through what [`sender`]
+//! returns. A plain actor has no guard, no bounded queue and no life cycle: what is promised of
+//! components is not promised of it.
+//!
+//! ```
+//! use actix::prelude::*;
+//! use blastema::plain::{self, Serve};
+//! use blastema::prelude::*;
+//!
+//! #[derive(Clone, Debug, Event)]
+//! struct Alarm(u32);
+//!
+//! struct Siren;
+//! impl Actor for Siren {
+//!     type Context = actix::Context<Self>;
+//! }
+//! impl Handler<Serve<Alarm>> for Siren {
+//!     type Result = ();
+//!     fn handle(&mut self, Serve(alarm): Serve<Alarm>, _: &mut Self::Context) {
+//!         assert_eq!(alarm.0, 7);
+//!         System::current().stop();
+//!     }
+//! }
+//!
+//! let system = System::new();
+//! system.block_on(async {
+//!     let siren: Sender<Alarm> = plain::sender(Siren.start().recipient());
+//!     siren.tell(Alarm(7)).unwrap();
+//! });
+//! system.run().unwrap();
+//! ```
+
+use crate::host::pulse;
+use crate::reply::{Answer, Reply};
+use crate::sender::{Inlet, RequestError, SendError, Sender};
+use actix::fut::wrap_future;
+use actix::prelude::{
+    Actor, Addr, AsyncContext, Context, Handler, Message, Recipient, ResponseFuture,
+};
+use blastema_core::{Contract, MessageId, Why};
+use std::future::Future;
+use std::pin::Pin;
+
+/// A message on its way to a component. The answer says what became of it.
+#[derive(Debug)]
+pub struct Deliver<M>(pub M);
+
+impl<M: Contract> Message for Deliver<M> {
+    type Result = Result<M::Reply, Why>;
+}
+
+/// A message on its way to a plain actor, which answers as the contract says.
+#[derive(Debug)]
+pub struct Serve<M>(pub M);
+
+impl<M: Contract> Message for Serve<M> {
+    type Result = M::Reply;
+}
+
+/// The way to a component, for code that wants a `Recipient`. It lives on the present arbiter.
+///
+/// # Panics
+/// Outside of an actix arbiter.
+pub fn recipient<M: Contract>(sender: &Sender<M>) -> Recipient<Deliver<M>> {
+    Door(sender.clone()).start().recipient()
+}
+
+/// The way to a plain actor, for components and all others that want a [`Sender`]. It lives on the
+/// present arbiter; the bound is that of the actor's mailbox.
+///
+/// # Panics
+/// Outside of an actix arbiter.
+pub fn sender<M: Contract>(recipient: Recipient<Serve<M>>) -> Sender<M> {
+    Sender(std::sync::Arc::new(Outside { relay: Relay(recipient).start() }))
+}
+
+/// Between `Recipient`s and one component.
+struct Door<M: Contract>(Sender<M>);
+
+impl<M: Contract> Actor for Door<M> {
+    type Context = Context<Self>;
+}
+
+impl<M: Contract> Handler<Deliver<M>> for Door<M> {
+    type Result = ResponseFuture<Result<M::Reply, Why>>;
+
+    fn handle(&mut self, Deliver(message): Deliver<M>, _: &mut Self::Context) -> Self::Result {
+        let sender = self.0.clone();
+        Box::pin(async move { sender.ask(message).await.map_err(|error| error.why) })
+    }
+}
+
+/// Asks a plain actor, and passes its answer on.
+struct Relay<M: Contract>(Recipient<Serve<M>>);
+
+impl<M: Contract> Actor for Relay<M> {
+    type Context = Context<Self>;
+}
+
+struct Pass<M: Contract> {
+    message: M,
+    answer: Option<Answer<M>>,
+}
+
+impl<M: Contract> Message for Pass<M> {
+    type Result = ();
+}
+
+impl<M: Contract> Handler<Pass<M>> for Relay<M> {
+    type Result = ();
+
+    fn handle(&mut self, Pass { message, answer }: Pass<M>, context: &mut Self::Context) {
+        match answer {
+            None => self.0.do_send(Serve(message)),
+            Some(answer) => {
+                let served = self.0.send(Serve(message));
+                context.spawn(wrap_future(async move {
+                    match served.await {
+                        Ok(reply) => answer.give(reply),
+                        Err(_) => answer.refuse(Why::Stopped, None),
+                    }
+                }));
+            }
+        }
+    }
+}
+
+struct Outside<M: Contract> {
+    relay: Addr<Relay<M>>,
+}
+
+impl<M: Contract> Outside<M> {
+    fn pass(&self, message: M, answer: Option<Answer<M>>) -> Result<(), SendError<M>> {
+        if let Some(why) = pulse::forbidden() {
+            return Err(SendError { why, message });
+        }
+        self.relay.try_send(Pass { message, answer }).map_err(|refused| match refused {
+            actix::dev::SendError::Full(Pass { message, .. }) => {
+                SendError { why: Why::Full, message }
+            }
+            actix::dev::SendError::Closed(Pass { message, .. }) => {
+                SendError { why: Why::Stopped, message }
+            }
+        })
+    }
+}
+
+impl<M: Contract> Inlet<M> for Outside<M> {
+    fn tell(&self, message: M) -> Result<(), SendError<M>> {
+        self.pass(message, None)
+    }
+
+    fn offer(&self, message: M) -> Result<(), SendError<M>> {
+        self.pass(message, None)
+    }
+
+    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+        // An actix mailbox tells nobody that it has room again.
+        Box::pin(tokio::time::sleep(pulse::BEAT))
+    }
+
+    fn ask(&self, message: M, _: Option<MessageId>) -> Result<Reply<M>, RequestError<M>> {
+        let (answer, reply) = Answer::awaited();
+        self.pass(message, Some(answer))?;
+        Ok(reply)
+    }
+}
