@@ -15,6 +15,7 @@ use crate::guardian::Guardian;
 use crate::host::arbiters::Arbiters;
 use crate::host::environment::{HostEnvironment, Reports};
 use crate::net::{self, NetEnvironment, NetHandle};
+use crate::registry::Registry;
 use crate::{panics, platform};
 use actix::prelude::*;
 use blastema_contract::detector::{ReadRecord, Subscribe};
@@ -109,6 +110,7 @@ struct Parts {
     keeper: Addr<Keeper>,
     state: watch::Receiver<NodeState>,
     directory: Directory,
+    registry: Registry,
 }
 
 fn named(name: &str) -> ObjectName {
@@ -153,11 +155,12 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         Keeper::new(of, told, outputs)
     });
 
-    let directory = Directory::default();
+    let (directory, registry) = (Directory::default(), Registry::default());
     let router: Arc<OnceLock<Recipient<Reroute>>> = Arc::default();
     let tools = Tools::new(ToolBox {
         node: node.clone(),
         directory: directory.clone(),
+        registry: registry.clone(),
         router: router.clone(),
         safe_outputs: builder.safe_outputs.clone(),
         rest_node: keeper.clone().recipient(),
@@ -192,7 +195,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         recoverer: recoverer.recipient(),
         router,
     };
-    Ok(Parts { guardian, chain, monitor, keeper, state, directory })
+    Ok(Parts { guardian, chain, monitor, keeper, state, directory, registry })
 }
 
 /// The networks of a node that runs.
@@ -274,7 +277,8 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         states: Some(parts.monitor.clone().recipient()),
         faults: Some(parts.monitor.clone().recipient()),
     };
-    let environment = HostEnvironment::new(arbiters, reports);
+    let registry = parts.registry.clone();
+    let environment = HostEnvironment { registry, ..HostEnvironment::new(arbiters, reports) };
     let (networks, network_enrolments) = if builder.networks.is_empty() {
         (None, Vec::new())
     } else {
@@ -283,7 +287,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         let (networks, enrolments) = make_networks(networks, placement, who, &parts, &environment)?;
         (Some(networks), enrolments)
     };
-    let Parts { guardian, chain, monitor, keeper, state, directory } = parts;
+    let Parts { guardian, chain, monitor, keeper, state, directory, .. } = parts;
 
     let plan = Arc::new(builder.plan);
     let ground = Ground {
