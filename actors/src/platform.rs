@@ -4,7 +4,7 @@
 use blastema_core::{Incarnation, Instant};
 use std::hash::{BuildHasher, RandomState};
 use std::sync::OnceLock;
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 use std::{io, thread};
 
 /// The point at which both clocks were read together.
@@ -19,7 +19,9 @@ fn origin() -> &'static Origin {
         let monotonic = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
         let nanos = monotonic.tv_sec * 1_000_000_000 + monotonic.tv_nsec;
         Origin {
-            runtime: tokio::time::Instant::now(),
+            // Not the runtime's own reading: a test that has paused and advanced its clock may be the
+            // first to ask, and others of the process must not depend on how far it had come.
+            runtime: std::time::Instant::now().into(),
             monotonic_nanos: u64::try_from(nanos).unwrap_or_default(),
         }
     })
@@ -31,14 +33,26 @@ fn origin() -> &'static Origin {
 /// it stands still and leaps as tokio's clock does where a test has paused that.
 pub fn now() -> Instant {
     let origin = origin();
-    let since = tokio::time::Instant::now().saturating_duration_since(origin.runtime);
-    Instant::from_nanos(origin.monotonic_nanos) + since
+    let (now, both) = (tokio::time::Instant::now(), Instant::from_nanos(origin.monotonic_nanos));
+    match now.checked_duration_since(origin.runtime) {
+        Some(since) => both + since,
+        // A clock that was paused before anybody asked for the time.
+        None => before(both, origin.runtime - now),
+    }
 }
 
 /// What tokio's timers call `at`.
 pub(crate) fn timer_at(at: Instant) -> tokio::time::Instant {
-    let origin = origin();
-    origin.runtime + (at - Instant::from_nanos(origin.monotonic_nanos))
+    let (origin, both) = (origin(), Instant::from_nanos(origin().monotonic_nanos));
+    match both - at {
+        Duration::ZERO => origin.runtime + (at - both),
+        ahead => origin.runtime - ahead,
+    }
+}
+
+fn before(at: Instant, span: Duration) -> Instant {
+    let nanos = u64::try_from(span.as_nanos()).unwrap_or(u64::MAX);
+    Instant::from_nanos(at.as_nanos().saturating_sub(nanos))
 }
 
 /// The incarnation of a node whose process starts now: milliseconds of the wall clock, so that it is

@@ -170,7 +170,7 @@ impl Bench {
             name: object(name),
             rules,
             children,
-            faults: self.faults.recipient(),
+            monitor: self.faults.recipient(),
             states: self.states.recipient(),
             directory: self.directory.clone(),
         };

@@ -34,7 +34,7 @@ pub(crate) struct SupervisorSetup {
     /// Its children in their start order.
     pub(crate) children: Vec<(Box<dyn Child>, ChildRules)>,
     /// Is told of starts that took too long, and when it gives up.
-    pub(crate) faults: Recipient<FaultDeclared>,
+    pub(crate) monitor: Recipient<FaultDeclared>,
     /// Is told when it is at work, and when it has ended.
     pub(crate) states: Recipient<StateReported>,
     /// Where strategies find who keeps an object.
@@ -51,7 +51,7 @@ pub(crate) struct Supervisor {
     waiting: BTreeMap<Ticket, oneshot::Sender<Outcome>>,
     tickets: u64,
     parent: Option<Recipient<ChildReport>>,
-    faults: Recipient<FaultDeclared>,
+    monitor: Recipient<FaultDeclared>,
     states: Recipient<StateReported>,
     directory: Directory,
 }
@@ -74,7 +74,7 @@ impl Supervisor {
     }
 
     fn new(setup: SupervisorSetup) -> Self {
-        let SupervisorSetup { name, rules, children: given, faults, states, directory } = setup;
+        let SupervisorSetup { name, rules, children: given, monitor, states, directory } = setup;
         let mut supervisor = Supervisor {
             name,
             machine: Supervision::new(rules),
@@ -83,7 +83,7 @@ impl Supervisor {
             waiting: BTreeMap::new(),
             tickets: 0,
             parent: None,
-            faults,
+            monitor,
             states,
             directory,
         };
@@ -148,7 +148,7 @@ impl Supervisor {
         kind: FaultKind,
         detail: String,
     ) {
-        self.faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        self.monitor.do_send(FaultDeclared { object, incarnation, kind, detail });
     }
 
     fn child(&mut self, name: &ObjectName) -> Option<&mut Box<dyn Child>> {

@@ -246,6 +246,7 @@ fn make_networks(
         arbiter: arbiter.clone(),
         registry: environment.registry.clone(),
         topics: environment.topics.clone(),
+        dead_letters: environment.dead_letters.clone(),
         recoverer: Some(chain.recoverer.clone()),
         links: Some(monitor.clone().recipient()),
         nodes: Some(monitor.clone().recipient()),

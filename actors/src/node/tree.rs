@@ -206,7 +206,7 @@ impl SupervisorSpec {
             name,
             rules: self.rules,
             children,
-            monitor: ground.monitor.clone().recipient(),
+            faults: ground.monitor.clone().recipient(),
             states: ground.monitor.clone().recipient(),
             directory: ground.directory.clone(),
         };

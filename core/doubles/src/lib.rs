@@ -6,6 +6,7 @@
 //! | [`MockTransport`] | a medium: records what is sent, lets the test receive and report |
 //! | [`SimulatedNetwork`] | a medium with several ends, bad as told, the same for one seed |
 //! | [`paused`](fn@paused), [`advance`] | the clock |
+//! | [`Record`] | what a double of your own has seen |
 //!
 //! ```
 //! use blastema_contract::transport::{Attach, MediumAddress, Transmit};
@@ -39,4 +40,5 @@ mod record;
 pub use mock_transport::MockTransport;
 pub use network::SimulatedNetwork;
 pub use paused::{advance, now, paused, settle};
-pub use probe::{PATIENCE, Probe};
+pub use probe::Probe;
+pub use record::{PATIENCE, Record};

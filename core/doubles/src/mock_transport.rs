@@ -1,7 +1,6 @@
 //! An actor in the place of a medium.
 
 use crate::network::SimulatedNetwork;
-use crate::probe::patient;
 use crate::record::Record;
 use actix::prelude::*;
 use blastema_contract::transport::{
@@ -94,7 +93,7 @@ impl MockTransport {
     /// # Panics
     /// When none comes within [`PATIENCE`](crate::PATIENCE).
     pub async fn expect_sent(&self) -> Transmit {
-        patient(self.sent.next(), "Transmit").await
+        self.sent.expect().await
     }
 
     /// Makes sure that nothing is sent during this time, nor was anything before.

@@ -2,14 +2,7 @@
 
 use crate::record::Record;
 use actix::prelude::*;
-use std::any::type_name;
-use std::future::Future;
 use std::time::Duration;
-use tokio::time::timeout;
-
-/// How long a probe waits for a message before the test has failed. Under a paused clock this is no
-/// time at all; with sockets it is long enough for a machine that is busy with other tests.
-pub const PATIENCE: Duration = Duration::from_secs(20);
 
 /// Receives messages of one type in somebody's place, records them, and replies.
 ///
@@ -63,25 +56,17 @@ where
     /// The next message.
     ///
     /// # Panics
-    /// When none comes within [`PATIENCE`].
+    /// When none comes within [`PATIENCE`](crate::PATIENCE).
     pub async fn expect(&self) -> M {
-        patient(self.record.next(), type_name::<M>()).await
+        self.record.expect().await
     }
 
     /// The next message for which `wanted` holds; those before it are thrown away.
     ///
     /// # Panics
-    /// When none comes within [`PATIENCE`].
-    pub async fn wait(&self, mut wanted: impl FnMut(&M) -> bool) -> M {
-        let found = async {
-            loop {
-                let message = self.record.next().await;
-                if wanted(&message) {
-                    return message;
-                }
-            }
-        };
-        patient(found, type_name::<M>()).await
+    /// When none comes within [`PATIENCE`](crate::PATIENCE).
+    pub async fn wait(&self, wanted: impl FnMut(&M) -> bool) -> M {
+        self.record.wait(wanted).await
     }
 
     /// Makes sure that no message comes during this time, nor was there one before.
@@ -89,8 +74,7 @@ where
     /// # Panics
     /// When there is one.
     pub async fn expect_none_for(&self, span: Duration) {
-        let come = timeout(span, self.record.next()).await;
-        assert!(come.is_err(), "a {} came where none should", type_name::<M>());
+        self.record.expect_none_for(span).await;
     }
 
     /// Everything recorded and not yet taken.
@@ -101,14 +85,6 @@ where
     /// How many messages were recorded and not yet taken.
     pub fn recorded(&self) -> usize {
         self.record.len()
-    }
-}
-
-/// Waits as long as a test should.
-pub(crate) async fn patient<T>(wait: impl Future<Output = T>, what: &str) -> T {
-    match timeout(PATIENCE, wait).await {
-        Ok(found) => found,
-        Err(_) => panic!("no {what} came within {PATIENCE:?}"),
     }
 }
 

@@ -33,7 +33,13 @@ const PLACES: [Place; 11] = [
     },
     Place {
         package: "blastema-testkit",
-        below: &["blastema-core", "blastema-contract", "blastema-doubles", "blastema"],
+        below: &[
+            "blastema-core",
+            "blastema-macros",
+            "blastema-contract",
+            "blastema-doubles",
+            "blastema",
+        ],
         below_in_tests: &[],
     },
     // The program uses what every user uses, and nothing else.

@@ -14,10 +14,12 @@ use super::stopwatch::{Answerer, ECHO, Stopwatch};
 use super::ticker::{ChoosyListener, Listener, Ticker};
 use super::wounds::Wounds;
 use crate::demo::robot::{FLOWS, Module, SIGN_OF_LIFE_MILLIS, skin};
-use crate::demo::wiring::Wiring;
-use blastema::NodeBuilder;
+use crate::demo::wiring::{CableEnd, Wiring};
 use blastema::core::detection::Pull;
 use blastema::prelude::*;
+use blastema::{Cable, Direction, Link, Network, NodeBuilder};
+use std::io;
+use std::net::UdpSocket;
 use std::time::Duration;
 
 /// Restarts that a supervisor of the demonstration makes in [`PERIOD`]: its objects are struck again
@@ -35,6 +37,12 @@ const PATIENCE: Duration = Duration::from_millis(200);
 const FLOW_QUEUE: usize = 4_096;
 /// Messages that wait for an object that no flow ends at.
 const QUEUE: usize = 512;
+/// How often both ends of a cable say hello: three and a half later a silent cut is found.
+const HELLO: Duration = Duration::from_millis(20);
+/// What the cable of the paper's Fig. 9 costs.
+const FIRST_COST: u16 = 10;
+/// What the second path costs: it is taken only if the first is down.
+const SECOND_COST: u16 = 15;
 /// How often response times are measured.
 const ECHOES_HZ: f64 = 200.0;
 /// How often the delivery of an event is measured.
@@ -42,31 +50,50 @@ const TICKS_HZ: f64 = 50.0;
 
 /// The robot's work, and what measures it, in the order of their start.
 pub(super) fn build(module: Module, wiring: &Wiring, gauges: &Gauges) -> NodeBuilder {
-    let _ = wiring;
-    Node::builder(module.name())
+    let mut node = Node::builder(module.name())
         .supervisor(skin_of(module, gauges))
         .supervisor(work_of(module, gauges))
-        .supervisor(measurements_of(module, gauges))
+        .supervisor(measurements_of(module, gauges));
+    for end in wiring.ends_of(module) {
+        node = node.network(network(&end));
+    }
+    node
 }
 
-/// Whether the node could not start because another process took one of its addresses.
-pub(super) fn is_address_taken(_error: &StartError) -> bool {
-    false
+/// A cable is a network of its own, so that it can be cut alone.
+fn network(end: &CableEnd) -> Network {
+    let CableEnd { cable, here, there, neighbour } = *end;
+    let cost = if cable.second { SECOND_COST } else { FIRST_COST };
+    let link = Link::new(neighbour.name(), there).named(cable.name).cost(cost).hello_every(HELLO);
+    Network::udp(cable.name, here).link(link).with_faults(u64::from(here.port()))
 }
 
-/// Lets nothing through a cable any more, at this end.
-pub(super) fn cut(_node: &Node, cable: &str) -> Result<(), Why> {
-    Err(Why::Unknown { name: cable.to_owned() })
+/// Whether all our addresses are still free. A transport would wait for ever for one that is not.
+///
+/// # Errors
+/// Another process took one since the director chose it.
+pub(super) fn check_addresses(module: Module, wiring: &Wiring) -> io::Result<()> {
+    wiring.ends_of(module).iter().try_for_each(|end| UdpSocket::bind(end.here).map(drop))
+}
+
+/// Lets nothing through a cable any more, at this end. The medium does not notice.
+///
+/// # Errors
+/// There is no such cable.
+pub(super) fn cut(node: &Node, name: &str) -> Result<(), Why> {
+    cable(node, name).map(|cable| cable.cut(Direction::Both, false))
 }
 
 /// Plugs a cable in again, at this end.
-pub(super) fn restore(_node: &Node, cable: &str) -> Result<(), Why> {
-    Err(Why::Unknown { name: cable.to_owned() })
+///
+/// # Errors
+/// There is no such cable.
+pub(super) fn restore(node: &Node, name: &str) -> Result<(), Why> {
+    cable(node, name).map(|cable| cable.restore())
 }
 
-/// Makes the router panic.
-pub(super) fn panic_router(_node: &Node) -> Result<(), Why> {
-    Err(Why::Unknown { name: "router".to_owned() })
+fn cable(node: &Node, name: &str) -> Result<Cable, Why> {
+    node.cable(name).ok_or_else(|| Why::Unknown { name: name.to_owned() })
 }
 
 fn supervisor(name: &str) -> SupervisorSpec {

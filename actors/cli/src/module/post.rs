@@ -35,11 +35,10 @@ impl Post {
 
     /// Runs the node, and does what it is told until nobody tells it anything any more.
     pub(super) async fn hold(self, wiring: Wiring, mut commands: Receiver<Command>) {
-        let node = match aboard::build(self.module, &wiring, &self.gauges).start().await {
+        let node = match self.start(&wiring).await {
             Ok(node) => node,
-            Err(error) => {
-                let address_taken = aboard::is_address_taken(&error);
-                self.gauges.tell(Event::StartFailed { reason: error.to_string(), address_taken });
+            Err(event) => {
+                self.gauges.tell(event);
                 sleep(LAST_WORD).await;
                 return;
             }
@@ -66,6 +65,16 @@ impl Post {
         let _ = timeout(FAREWELL, node.shutdown()).await;
     }
 
+    /// Starts the node, or says why it cannot be started.
+    async fn start(&self, wiring: &Wiring) -> Result<Node, Event> {
+        aboard::check_addresses(self.module, wiring).map_err(|error| Event::StartFailed {
+            reason: error.to_string(),
+            address_taken: true,
+        })?;
+        let node = aboard::build(self.module, wiring, &self.gauges).start().await;
+        node.map_err(|error| Event::StartFailed { reason: error.to_string(), address_taken: false })
+    }
+
     async fn obey(&self, node: &Node, command: Command) {
         match command {
             Command::Strike { order, object, sabotage } => {
@@ -82,7 +91,11 @@ impl Post {
                 let restore = |cable: &String| aboard::restore(node, cable);
                 self.answer(order, cables.iter().try_for_each(restore));
             }
-            Command::PanicRouter { order } => self.answer(order, aboard::panic_router(node)),
+            Command::PanicRouter { order } => {
+                let at = Moment::now();
+                node.panic_router();
+                self.gauges.tell(Event::CarriedOut { order, at });
+            }
             Command::Watch { since } => self.gauges.watch(since),
             Command::Status => self.report(node).await,
             Command::Start { .. } | Command::Shutdown => {}

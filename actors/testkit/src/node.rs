@@ -1,0 +1,270 @@
+//! A whole node under a test's clock.
+
+use crate::probe::Probe;
+use blastema::core::detection::{Record, Row, Turn};
+use blastema::{
+    Event, Fault, FaultEvent, FaultEvents, FaultKind, Lifecycle, Node, NodeBuilder, Place,
+    StartError,
+};
+use blastema::core::FaultId;
+use blastema_doubles::PATIENCE;
+use std::collections::BTreeSet;
+use std::fmt::Write;
+use std::ops::Deref;
+use std::time::Duration;
+use tokio::time::timeout;
+
+/// Between two looks at what nobody reports: finer than anything that a test measures.
+const LOOK: Duration = Duration::from_millis(1);
+
+/// A node that lives on the test's thread and under its clock, with everything that a real one has.
+///
+/// It is a [`Node`], and waits for what the fault chain says of it. What was awaited once is not
+/// found again: a second panic is awaited by a second call.
+///
+/// # Examples
+/// ```
+/// use blastema::prelude::*;
+/// use blastema_testkit::TestNode;
+/// use std::time::Duration;
+///
+/// struct Pump;
+/// impl Component for Pump {
+///     async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+///         if cx.incarnation().0 == 1 {
+///             cx.after(Duration::from_secs(60), |_, _| panic!("the pump ran dry"));
+///         }
+///         Ok(())
+///     }
+/// }
+///
+/// blastema_testkit::run(async {
+///     let builder = Node::builder("module1").child(ChildSpec::new("pump", || Pump));
+///     let mut node = TestNode::start(builder).await;
+///
+///     node.advance(Duration::from_secs(59)).await;
+///     node.expect_no_faults().await;
+///     node.advance(Duration::from_secs(1)).await;
+///
+///     let panic = node.await_fault(FaultKind::Panic, "pump").await;
+///     assert!(panic.detail.contains("the pump ran dry"));
+///     node.await_recovered(FaultKind::Panic, "pump").await;
+///     assert_eq!(node.row("pump").await.restarts, 1);
+/// });
+/// ```
+pub struct TestNode {
+    node: Node,
+    events: FaultEvents,
+    /// What came before it was awaited.
+    unread: Vec<FaultEvent>,
+    awaited: BTreeSet<FaultId>,
+    probes: usize,
+}
+
+impl Deref for TestNode {
+    type Target = Node;
+
+    fn deref(&self) -> &Node {
+        &self.node
+    }
+}
+
+impl TestNode {
+    /// Starts the node on this thread, whatever else the builder says about threads.
+    ///
+    /// # Panics
+    /// When it does not start, with the reason.
+    pub async fn start(builder: NodeBuilder) -> Self {
+        match TestNode::try_start(builder).await {
+            Ok(node) => node,
+            Err(error) => panic!("the node did not start: {error}"),
+        }
+    }
+
+    /// Starts the node on this thread.
+    ///
+    /// # Errors
+    /// As [`NodeBuilder::start`].
+    pub async fn try_start(builder: NodeBuilder) -> Result<Self, StartError> {
+        Ok(TestNode::of(builder.on_this_thread().start().await?).await)
+    }
+
+    /// Takes a node that runs already. Its clock is the test's only if it was built
+    /// [`on_this_thread`](NodeBuilder::on_this_thread).
+    pub async fn of(node: Node) -> Self {
+        let events = node.fault_events();
+        let Record { entries, .. } = node.faults().await;
+        let (awaited, unread, probes) = (BTreeSet::new(), Vec::new(), 0);
+        let mut test = TestNode { node, events, unread, awaited, probes };
+        // What happened while it started.
+        for entry in entries {
+            let (at, fault) = (entry.fault.found_at, entry.fault);
+            test.unread.push(FaultEvent { fault: fault.clone(), at, turn: Turn::Found });
+            if let Some((at, end)) = entry.ended {
+                let turn = match end {
+                    blastema::core::detection::End::Recovered => Turn::Recovered,
+                    blastema::core::detection::End::Cleared => Turn::Cleared,
+                    blastema::core::detection::End::GaveUp { reason } => Turn::GaveUp { reason },
+                };
+                test.unread.push(FaultEvent { fault, at, turn });
+            }
+        }
+        test
+    }
+
+    /// Lets this time pass: everything due on the way happens, each at its own instant.
+    pub async fn advance(&self, span: Duration) {
+        blastema_doubles::advance(span).await;
+    }
+
+    /// Lets everybody handle what they were sent, while the clock stands.
+    pub async fn settle(&self) {
+        blastema_doubles::settle().await;
+    }
+
+    /// The next fault of this kind in the object of this name.
+    ///
+    /// # Panics
+    /// When none is found within [`PATIENCE`]; the text shows the faults that were.
+    pub async fn await_fault(&mut self, kind: FaultKind, object: &str) -> Fault {
+        let found = self.await_turn(&kind, object, "found", |turn| *turn == Turn::Found).await;
+        self.awaited.insert(found.fault.id);
+        found.fault
+    }
+
+    /// Waits for the next recovery from a fault of this kind in the object of this name, and says how
+    /// long after it was found that was.
+    ///
+    /// # Panics
+    /// When there is none within [`PATIENCE`]; the text shows the faults that were found.
+    pub async fn await_recovered(&mut self, kind: FaultKind, object: &str) -> Duration {
+        let is_recovered = |turn: &Turn| *turn == Turn::Recovered;
+        let recovered = self.await_turn(&kind, object, "recovered", is_recovered).await;
+        self.awaited.insert(recovered.fault.id);
+        recovered.at - recovered.fault.found_at
+    }
+
+    /// Waits until the recovery from a fault of this kind in the object of this name is given up, and
+    /// says why.
+    ///
+    /// # Panics
+    /// When it is not within [`PATIENCE`]; the text shows the faults that were found.
+    pub async fn await_given_up(&mut self, kind: FaultKind, object: &str) -> String {
+        let is_given_up = |turn: &Turn| matches!(turn, Turn::GaveUp { .. });
+        let event = self.await_turn(&kind, object, "given up", is_given_up).await;
+        self.awaited.insert(event.fault.id);
+        match event.turn {
+            Turn::GaveUp { reason } => reason,
+            _ => String::new(),
+        }
+    }
+
+    /// Waits until the object of this name stands there in its life.
+    ///
+    /// # Panics
+    /// When it does not within [`PATIENCE`], or is not watched.
+    pub async fn await_state(&self, object: &str, state: Lifecycle) {
+        let reached = async {
+            while self.row(object).await.state != Some(state) {
+                self.advance(LOOK).await;
+            }
+        };
+        if timeout(PATIENCE, reached).await.is_err() {
+            let row = self.row(object).await;
+            panic!("{object} did not become {state} within {PATIENCE:?}: {row:?}");
+        }
+    }
+
+    /// What the monitor's table says of the object of this name.
+    ///
+    /// # Panics
+    /// When it says nothing; the text shows what is watched.
+    pub async fn row(&self, object: &str) -> Row {
+        let table = self.node.table().await;
+        let is_it = |row: &&Row| is_at(&row.place, object);
+        let found = table.iter().find(is_it).cloned();
+        found.unwrap_or_else(|| {
+            let places: Vec<String> = table.iter().map(|row| row.place.to_string()).collect();
+            panic!("{object} is not watched; these are: {}", places.join(", "))
+        })
+    }
+
+    /// Makes sure that no fault was found but those that were awaited.
+    ///
+    /// # Panics
+    /// When there was one; the text shows them.
+    pub async fn expect_no_faults(&self) {
+        self.settle().await;
+        let mut record = self.node.faults().await;
+        record.entries.retain(|entry| !self.awaited.contains(&entry.fault.id));
+        assert!(record.entries.is_empty(), "unexpected faults:\n{}", describe(&record));
+    }
+
+    /// A listener to the topic of this event, from now on.
+    ///
+    /// # Panics
+    /// When the topic carries another contract of this name.
+    pub async fn listen<E: Event>(&mut self) -> Probe<E> {
+        self.probes += 1;
+        let probe = Probe::new();
+        let name = format!("testkit/probe{}", self.probes);
+        if let Err(error) = self.node.add_child(probe.listener(&name)).await {
+            panic!("a probe could not be added: {error}");
+        }
+        self.settle().await;
+        probe
+    }
+
+    async fn await_turn(
+        &mut self,
+        kind: &FaultKind,
+        object: &str,
+        what: &str,
+        wanted: impl Fn(&Turn) -> bool,
+    ) -> FaultEvent {
+        let wanted = |event: &FaultEvent| {
+            event.fault.kind == *kind && is_at(&event.fault.place, object) && wanted(&event.turn)
+        };
+        if let Some(at) = self.unread.iter().position(wanted) {
+            return self.unread.remove(at);
+        }
+        let found = async {
+            while let Some(event) = self.events.next().await {
+                if wanted(&event) {
+                    return Some(event);
+                }
+                self.unread.push(event);
+            }
+            None
+        };
+        match timeout(PATIENCE, found).await {
+            Ok(Some(event)) => event,
+            Ok(None) | Err(_) => {
+                let record = describe(&self.node.faults().await);
+                panic!("no {kind} of {object} was {what} within {PATIENCE:?}; found were:\n{record}");
+            }
+        }
+    }
+}
+
+fn is_at(place: &Place, object: &str) -> bool {
+    match place {
+        Place::Object(address) => {
+            address.object.as_str() == object || address.to_string() == object
+        }
+        Place::Link { .. } | Place::Node(_) => place.to_string() == object,
+    }
+}
+
+/// The record as lines for a person.
+fn describe(record: &Record) -> String {
+    let mut lines = String::new();
+    for entry in &record.entries {
+        let Fault { kind, place, incarnation, detail, count, .. } = &entry.fault;
+        let ended = entry.ended.as_ref().map_or("stands".into(), |(_, end)| format!("{end:?}"));
+        let symptom = entry.fault.symptom_of.map_or("", |_| "  ");
+        // Writing into a string does not fail.
+        let _ = writeln!(lines, "{symptom}{kind} of {place}{incarnation} ×{count}: {detail} ({ended})");
+    }
+    lines
+}

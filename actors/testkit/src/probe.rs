@@ -1,0 +1,168 @@
+//! A component in the place of any partner of the component under test.
+
+use blastema::prelude::*;
+use blastema::Contract;
+use blastema_doubles::Record;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Records the messages of one contract in somebody's place, and answers requests.
+///
+/// It gives the [`ChildSpec`] of a component that listens to a topic, takes commands by name, or serves
+/// requests; what that component is sent is found here. Probes outlive the restarts of their component.
+///
+/// # Examples
+/// ```
+/// use blastema::prelude::*;
+/// use blastema_testkit::{Probe, TestNode};
+///
+/// #[derive(Clone, Debug, PartialEq, Event)]
+/// struct Brake { newton: f64 }
+///
+/// blastema_testkit::run(async {
+///     let brakes = Probe::<Brake>::new();
+///     let builder = Node::builder("module1").child(brakes.target("brakes"));
+///     let node = TestNode::start(builder).await;
+///
+///     node.sender("brakes")?.tell(Brake { newton: 40.0 }).map_err(|error| error.why)?;
+///
+///     assert_eq!(brakes.expect().await, Brake { newton: 40.0 });
+///     Ok::<(), Why>(())
+/// })?;
+/// # Ok::<(), blastema::Why>(())
+/// ```
+pub struct Probe<M>(Record<M>);
+
+impl<M> Clone for Probe<M> {
+    fn clone(&self) -> Self {
+        Probe(self.0.clone())
+    }
+}
+
+impl<M> Default for Probe<M> {
+    fn default() -> Self {
+        Probe(Record::default())
+    }
+}
+
+impl<M: Contract> Probe<M> {
+    /// A probe that has seen nothing.
+    pub fn new() -> Self {
+        Probe::default()
+    }
+
+    /// The next message.
+    ///
+    /// # Panics
+    /// When none comes within [`PATIENCE`](crate::PATIENCE).
+    pub async fn expect(&self) -> M {
+        self.0.expect().await
+    }
+
+    /// The next message for which `wanted` holds; those before it are thrown away.
+    ///
+    /// # Panics
+    /// When none comes within [`PATIENCE`](crate::PATIENCE).
+    pub async fn wait(&self, wanted: impl FnMut(&M) -> bool) -> M {
+        self.0.wait(wanted).await
+    }
+
+    /// Makes sure that no message comes during this time, nor was there one before.
+    ///
+    /// # Panics
+    /// When there is one.
+    pub async fn expect_none_for(&self, span: Duration) {
+        self.0.expect_none_for(span).await;
+    }
+
+    /// Everything recorded and not yet taken.
+    pub fn drain(&self) -> Vec<M> {
+        self.0.drain()
+    }
+
+    /// How many messages were recorded and not yet taken.
+    pub fn recorded(&self) -> usize {
+        self.0.len()
+    }
+}
+
+impl<E: Event> Probe<E> {
+    /// A component that listens to the topic that has this event's contract name.
+    pub fn listener(&self, name: &str) -> ChildSpec<Listener<E>> {
+        let record = self.0.clone();
+        ChildSpec::new(name, move || Listener { record: record.clone() })
+    }
+
+    /// A component that takes this event as a command, from whoever knows its name.
+    pub fn target(&self, name: &str) -> ChildSpec<Target<E>> {
+        let record = self.0.clone();
+        ChildSpec::new(name, move || Target { record: record.clone() })
+    }
+}
+
+impl<M: Request> Probe<M> {
+    /// A component that serves this request as the closure says. A closure that panics is a component
+    /// that does.
+    pub fn server(
+        &self,
+        name: &str,
+        answer: impl Fn(&M) -> M::Reply + Send + Sync + 'static,
+    ) -> ChildSpec<Server<M>> {
+        let (record, answer) = (self.0.clone(), Arc::new(answer));
+        ChildSpec::new(name, move || Server { record: record.clone(), answer: answer.clone() })
+    }
+}
+
+/// The component of [`Probe::listener`].
+pub struct Listener<E> {
+    record: Record<E>,
+}
+
+impl<E: Event> Component for Listener<E> {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<E>();
+    }
+}
+
+impl<E: Event> Handle<E> for Listener<E> {
+    async fn handle(&mut self, event: E, _: &mut Context<Self>) -> E::Reply {
+        self.record.push(event);
+    }
+}
+
+/// The component of [`Probe::target`].
+pub struct Target<E> {
+    record: Record<E>,
+}
+
+impl<E: Event> Component for Target<E> {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<E>();
+    }
+}
+
+impl<E: Event> Handle<E> for Target<E> {
+    async fn handle(&mut self, event: E, _: &mut Context<Self>) -> E::Reply {
+        self.record.push(event);
+    }
+}
+
+/// The component of [`Probe::server`].
+pub struct Server<M: Request> {
+    record: Record<M>,
+    answer: Arc<dyn Fn(&M) -> M::Reply + Send + Sync>,
+}
+
+impl<M: Request> Component for Server<M> {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<M>();
+    }
+}
+
+impl<M: Request> Handle<M> for Server<M> {
+    async fn handle(&mut self, request: M, _: &mut Context<Self>) -> M::Reply {
+        let reply = (self.answer)(&request);
+        self.record.push(request);
+        reply
+    }
+}
