@@ -1,10 +1,10 @@
 //! Data that is too old, or wrong: an event says how old it may become, and a component checks what it is
-//! given at fixed points. A failed check is a fault like any other; here the plan only keeps the record.
+//! given at fixed points. A failed check is a fault: it is told and goes into the record, and what is done
+//! about it is for the application to say.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
-use blastema::core::detection::Range;
 use blastema::prelude::*;
-use blastema::{DeadReason, Turn};
+use blastema::{DeadReason, Range, Turn};
 use std::time::Duration;
 
 /// How fast to go. Nobody should act upon one that has waited for long.
@@ -57,7 +57,6 @@ impl Handle<Turning> for Motors {
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let node = Node::builder("module1")
         .child(ChildSpec::new("motors", Motors::default))
-        .plan(Plan::default().on(FaultKind::CheckFailed, Ladder::first(Measure::Observe)))
         .start()
         .await?;
     let mut faults = node.fault_events();
