@@ -3,6 +3,7 @@
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
+use std::sync::mpsc::{SyncSender, sync_channel};
 
 /// The charge of a battery.
 #[derive(Clone, Debug, Event)]
@@ -11,31 +12,25 @@ struct Charge {
     percent: u8,
 }
 
-/// Prints what it hears. Its conditions are asked before anything is put into its queue.
-struct Display;
+/// Hands on what it hears. Its conditions are asked before anything is put into its queue.
+struct Display {
+    heard: SyncSender<u8>,
+}
 
 impl Component for Display {
     fn ports(ports: &mut Ports<Self>) {
         // The topic of an event is its contract's name, unless `on` names another.
         ports.listen::<Charge>().only_if(|charge| charge.percent < 20);
         ports.listen::<Charge>().on("battery/of/arm");
-        ports.serve::<Shown>();
     }
 }
 
 impl Handle<Charge> for Display {
-    async fn handle(&mut self, charge: Charge, _: &mut Context<Self>) {
-        println!("{} %", charge.percent);
+    async fn handle(&mut self, charge: Charge, cx: &mut Context<Self>) {
+        if self.heard.try_send(charge.percent).is_err() {
+            cx.stop(); // nobody looks at the display any more
+        }
     }
-}
-
-/// Answers when everything that was queued before it has been shown.
-#[derive(Debug, Request)]
-#[contract(reply = ())]
-struct Shown;
-
-impl Handle<Shown> for Display {
-    async fn handle(&mut self, _: Shown, _: &mut Context<Self>) {}
 }
 
 /// Publishes as it empties.
@@ -52,13 +47,15 @@ impl Component for Battery {
 }
 
 #[blastema::main]
-async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let node = Node::builder("module1")
-        .work_threads(1)
-        .child(ChildSpec::new("display", || Display)) // listens before the battery speaks
-        .child(ChildSpec::new("battery", || Battery))
+async fn main() -> Result<(), StartError> {
+    let (heard, hears) = sync_channel(16);
+    let _node = Node::builder("module1")
+        .child(ChildSpec::new("display", move || Display { heard: heard.clone() }))
+        .child(ChildSpec::new("battery", || Battery)) // speaks when the display listens
         .start()
         .await?;
-    node.sender::<Shown>("display")?.ask(Shown).await?;
+    for percent in hears.iter().take(3) {
+        println!("{percent} %");
+    }
     Ok(())
 }
