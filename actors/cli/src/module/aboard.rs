@@ -44,7 +44,7 @@ const FIRST_COST: u16 = 10;
 /// What the second path costs: it is taken only if the first is down.
 const SECOND_COST: u16 = 15;
 /// How often response times are measured.
-const ECHOES_HZ: f64 = 200.0;
+const ECHOES_HZ: f64 = 100.0;
 /// How often the delivery of an event is measured.
 const TICKS_HZ: f64 = 50.0;
 
