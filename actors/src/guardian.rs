@@ -9,8 +9,9 @@ use crate::panics;
 use crate::platform;
 use actix::dev::{ContextFut, channel};
 use actix::prelude::*;
-use blastema_contract::reports::{Exit, Exited};
-use blastema_core::{Incarnation, Instant, ObjectName};
+use blastema_contract::reports::{Alive, Exit, Exited};
+use blastema_core::{Incarnation, Instant, Lifecycle, ObjectName};
+use std::cell::Cell;
 use std::collections::VecDeque;
 use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -26,6 +27,40 @@ const TIMES: usize = 20;
 const PERIOD: Duration = Duration::from_secs(10);
 /// Requests that may wait on the mailbox before a sender notices; `do_send` knows no bound.
 const MAILBOX: usize = 1024;
+
+thread_local! {
+    static LIFE: Cell<Incarnation> = const { Cell::new(Incarnation::FIRST) };
+}
+
+/// The answer of the guarded actor that is running now to "are you alive?". What waits in an actix
+/// mailbox cannot be seen; that the answer comes says that it is served.
+pub(crate) fn alive() -> Alive {
+    Alive {
+        incarnation: LIFE.get(),
+        state: Lifecycle::Active,
+        queued: 0,
+        oldest: Duration::ZERO,
+        long_operation: false,
+    }
+}
+
+/// Lets a guarded actor answer the monitor.
+macro_rules! answers_the_monitor {
+    ($actor:ty) => {
+        impl actix::Handler<blastema_contract::reports::AreYouAlive> for $actor {
+            type Result = blastema_contract::reports::Alive;
+
+            fn handle(
+                &mut self,
+                _: blastema_contract::reports::AreYouAlive,
+                _: &mut Self::Context,
+            ) -> Self::Result {
+                crate::guardian::alive()
+            }
+        }
+    };
+}
+pub(crate) use answers_the_monitor;
 
 /// Runs actors that must not die. They begin anew, in their own `restarting`, from what they were
 /// configured with.
@@ -115,6 +150,7 @@ impl<A: Actor<Context = Context<A>> + Supervised> Future for Ward<A> {
     type Output = ();
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut task::Context<'_>) -> Poll<()> {
+        LIFE.set(self.incarnation);
         let future = &mut self.future;
         let caught = {
             let _guarded = panics::Guarded::enter();

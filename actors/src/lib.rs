@@ -57,6 +57,8 @@ pub use serde;
 pub use topic::Publisher;
 
 pub use blastema_contract::detector::FaultEvent;
+pub use blastema_core::Instant;
+pub use blastema_core::detection::{CheckFailed, Freshness, Invariant, Range, Rate};
 pub use blastema_core::{Event, Fault, FaultKind, Lifecycle, Place, Request, Severity};
 
 /// Everything that an application usually needs.

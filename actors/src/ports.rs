@@ -3,7 +3,7 @@
 use crate::component::{Component, Handle};
 use crate::host::anchor::Anchor;
 use crate::registry::Port;
-use crate::topic::{Condition, Listening, Subscription, Topics};
+use crate::topic::{Condition, Listening, Subscription, Subscriptions, Topics};
 use blastema_core::{Event, Request, Why};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -58,10 +58,7 @@ impl<C: Component> Ports<C> {
     }
 
     /// The subscriptions, bound to their topics.
-    pub(crate) fn subscriptions(
-        self,
-        topics: &Topics,
-    ) -> Result<Arc<[Arc<dyn Subscription<C>>]>, Why> {
+    pub(crate) fn subscriptions(self, topics: &Topics) -> Result<Subscriptions<C>, Why> {
         self.listen.into_iter().map(|bind| bind(topics)).collect()
     }
 }

@@ -1,6 +1,7 @@
 //! A reference to one component, of which the sender knows the type.
 
 use crate::component::{Component, Handle};
+use crate::host::Control;
 use crate::host::anchor::Anchor;
 use crate::sender::{DEFAULT_DEADLINE, Inlet, RequestError, SendError, Sender, deliver};
 use actix::prelude::{Actor, Handler, ResponseFuture};
@@ -82,6 +83,23 @@ impl<C: Component> ActorRef<C> {
         C: Handle<M>,
     {
         Sender(self.0.clone())
+    }
+
+    /// Asks the component to leave work in order; messages wait until it returns. Without effect
+    /// unless it is active.
+    pub fn deactivate(&self) {
+        self.order(Control::Activate(false));
+    }
+
+    /// Asks the component to return to work. Without effect unless it is initialised and not active.
+    pub fn activate(&self) {
+        self.order(Control::Activate(true));
+    }
+
+    fn order(&self, control: Control) {
+        if let Some(host) = self.0.control() {
+            host.do_send(control);
+        }
     }
 
     /// The component's name.

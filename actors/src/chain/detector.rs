@@ -1,16 +1,15 @@
 //! The detector's body.
 
-use super::at_work;
 use crate::drive::{Body, Wake};
+use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::fut::wrap_future;
 use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::detector::{FaultEvent, FaultOutcome, Observed, ReadRecord, Subscribe};
 use blastema_contract::notifier::{FaultCleared, FaultFound};
-use blastema_contract::reports::{Alive, AreYouAlive};
+use blastema_core::NodeName;
 use blastema_core::detection::{self, DetectorLimits, DetectorOutput, Notice};
-use blastema_core::{Incarnation, NodeName};
 use tracing::{error, info, warn};
 
 /// Consoles, dashboards, journals and recordings of one node, and as many again.
@@ -20,7 +19,6 @@ const LISTENERS: usize = 64;
 pub(crate) struct Detector {
     machine: detection::Detector,
     wake: Wake,
-    incarnation: Incarnation,
     found: Recipient<FaultFound>,
     cleared: Recipient<FaultCleared>,
     listeners: Vec<Recipient<FaultEvent>>,
@@ -35,14 +33,7 @@ impl Detector {
         cleared: Recipient<FaultCleared>,
     ) -> Self {
         let machine = detection::Detector::new(node, limits, platform::now());
-        Detector {
-            machine,
-            wake: Wake::default(),
-            incarnation: Incarnation::FIRST,
-            found,
-            cleared,
-            listeners: Vec::new(),
-        }
+        Detector { machine, wake: Wake::default(), found, cleared, listeners: Vec::new() }
     }
 
     fn hand_over(&mut self, number: u64, notice: Notice, context: &mut Context<Self>) {
@@ -122,7 +113,6 @@ impl Supervised for Detector {
     fn restarting(&mut self, _: &mut Context<Self>) {
         self.machine = self.machine.clone().reborn(platform::now());
         self.wake = Wake::default();
-        self.incarnation = self.incarnation.next();
     }
 }
 
@@ -169,10 +159,4 @@ impl Handler<Subscribe> for Detector {
     }
 }
 
-impl Handler<AreYouAlive> for Detector {
-    type Result = Alive;
-
-    fn handle(&mut self, _: AreYouAlive, _: &mut Context<Self>) -> Alive {
-        at_work(self.incarnation)
-    }
-}
+answers_the_monitor!(Detector);

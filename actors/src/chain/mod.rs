@@ -14,16 +14,5 @@ pub(crate) mod scripted;
 pub(crate) mod strategy;
 pub(crate) mod supervisor;
 
-use blastema_contract::reports::Alive;
-use blastema_core::{Incarnation, Lifecycle};
-use std::time::Duration;
-
-/// What an actor of the chain answers to the question whether it is alive. It answers from its mailbox,
-/// behind everything else that waits there: that it answers is all there is to say.
-fn at_work(incarnation: Incarnation) -> Alive {
-    let (state, queued, oldest) = (Lifecycle::Active, 0, Duration::ZERO);
-    Alive { incarnation, state, queued, oldest, long_operation: false }
-}
-
 #[cfg(test)]
 mod tests;

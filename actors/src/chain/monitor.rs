@@ -1,7 +1,7 @@
 //! The monitor's body.
 
-use super::at_work;
 use crate::drive::{Body, Wake};
+use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::fut::wrap_future;
 use actix::prelude::*;
@@ -14,7 +14,7 @@ use blastema_contract::reports::{
     Alive, AreYouAlive, Exited, FaultDeclared, Heartbeat, Sighted, StateReported,
 };
 use blastema_core::detection::{self, EnrolError, MonitorLimits, MonitorOutput, Progress, Watch};
-use blastema_core::{Incarnation, NodeName, ObjectName};
+use blastema_core::{NodeName, ObjectName};
 use std::collections::BTreeMap;
 use tracing::error;
 
@@ -22,7 +22,6 @@ use tracing::error;
 pub(crate) struct Monitor {
     machine: detection::Monitor,
     wake: Wake,
-    incarnation: Incarnation,
     detector: Recipient<Observed>,
     /// Where objects answer; no more than the machine's table has rows.
     inquiries: BTreeMap<ObjectName, Recipient<AreYouAlive>>,
@@ -36,13 +35,7 @@ impl Monitor {
         detector: Recipient<Observed>,
     ) -> Self {
         let machine = detection::Monitor::new(node, limits, platform::now());
-        Monitor {
-            machine,
-            wake: Wake::default(),
-            incarnation: Incarnation::FIRST,
-            detector,
-            inquiries: BTreeMap::new(),
-        }
+        Monitor { machine, wake: Wake::default(), detector, inquiries: BTreeMap::new() }
     }
 
     fn ask(&mut self, object: ObjectName, context: &mut Context<Self>) {
@@ -110,7 +103,6 @@ impl Supervised for Monitor {
     fn restarting(&mut self, _: &mut Context<Self>) {
         self.machine = self.machine.clone().reborn(platform::now());
         self.wake = Wake::default();
-        self.incarnation = self.incarnation.next();
     }
 }
 
@@ -246,10 +238,4 @@ impl Handler<ReadTable> for Monitor {
     }
 }
 
-impl Handler<AreYouAlive> for Monitor {
-    type Result = Alive;
-
-    fn handle(&mut self, _: AreYouAlive, _: &mut Context<Self>) -> Alive {
-        at_work(self.incarnation)
-    }
-}
+answers_the_monitor!(Monitor);

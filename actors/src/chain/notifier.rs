@@ -1,15 +1,13 @@
 //! The notifier's body.
 
-use super::at_work;
 use crate::drive::{Body, Wake};
+use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::fut::wrap_future;
 use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::notifier::{AddPort, FaultCleared, FaultFound, ReadPorts, RemovePort};
 use blastema_contract::recoverer::{Recover, StandDown};
-use blastema_contract::reports::{Alive, AreYouAlive};
-use blastema_core::Incarnation;
 use blastema_core::detection::{self, Notice, NotifierLimits, NotifierOutput, Port};
 use std::collections::BTreeMap;
 use tracing::error;
@@ -18,7 +16,6 @@ use tracing::error;
 pub(crate) struct Notifier {
     machine: detection::Notifier,
     wake: Wake,
-    incarnation: Incarnation,
     /// Where the machine's ports lead.
     doors: BTreeMap<Port, Door>,
 }
@@ -32,12 +29,7 @@ impl Notifier {
     /// A notifier without ports.
     pub(crate) fn new(limits: NotifierLimits) -> Self {
         let machine = detection::Notifier::new(limits);
-        Notifier {
-            machine,
-            wake: Wake::default(),
-            incarnation: Incarnation::FIRST,
-            doors: BTreeMap::new(),
-        }
+        Notifier { machine, wake: Wake::default(), doors: BTreeMap::new() }
     }
 
     fn hand_over(&mut self, port: Port, number: u64, notice: Notice, context: &mut Context<Self>) {
@@ -109,7 +101,6 @@ impl Supervised for Notifier {
     fn restarting(&mut self, _: &mut Context<Self>) {
         self.machine = self.machine.clone().reborn(platform::now());
         self.wake = Wake::default();
-        self.incarnation = self.incarnation.next();
     }
 }
 
@@ -168,10 +159,4 @@ impl Handler<ReadPorts> for Notifier {
     }
 }
 
-impl Handler<AreYouAlive> for Notifier {
-    type Result = Alive;
-
-    fn handle(&mut self, _: AreYouAlive, _: &mut Context<Self>) -> Alive {
-        at_work(self.incarnation)
-    }
-}
+answers_the_monitor!(Notifier);

@@ -2,7 +2,7 @@
 
 use super::strategy::{StrategyTable, Tools};
 use crate::drive::{Body, Wake};
-use crate::guardian::Guardian;
+use crate::guardian::{Guardian, answers_the_monitor};
 use crate::platform;
 use actix::fut::wrap_future;
 use actix::prelude::*;
@@ -121,6 +121,8 @@ impl Body for Recoverer {
         }
     }
 }
+
+answers_the_monitor!(Recoverer);
 
 impl Actor for Recoverer {
     type Context = Context<Self>;

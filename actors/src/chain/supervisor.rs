@@ -2,11 +2,11 @@
 
 use super::directory::{Directory, SupervisorPorts};
 use crate::drive::{Body, Wake};
-use crate::guardian::Guardian;
+use crate::guardian::{Guardian, answers_the_monitor};
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
-use blastema_contract::reports::{Exit, Exited, FaultDeclared, StateReported};
+use blastema_contract::reports::{AreYouAlive, Exit, Exited, FaultDeclared, StateReported};
 use blastema_contract::supervisor::{
     AddChild, Begin, Branch, End, Forsake, GaveUp, IsolateAll, IsolateChild, Leaf, ReadTree,
     Recovered, RemoveChild, ResetChild, RestartChild, SafeStop,
@@ -253,6 +253,8 @@ impl Body for Supervisor {
     }
 }
 
+answers_the_monitor!(Supervisor);
+
 impl Actor for Supervisor {
     type Context = Context<Self>;
 
@@ -461,6 +463,11 @@ pub(crate) struct SupervisorChild {
 impl SupervisorChild {
     /// Where its tree can be read.
     pub(crate) fn tree(&self) -> Recipient<ReadTree> {
+        self.address.clone().recipient()
+    }
+
+    /// Where it answers the monitor.
+    pub(crate) fn inquiries(&self) -> Recipient<AreYouAlive> {
         self.address.clone().recipient()
     }
 

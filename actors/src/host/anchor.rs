@@ -17,7 +17,7 @@ use crate::letter::{Mail, pack, posting_time};
 use crate::platform;
 use crate::reply::{Answer, Reply, Revocable};
 use crate::sender::{Inlet, RequestError, SendError};
-use crate::topic::Subscription;
+use crate::topic::Subscriptions;
 use actix::Addr;
 use blastema_contract::child::StandingOrder;
 use blastema_contract::reports::Alive;
@@ -40,7 +40,7 @@ pub(crate) struct Anchor<C: Component> {
     pub(crate) record: Record,
     pub(crate) factory: Box<dyn Fn() -> C + Send + Sync>,
     control: Mutex<Option<Addr<Host<C>>>>,
-    subscriptions: Mutex<Arc<[Arc<dyn Subscription<C>>]>>,
+    subscriptions: Mutex<Subscriptions<C>>,
 }
 
 /// The part of an [`Anchor`] that does not depend on the component's type.
@@ -211,11 +211,11 @@ impl<C: Component> Anchor<C> {
         *lock(&self.control) = host;
     }
 
-    pub(crate) fn subscriptions(&self) -> Arc<[Arc<dyn Subscription<C>>]> {
+    pub(crate) fn subscriptions(&self) -> Subscriptions<C> {
         lock(&self.subscriptions).clone()
     }
 
-    pub(crate) fn set_subscriptions(&self, subscriptions: Arc<[Arc<dyn Subscription<C>>]>) {
+    pub(crate) fn set_subscriptions(&self, subscriptions: Subscriptions<C>) {
         *lock(&self.subscriptions) = subscriptions;
     }
 

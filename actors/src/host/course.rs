@@ -120,10 +120,6 @@ impl Course {
         }
     }
 
-    pub(crate) fn state(&self) -> Lifecycle {
-        self.state
-    }
-
     /// The supervisor still waits to hear that the life has begun.
     pub(crate) fn is_starting(&self) -> bool {
         self.awaited == Some(Awaited::Start)
@@ -352,7 +348,7 @@ mod tests {
             }
         }
         course.poll_news();
-        assert_eq!(course.state(), state);
+        assert_eq!(course.state, state);
         course
     }
 
@@ -436,7 +432,7 @@ mod tests {
                 }
                 course.handle_done(next, Ok(()));
             }
-            assert_eq!(course.state(), Error);
+            assert_eq!(course.state, Error);
             let failed = ChildEvent::StartFailed { reason: "jammed".into() };
             assert_eq!(answers(course.poll_news()), [failed]);
         }
@@ -466,7 +462,7 @@ mod tests {
 
         course.handle_done(Hook::Error, Err(Failure::fatal("three")));
 
-        assert_eq!(course.state(), Fatal);
+        assert_eq!(course.state, Fatal);
         assert_eq!(run(&mut course), [Hook::Finalize]);
     }
 
@@ -477,7 +473,7 @@ mod tests {
             course.handle_stop(End::Stopped);
             assert_eq!(run(&mut course), expected, "{state}");
             assert_eq!(course.next(), Step::End(End::Stopped), "{state}");
-            assert_eq!(course.state(), Finalized);
+            assert_eq!(course.state, Finalized);
         };
         check(Created, &[Hook::Finalize]);
         check(Initialized, &[Hook::Shutdown, Hook::Finalize]);
@@ -531,7 +527,7 @@ mod tests {
         assert_eq!(run(&mut course), [Hook::Activated]);
         course.handle_activate(false);
         assert_eq!(run(&mut course), [Hook::Deactivated]);
-        assert_eq!(course.state(), Initialized);
+        assert_eq!(course.state, Initialized);
     }
 
     #[test]
@@ -546,12 +542,12 @@ mod tests {
         ] {
             let mut course = life(state);
             course.handle_failure("declared".into());
-            assert_eq!(course.state(), expected, "{state}");
+            assert_eq!(course.state, expected, "{state}");
         }
         for state in [Created, Initialized, Active, Error] {
             let mut course = life(state);
             course.handle_failure(Failure::fatal("declared"));
-            assert_eq!(course.state(), Fatal, "{state}");
+            assert_eq!(course.state, Fatal, "{state}");
         }
     }
 

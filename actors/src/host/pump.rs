@@ -538,6 +538,9 @@ impl<C: Component> Pump<C> {
             self.died_in_service(payload);
         }
         self.pulse.run(None);
+        if self.is_abandoned() {
+            self.leave(); // The hub goes on to neighbours, who must not stand behind this fence.
+        }
         if self.over || self.life.has_wishes() || !self.outbox.is_empty() {
             waker.wake_by_ref(); // The pump's own poll reports, and ends what is to end.
         }
@@ -573,8 +576,7 @@ impl<C: Component> Pump<C> {
         }
         self.bury();
         if self.anchor.lane.owner() != Some(incarnation) {
-            self.over = true; // It had been given up before; nobody waits for its report.
-            return;
+            return self.leave(); // It had been given up before; nobody waits for its report.
         }
         let restarted_as = self.may_restart().then(|| incarnation.next());
         match restarted_as {

@@ -173,11 +173,6 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// Its name, as it was written.
-    pub(crate) fn name(&self) -> &str {
-        &self.name
-    }
-
     /// How its signs of life come.
     pub(crate) fn watched_by(&self) -> Watch {
         self.limits.watch

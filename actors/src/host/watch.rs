@@ -195,7 +195,7 @@ impl Eyes {
             };
             self.scanner.handle_pulse(*id, reading, now);
         }
-        if self.looks % STAMPS == 0 {
+        if self.looks.is_multiple_of(STAMPS) {
             let stamps = &self.stamps;
             self.scanner.handle_stamps(now, |slot| read(stamps.get(&slot)));
         }

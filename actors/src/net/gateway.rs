@@ -4,6 +4,7 @@ use super::NetEnvironment;
 use super::door::{Condition, Doors, Gate};
 use super::notice;
 use super::sessions::Sessions;
+use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
 use crate::registry::{Doorway, Registry, ReplyTo};
@@ -407,6 +408,8 @@ fn topic(key: &TopicKey) -> TopicContract {
 fn reply_to(peer: NodeId, epoch: Epoch, call: u64, gateway: Addr<Gateway>) -> ReplyTo {
     Box::new(move |result| gateway.do_send(Answered { peer, epoch, call, result }))
 }
+
+answers_the_monitor!(Gateway);
 
 impl Actor for Gateway {
     type Context = Context<Self>;

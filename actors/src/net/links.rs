@@ -2,6 +2,7 @@
 
 use super::LinkSpec;
 use crate::drive::{Body, Wake};
+use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::link::{Arrived, Carry, LinkChanged, LinkRow, Load, ReadLinks, ReportLinks};
@@ -138,6 +139,8 @@ impl Links {
         self.tell_monitor(number, LinkCondition::Down { reason: refusal.to_string() });
     }
 }
+
+answers_the_monitor!(Links);
 
 impl Actor for Links {
     type Context = Context<Self>;

@@ -35,6 +35,7 @@ use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::naming::{NodeRow, ReadNames};
 use blastema_contract::recoverer::Recover;
+use blastema_contract::reports::AreYouAlive;
 use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
 use blastema_contract::session::{AddGateway, Leave, ReadSessions, SessionRow};
 use blastema_contract::strategy::Reroute;
@@ -134,7 +135,7 @@ pub(crate) struct NetHandle {
     gateway: Addr<gateway::Gateway>,
     sessions: Addr<sessions::Sessions>,
     router: Addr<router::Router>,
-    networks: Vec<Addr<links::Links>>,
+    networks: Vec<(ObjectName, Addr<links::Links>)>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
     doors: Arc<door::Doors>,
@@ -189,10 +190,11 @@ pub(crate) fn start(
             router_loads: router.clone().recipient(),
             monitor: environment.links.clone(),
         };
-        let address = guardian.start(name, place, move |_| links::Links::new(wiring, links));
+        let address =
+            guardian.start(name.clone(), place, move |_| links::Links::new(wiring, links));
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
         router.do_send(AddLinks { links: numbers, carry, report });
-        address
+        (name, address)
     });
     let networks = networks.collect();
     Ok(NetHandle { gateway, sessions, router, networks, guardian, arbiter, doors })
@@ -240,7 +242,7 @@ impl NetHandle {
     /// All links, in the order of the configuration.
     pub(crate) async fn read_links(&self) -> Vec<LinkRow> {
         let mut rows = Vec::new();
-        for network in &self.networks {
+        for (_, network) in &self.networks {
             rows.extend(network.send(ReadLinks).await.unwrap_or_default());
         }
         rows
@@ -265,6 +267,19 @@ impl NetHandle {
     /// Takes [`PanicOnPurpose`], for the demonstration and tests.
     pub(crate) fn router(&self) -> Recipient<PanicOnPurpose> {
         self.router.clone().recipient()
+    }
+
+    /// Where the network's own actors answer the monitor.
+    pub(crate) fn inquiries(&self) -> Vec<(ObjectName, Recipient<AreYouAlive>)> {
+        let mut all = vec![
+            (named("router"), self.router.clone().recipient()),
+            (named("sessions"), self.sessions.clone().recipient()),
+            (named("gateway"), self.gateway.clone().recipient()),
+        ];
+        for (name, links) in &self.networks {
+            all.push((name.clone(), links.clone().recipient()));
+        }
+        all
     }
 
     /// Takes requests for another way, from the recovery strategy.

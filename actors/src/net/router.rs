@@ -1,6 +1,7 @@
 //! The router's body.
 
 use crate::drive::{Body, Wake};
+use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::link::{AddLinks, Arrived, Carry, LinkChanged, Load, ReportLinks};
@@ -81,6 +82,8 @@ impl Router {
         self.report_path(PathReported::Lost { node });
     }
 }
+
+answers_the_monitor!(Router);
 
 impl Actor for Router {
     type Context = Context<Self>;

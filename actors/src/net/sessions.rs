@@ -1,6 +1,7 @@
 //! The body of all sessions of this node.
 
 use crate::drive::{Body, Wake};
+use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::router::{PathReported, SegmentArrived, SendSegment};
@@ -101,6 +102,8 @@ impl Sessions {
         Why::Unreachable { node }
     }
 }
+
+answers_the_monitor!(Sessions);
 
 impl Actor for Sessions {
     type Context = Context<Self>;

@@ -30,6 +30,7 @@ use blastema_core::recovery::{self, RecovererLimits};
 use blastema_core::{Incarnation, NameError, NodeName, ObjectAddress, ObjectName};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, OnceLock};
+use std::time::Duration;
 use tokio::sync::watch;
 
 /// The fault chain as the rest of the node sees it.
@@ -40,6 +41,8 @@ pub(super) struct Chain {
     enrol: Recipient<Enrol>,
     dismiss: Recipient<Dismiss>,
     arbiter: Option<ArbiterHandle>,
+    /// Where its actors answer.
+    inquiries: Vec<(ObjectName, Recipient<AreYouAlive>)>,
     notifier: Recipient<AddPort>,
     recoverer: Recipient<Recover>,
     router: Arc<OnceLock<Recipient<Reroute>>>,
@@ -96,9 +99,15 @@ fn enrolment(
     Ok(Enrol { enrolment, inquiries: Some(inquiries) })
 }
 
-fn middleware(name: &str) -> Enrol {
-    let name = ObjectName::new(name).expect("the middleware's own names are well formed");
-    Enrol { enrolment: Enrolment::new(name).kind(ObjectKind::Middleware), inquiries: None }
+/// An object of the middleware. It answers in microseconds; that it did not for several seconds is no
+/// matter of load, and ends in the node's safe rest.
+fn middleware(name: ObjectName, inquiries: Option<Recipient<AreYouAlive>>) -> Enrol {
+    let watch = match inquiries {
+        Some(_) => Watch::pull(Duration::from_secs(1), Duration::from_secs(3)),
+        None => Watch::Guard,
+    };
+    let enrolment = Enrolment::new(name).kind(ObjectKind::Middleware).watch(watch);
+    Enrol { enrolment, inquiries }
 }
 
 /// Everything between the threads and the components.
@@ -181,6 +190,13 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         stand_down: Some(recoverer.clone().recipient()),
     });
 
+    let inquiries = vec![
+        (named("chain/notifier"), notifier.clone().recipient()),
+        (named("chain/detector"), detector.clone().recipient()),
+        (named("chain/monitor"), monitor.clone().recipient()),
+        (named("chain/recoverer"), recoverer.clone().recipient()),
+        (named("keeper"), keeper.clone().recipient()),
+    ];
     let chain = Chain {
         table: monitor.clone().recipient(),
         record: detector.clone().recipient(),
@@ -188,6 +204,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         enrol: monitor.clone().recipient(),
         dismiss: monitor.clone().recipient(),
         arbiter,
+        inquiries,
         notifier: notifier.recipient(),
         recoverer: recoverer.recipient(),
         router,
@@ -230,12 +247,10 @@ fn make_networks(
         if let Some(cable) = laid.cable {
             cables.insert(laid.spec.name.to_string(), cable);
         }
-        enrolments.extend(laid.transports.iter().map(|name| middleware(name.as_str())));
-        enrolments.push(middleware(&format!("net/links/{}", laid.spec.name)));
+        enrolments.extend(laid.transports.into_iter().map(|name| middleware(name, None)));
         neighbours.extend(laid.neighbours);
         specs.push(laid.spec);
     }
-    enrolments.extend(["net/router", "net/sessions", "net/gateway"].map(middleware));
     let net_environment = NetEnvironment {
         node: node.clone(),
         incarnation,
@@ -250,6 +265,8 @@ fn make_networks(
     };
     let handle = net::start(net_environment, specs)
         .map_err(|error| StartError::Network(error.to_string()))?;
+    let own = handle.inquiries().into_iter();
+    enrolments.extend(own.map(|(name, inquiries)| middleware(name, Some(inquiries))));
     // The recipient is set once, here.
     let _ = chain.router.set(handle.reroute());
     for neighbour in neighbours {
@@ -300,12 +317,14 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     let names: Vec<&ObjectName> = harvest.components.iter().map(|facts| &facts.name).collect();
     plan.check(names, &builder.own_kinds, builder.strategies.names())?;
 
-    let mut enrolments: Vec<Enrol> =
-        ["chain/notifier", "chain/detector", "chain/monitor", "chain/recoverer", "keeper"]
-            .map(middleware)
-            .into();
+    let mut enrolments: Vec<Enrol> = Vec::new();
+    for (name, inquiries) in chain.inquiries.iter().cloned() {
+        enrolments.push(middleware(name, Some(inquiries)));
+    }
     enrolments.extend(network_enrolments);
-    enrolments.extend(harvest.supervisors.iter().map(|name| middleware(name.as_str())));
+    for (name, inquiries) in harvest.supervisors {
+        enrolments.push(middleware(name, Some(inquiries)));
+    }
     let mut actors: BTreeMap<ObjectName, _> = BTreeMap::new();
     for facts in harvest.components {
         let (name, watch) = (&facts.name, facts.watch);

@@ -2,6 +2,7 @@
 
 use crate::chain::strategy::SafeOutputs;
 use crate::chain::supervisor::SupervisorChild;
+use crate::guardian::answers_the_monitor;
 use crate::panics;
 use crate::platform;
 use actix::prelude::*;
@@ -110,6 +111,8 @@ impl Keeper {
         self.end();
     }
 }
+
+answers_the_monitor!(Keeper);
 
 impl Actor for Keeper {
     type Context = Context<Self>;

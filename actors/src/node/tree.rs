@@ -163,7 +163,7 @@ pub(super) struct Ground<'a> {
 #[derive(Default)]
 pub(super) struct Harvest {
     pub(super) components: Vec<PlantedFacts>,
-    pub(super) supervisors: Vec<ObjectName>,
+    pub(super) supervisors: Vec<(ObjectName, Recipient<AreYouAlive>)>,
 }
 
 /// What the node must know of a component after its supervisor has it.
@@ -201,15 +201,16 @@ impl SupervisorSpec {
                 }
             }
         }
-        harvest.supervisors.push(name.clone());
         let setup = SupervisorSetup {
             name,
             rules: self.rules,
             children,
-            faults: ground.monitor.clone().recipient(),
+            monitor: ground.monitor.clone().recipient(),
             states: ground.monitor.clone().recipient(),
             directory: ground.directory.clone(),
         };
-        Ok(Supervisor::start(ground.guardian, ground.arbiter, setup))
+        let supervisor = Supervisor::start(ground.guardian, ground.arbiter, setup);
+        harvest.supervisors.push((supervisor.name().clone(), supervisor.inquiries()));
+        Ok(supervisor)
     }
 }

@@ -50,6 +50,9 @@ pub(crate) trait Subscription<C: Component>: Send + Sync {
     fn end(&self);
 }
 
+/// A component's subscriptions.
+pub(crate) type Subscriptions<C> = Arc<[Arc<dyn Subscription<C>>]>;
+
 /// Which topic: its own name, and that of its contract.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct TopicKey {

@@ -1,12 +1,12 @@
 //! A whole node under a test's clock.
 
 use crate::probe::Probe;
+use blastema::core::FaultId;
 use blastema::core::detection::{Record, Row, Turn};
 use blastema::{
     Event, Fault, FaultEvent, FaultEvents, FaultKind, Lifecycle, Node, NodeBuilder, Place,
     StartError,
 };
-use blastema::core::FaultId;
 use blastema_doubles::PATIENCE;
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -241,7 +241,9 @@ impl TestNode {
             Ok(Some(event)) => event,
             Ok(None) | Err(_) => {
                 let record = describe(&self.node.faults().await);
-                panic!("no {kind} of {object} was {what} within {PATIENCE:?}; found were:\n{record}");
+                panic!(
+                    "no {kind} of {object} was {what} within {PATIENCE:?}; found were:\n{record}"
+                );
             }
         }
     }
@@ -264,7 +266,8 @@ fn describe(record: &Record) -> String {
         let ended = entry.ended.as_ref().map_or("stands".into(), |(_, end)| format!("{end:?}"));
         let symptom = entry.fault.symptom_of.map_or("", |_| "  ");
         // Writing into a string does not fail.
-        let _ = writeln!(lines, "{symptom}{kind} of {place}{incarnation} ×{count}: {detail} ({ended})");
+        let _ =
+            writeln!(lines, "{symptom}{kind} of {place}{incarnation} ×{count}: {detail} ({ended})");
     }
     lines
 }

@@ -109,7 +109,10 @@ impl Default for Plan {
                 .then(Measure::Restart)
                 .times(3)
                 .then(Measure::SafeStop),
-            FaultKind::Overload | FaultKind::ContractMismatch => observe.clone(),
+            // A warning: whether a wrong value is worth a life is the application's to say.
+            FaultKind::CheckFailed | FaultKind::Overload | FaultKind::ContractMismatch => {
+                observe.clone()
+            }
             // The supervisor has already decided to hand it to its parent.
             FaultKind::RestartStorm => observe.clone(),
             // Without an alternative nothing helps but the link's, or the node's, return.

@@ -1,7 +1,7 @@
 //! Hangs, fences, lost arbiters; silence and waiting.
 
 use super::{Log, Stage, acc, logged};
-use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
+use crate::host::arbiters::Arbiters;
 use crate::host::watch::{self, WatchGuard};
 use crate::{
     ChildSpec, Component, Context, Event, Failure, Handle, Incarnation, ObjectName, Ports, Sender,
@@ -111,8 +111,7 @@ impl Site {
 
     fn blocker(&self, name: &str) -> ChildSpec<Blocker> {
         let (gate, ear, said) = (self.gate.clone(), self.ear.clone(), self.said.clone());
-        let make =
-            move || Blocker { gate: gate.clone(), ear: ear.clone(), said: said.clone() };
+        let make = move || Blocker { gate: gate.clone(), ear: ear.clone(), said: said.clone() };
         ChildSpec::new(name, make).max_block(Duration::from_millis(100))
     }
 
@@ -211,7 +210,6 @@ fn an_arbiter_that_does_not_come_back_is_lost_and_its_components_move_with_their
         site.until("the thread ends", || arbiters.abandoned() == 0).await;
         assert_eq!(*site.said.lock().unwrap(), [Some(Why::Fenced)]);
         assert_eq!(neighbour.incarnation(), Incarnation(2));
-        assert!(ABANDONED_LIMIT > 1);
         arbiters.stop();
     });
 }
@@ -220,8 +218,7 @@ fn an_arbiter_that_does_not_come_back_is_lost_and_its_components_move_with_their
 fn a_hang_on_a_thread_of_its_own_takes_nobody_along() {
     actix_rt::System::new().block_on(async {
         let site = Site::new(1, Duration::from_millis(100)).await;
-        let (mut child, blocker) =
-            site.stage.start(site.blocker("blocker").on_own_thread()).await;
+        let (mut child, blocker) = site.stage.start(site.blocker("blocker").on_own_thread()).await;
         blocker.tell(Block(1)).unwrap();
         let (culprit, _, _, victims) = site.hangs().await;
         assert_eq!((culprit, victims), (name("blocker"), vec![]));
@@ -234,6 +231,62 @@ fn a_hang_on_a_thread_of_its_own_takes_nobody_along() {
         site.open.send(()).unwrap();
         site.until("the thread ends", || arbiters.abandoned() == 0).await;
         arbiters.stop();
+    });
+}
+
+/// Blocks whoever listens to it.
+#[derive(Clone, Event)]
+struct Hold;
+
+struct Holder(Gate);
+impl Component for Holder {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Hold>();
+    }
+}
+impl Handle<Hold> for Holder {
+    async fn handle(&mut self, _: Hold, _: &mut Context<Self>) {
+        self.0.lock().unwrap().recv().unwrap();
+    }
+}
+
+/// Passes on that it was told to hold.
+struct Witness(Sender<Said>);
+impl Component for Witness {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Hold>();
+    }
+}
+impl Handle<Hold> for Witness {
+    async fn handle(&mut self, _: Hold, _: &mut Context<Self>) {
+        self.0.tell(Said(9)).unwrap();
+    }
+}
+
+#[test]
+fn a_listener_that_hangs_in_an_event_is_the_culprit_and_the_next_listener_may_speak() {
+    actix_rt::System::new().block_on(async {
+        let site = Site::new(1, LONG).await;
+        let gate = site.gate.clone();
+        let spec = ChildSpec::new("holder", move || Holder(gate.clone()));
+        let (mut child, _) = site.stage.start(spec.max_block(Duration::from_millis(100))).await;
+        let ear = site.ear.clone();
+        let spec = ChildSpec::new("witness", move || Witness(ear.clone()));
+        let (_witness, witness) = site.stage.start(spec).await;
+        let topics = &site.stage.environment.topics;
+        let publisher = topics.publisher::<Hold>(<Hold as blastema_core::Contract>::NAME).unwrap();
+
+        publisher.publish(Hold).unwrap();
+        let (culprit, _, during, victims) = site.hangs().await;
+        assert_eq!((culprit, during), (name("holder"), "Hold"));
+        assert_eq!(victims, [name("witness")]);
+        child.abandon();
+        site.open.send(()).unwrap();
+
+        site.until("it speaks", || logged(&site.heard) == [9]).await;
+        assert_eq!(witness.incarnation(), Incarnation(1));
+        assert_eq!(site.stage.exits.drain(), []);
+        site.stage.environment.arbiters.stop();
     });
 }
 
@@ -338,9 +391,7 @@ fn a_handler_that_waits_too_long_is_seen_unless_it_said_so() {
         beater.tell(Do::Wait(3000)).unwrap();
         advance(Duration::from_secs(4)).await;
         let seen = sighted.drain();
-        let [Sighted::Waits { ref object, during, age, .. }] = seen[..] else {
-            panic!("{seen:?}")
-        };
+        let [Sighted::Waits { ref object, during, age, .. }] = seen[..] else { panic!("{seen:?}") };
         assert_eq!((object, during), (&name("beater"), "Do"));
         assert!(age >= Duration::from_secs(1) && age < Duration::from_millis(1200), "{age:?}");
     });

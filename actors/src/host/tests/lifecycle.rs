@@ -175,7 +175,8 @@ fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
         let (spec, diary) = diary();
         let (mut child, reference) = stage.start(spec.rate_hz(10.0)).await;
         settle().await;
-        (diary.ran(), states(&stage));
+        diary.ran();
+        states(&stage);
         diary.plan("on_execute", Outcome::Fail);
 
         advance(Duration::from_millis(150)).await;
@@ -215,6 +216,28 @@ fn messages_wait_while_a_component_is_in_error() {
         assert_eq!(faults[0].kind, FaultKind::Overload);
         assert_eq!(faults[1].detail, "speed is 3.0, outside of 0.0..=2.0");
         assert_eq!(faults.len(), 2);
+    });
+}
+
+#[test]
+fn a_component_leaves_work_and_returns_when_it_is_asked_to() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, diary) = diary();
+        let (_child, reference) = stage.start(spec.rate_hz(10.0)).await;
+        settle().await;
+        diary.ran();
+
+        reference.deactivate();
+        reference.tell(Do::DeclareFault).unwrap();
+        advance(Duration::from_secs(1)).await;
+        assert_eq!(diary.ran(), ["on_deactivated"]);
+        assert_eq!((reference.state(), reference.queued()), (Lifecycle::Initialized, 1));
+
+        reference.activate();
+        advance(Duration::from_millis(150)).await;
+        assert_eq!(diary.ran()[..2], ["on_activated", "on_execute"]);
+        assert_eq!(reference.queued(), 0);
     });
 }
 
