@@ -13,7 +13,7 @@ use actix::Recipient;
 use blastema_contract::reports::{Alive, Sighted};
 use blastema_core::detection::Watch;
 use blastema_core::scanner::{
-    Judged, PulseReading, Scanner, ScannerConfig, Sighting, StampReading,
+    Judged, MaxSilence, PulseReading, Scanner, ScannerConfig, Sighting, StampReading,
 };
 use blastema_core::{Incarnation, Instant, Machine, ObjectName};
 use std::collections::BTreeMap;
@@ -58,7 +58,10 @@ impl Watched {
     fn judged(&self) -> Judged {
         let max_silence = match self.limits.watch {
             // Half an interval of lateness is not another lost sign.
-            Watch::Push(push) => Some(push.interval * push.tolerance + push.interval / 2),
+            Watch::Push(push) => Some(MaxSilence {
+                first: push.start_up,
+                between: push.interval * push.tolerance + push.interval / 2,
+            }),
             _ => None,
         };
         Judged {
