@@ -16,6 +16,7 @@ use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
 use crate::host::environment::{HostEnvironment, Reports};
 use crate::host::watch::{self as lookout, WatchGuard};
 use crate::net::{self, NetEnvironment, NetHandle};
+use crate::registry::Registry;
 use crate::{panics, platform};
 use actix::prelude::*;
 use blastema_contract::detector::{ReadRecord, Subscribe};
@@ -129,6 +130,7 @@ struct Parts {
     keeper: Addr<Keeper>,
     state: watch::Receiver<NodeState>,
     directory: Directory,
+    registry: Registry,
 }
 
 fn named(name: &str) -> ObjectName {
@@ -173,11 +175,12 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         Keeper::new(of, told, outputs)
     });
 
-    let directory = Directory::default();
+    let (directory, registry) = (Directory::default(), Registry::default());
     let router: Arc<OnceLock<Recipient<Reroute>>> = Arc::default();
     let tools = Tools::new(ToolBox {
         node: node.clone(),
         directory: directory.clone(),
+        registry: registry.clone(),
         router: router.clone(),
         safe_outputs: builder.safe_outputs.clone(),
         rest_node: keeper.clone().recipient(),
@@ -221,7 +224,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         recoverer: recoverer.recipient(),
         router,
     };
-    Ok(Parts { guardian, chain, monitor, keeper, state, directory })
+    Ok(Parts { guardian, chain, monitor, keeper, state, directory, registry })
 }
 
 /// The networks of a node that runs.
@@ -317,7 +320,8 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         states: Some(parts.monitor.clone().recipient()),
         faults: Some(parts.monitor.clone().recipient()),
     };
-    let environment = HostEnvironment::new(arbiters, reports);
+    let registry = parts.registry.clone();
+    let environment = HostEnvironment { registry, ..HostEnvironment::new(arbiters, reports) };
     let (networks, network_enrolments) = if builder.networks.is_empty() {
         (None, Vec::new())
     } else {
@@ -326,7 +330,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         let (networks, enrolments) = make_networks(networks, placement, who, &parts, &environment)?;
         (Some(networks), enrolments)
     };
-    let Parts { guardian, chain, monitor, keeper, state, directory } = parts;
+    let Parts { guardian, chain, monitor, keeper, state, directory, .. } = parts;
 
     let plan = Arc::new(builder.plan);
     let ground = Ground {
