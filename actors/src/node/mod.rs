@@ -170,7 +170,10 @@ impl Node {
     /// Everything that is watched, each row with its age and incarnation. It can be read at any time,
     /// also while components are stuck.
     pub async fn table(&self) -> Vec<Row> {
-        self.0.chain.table.send(ReadTable).await.unwrap_or_default()
+        let mut rows = self.0.chain.table.send(ReadTable).await.unwrap_or_default();
+        // What a component is doing right now is read from outside, so that it need not answer.
+        self.0.environment.watch_list.show_in(&self.0.name, &mut rows);
+        rows
     }
 
     /// The record of faults: roots in the order in which they were found, each followed by its symptoms.
