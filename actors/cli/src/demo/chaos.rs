@@ -11,8 +11,8 @@ use std::time::Duration;
 /// returns before abandoned threads add up.
 pub(crate) const HANG_MILLIS: u64 = 2_500;
 
-/// More than any queue of the robot holds.
-pub(crate) const FLOOD_MESSAGES: u32 = 20_000;
+/// Four times what the queues of the robot hold.
+pub(crate) const FLOOD_MESSAGES: u32 = 2_000;
 
 /// Victims that are left alone for a while, so that chance does not add up to a restart storm.
 const SPARED: usize = 6;

@@ -3,7 +3,7 @@
 use super::robot::Module;
 use std::collections::VecDeque;
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, BufReader};
 use tokio::process::{Child, Command};
@@ -48,8 +48,7 @@ impl Process {
         control: &Path,
         ends: Sender<Ended>,
     ) -> io::Result<Process> {
-        // The link stays right even if the file was replaced since this process started.
-        let mut child = Command::new("/proc/self/exe")
+        let mut child = Command::new(executable())
             .arg0("blastema")
             .arg("module")
             .args(["--name", module.name()])
@@ -83,6 +82,13 @@ impl Process {
     pub(crate) fn is_killed(&self) -> bool {
         self.kill.is_none()
     }
+}
+
+/// This program. The link stays right even if the file was replaced since this process started, but
+/// gives the process no name.
+fn executable() -> PathBuf {
+    let by_name = std::env::current_exe().ok().filter(|path| path.exists());
+    by_name.unwrap_or_else(|| "/proc/self/exe".into())
 }
 
 async fn follow(child: &mut Child, killed: oneshot::Receiver<()>) -> String {

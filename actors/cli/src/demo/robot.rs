@@ -168,28 +168,28 @@ pub(crate) const FLOWS: [Flow; 4] = [
         from: Module::Module2,
         to: Module::Module3,
         sink: "skin/80",
-        rate_hz: 200,
+        rate_hz: 100,
     },
     Flow {
         name: "flow/3-2",
         from: Module::Module3,
         to: Module::Module2,
         sink: "skin/40",
-        rate_hz: 100,
+        rate_hz: 50,
     },
     Flow {
         name: "flow/2-1",
         from: Module::Module2,
         to: Module::Module1,
         sink: "skin/17",
-        rate_hz: 200,
+        rate_hz: 100,
     },
     Flow {
         name: "flow/1-3",
         from: Module::Module1,
         to: Module::Module3,
         sink: "skin/90",
-        rate_hz: 100,
+        rate_hz: 50,
     },
 ];
 

@@ -7,6 +7,9 @@ use std::time::Duration;
 /// What the wide form takes; narrower terminals get a paragraph for each row.
 const WIDE: usize = 124;
 
+/// Text is not wrapped to less.
+const NARROWEST: usize = 40;
+
 /// The table as lines; none is wider than `columns` where that can be.
 pub(crate) fn draw(report: &Report, columns: usize) -> Vec<Line> {
     let mut lines = vec![Line::default()];
@@ -27,13 +30,13 @@ pub(crate) fn draw(report: &Report, columns: usize) -> Vec<Line> {
     lines.push(Line::default());
     for note in &report.notes {
         lines.extend(
-            wrapped(note, columns.clamp(40, WIDE))
+            wrapped(note, columns.clamp(NARROWEST, WIDE))
                 .into_iter()
                 .map(|text| Line::of(Ink::Faint, text)),
         );
     }
     lines.push(Line::default());
-    lines.push(verdict(report));
+    lines.extend(verdict(report, columns));
     lines
 }
 
@@ -123,21 +126,22 @@ fn row_of(figures: &Figures) -> String {
     )
 }
 
-fn verdict(report: &Report) -> Line {
+fn verdict(report: &Report, columns: usize) -> Vec<Line> {
     let sum = &report.messages;
     let rows = report.rows.len() as u64 + report.rows_left_out;
-    let counted = format!(
-        "{rows} faults in {:.1} s, seed {}; reliable messages: {} lost, {} doubled.",
+    let (ink, verdict) = match report.promises_kept {
+        true => (Ink::Good, "Every promise was kept"),
+        false => (Ink::Bad, "A promise was broken"),
+    };
+    let text = format!(
+        "{verdict}: {rows} faults in {:.1} s, seed {}; reliable messages: {} lost, {} doubled.",
         report.took.as_secs_f64(),
         report.seed,
         sum.lost,
         sum.doubled
     );
-    if report.promises_kept {
-        Line::of(Ink::Good, format!("Every promise was kept: {counted}"))
-    } else {
-        Line::of(Ink::Bad, format!("A promise was broken: {counted}"))
-    }
+    let lines = wrapped(&text, columns.clamp(NARROWEST, WIDE));
+    lines.into_iter().map(|line| Line::of(ink, line)).collect()
 }
 
 fn name(row: &Row) -> String {

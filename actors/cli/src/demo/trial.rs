@@ -164,7 +164,10 @@ impl Trial {
             Event::Explained { id, .. } => {
                 self.foreign.remove(&(from, *id));
             }
-            Event::Recovered { id, .. } if self.named.contains_key(&(from, *id)) => {
+            // An overload is over when the queue has been worked off: nothing is done about it.
+            Event::Recovered { id, .. } | Event::Cleared { id }
+                if self.named.contains_key(&(from, *id)) =>
+            {
                 self.reported = true;
             }
             Event::GaveUp { id, reason } => {

@@ -31,28 +31,32 @@ const PERIOD: Duration = Duration::from_secs(10);
 /// leave a thread waiting for some tens of milliseconds.
 const BLOCK: Duration = Duration::from_millis(150);
 /// How long a message may wait for an object that is asked, before that is an overload.
-const PATIENCE: Duration = Duration::from_millis(200);
+const PATIENCE: Duration = Duration::from_millis(500);
 /// Messages that wait for an object: two seconds of the fastest flow. What a cable cut holds back
 /// arrives at once.
 const FLOW_QUEUE: usize = 4_096;
+/// Messages that wait for an object that is asked: more than it serves in its patience, so that a
+/// flood is seen.
+const PASSIVE_QUEUE: usize = 1_024;
 /// Messages that wait for an object that no flow ends at.
 const QUEUE: usize = 512;
-/// How often both ends of a cable say hello: three and a half later a silent cut is found.
-const HELLO: Duration = Duration::from_millis(20);
+/// How often both ends of a cable say hello: three and a half later a silent cut is found. A debug
+/// build is ten times slower and shares the machine with a compiler.
+const HELLO: Duration = Duration::from_millis(if cfg!(debug_assertions) { 50 } else { 20 });
 /// What the cable of the paper's Fig. 9 costs.
 const FIRST_COST: u16 = 10;
 /// What the second path costs: it is taken only if the first is down.
 const SECOND_COST: u16 = 15;
 /// How often response times are measured.
-const ECHOES_HZ: f64 = 200.0;
+const ECHOES_HZ: f64 = 100.0;
 /// How often the delivery of an event is measured.
-const TICKS_HZ: f64 = 50.0;
+const TICKS_HZ: f64 = 100.0;
 
 /// The robot's work, and what measures it, in the order of their start.
 pub(super) fn build(module: Module, wiring: &Wiring, gauges: &Gauges) -> NodeBuilder {
     let mut node = Node::builder(module.name())
-        .supervisor(skin_of(module, gauges))
         .supervisor(work_of(module, gauges))
+        .supervisor(skin_of(module, gauges))
         .supervisor(measurements_of(module, gauges));
     for end in wiring.ends_of(module) {
         node = node.network(network(&end));
@@ -195,11 +199,17 @@ fn measurements_of(module: Module, gauges: &Gauges) -> SupervisorSpec {
         let spec = ChildSpec::new(&format!("measure/{of}"), stopwatch).rate_hz(ECHOES_HZ);
         measurements = measurements.child(spec);
     }
-    let (plain, choosy) = (gauges.clone(), gauges.clone());
+    // In one module only: listeners elsewhere would have the events sent over the network.
+    if module == Module::Module1 {
+        let (plain, choosy) = (gauges.clone(), gauges.clone());
+        let plain = move || Listener { gauges: plain.clone() };
+        let choosy = move || ChoosyListener { gauges: choosy.clone() };
+        measurements = measurements
+            .child(ChildSpec::new("measure/listener", plain))
+            .child(ChildSpec::new("measure/choosy", choosy))
+            .child(ChildSpec::new("measure/ticker", || Ticker { number: 0 }).rate_hz(TICKS_HZ));
+    }
     measurements
-        .child(ChildSpec::new("measure/listener", move || Listener { gauges: plain.clone() }))
-        .child(ChildSpec::new("measure/choosy", move || ChoosyListener { gauges: choosy.clone() }))
-        .child(ChildSpec::new("measure/ticker", || Ticker { number: 0 }).rate_hz(TICKS_HZ))
 }
 
 /// Whose response times a module measures, so that each pair is measured once and, in the story, by

@@ -21,10 +21,10 @@ const BETWEEN_POKES: Duration = Duration::from_millis(1);
 const EAGER_POKES: u32 = 100;
 /// After this nobody waits for the object any more.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Messages of a flood in one go.
-const BURST: u32 = 100;
+/// Messages of a flood in one go: more than the object serves until the next.
+const BURST: u32 = 3;
 /// Between two goes.
-const BETWEEN_BURSTS: Duration = Duration::from_millis(2);
+const BETWEEN_BURSTS: Duration = Duration::from_millis(1);
 
 /// One object that is to be harmed.
 #[derive(Debug)]
