@@ -274,6 +274,16 @@ impl NetHandle {
         self.router.clone().recipient()
     }
 
+    /// Every actor of the network, to see what becomes of a panic in it.
+    #[cfg(test)]
+    pub(crate) fn victims(&self) -> Vec<Recipient<PanicOnPurpose>> {
+        let (router, sessions) = (self.router.clone(), self.sessions.clone());
+        let mut all =
+            vec![router.recipient(), sessions.recipient(), self.gateway.clone().recipient()];
+        all.extend(self.networks.iter().map(|(_, links)| links.clone().recipient()));
+        all
+    }
+
     /// Where the network's own actors answer the monitor.
     pub(crate) fn inquiries(&self) -> Vec<(ObjectName, Recipient<AreYouAlive>)> {
         let mut all = vec![
