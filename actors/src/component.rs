@@ -2,7 +2,8 @@
 
 use crate::context::Context;
 use crate::ports::Ports;
-use blastema_core::Contract;
+use crate::sender::{RequestError, SendError};
+use blastema_core::{Contract, NameError, Why};
 use std::fmt;
 use std::future::Future;
 
@@ -147,6 +148,31 @@ impl From<&str> for Failure {
 impl From<String> for Failure {
     fn from(reason: String) -> Self {
         Failure { reason, fatal: false }
+    }
+}
+
+// What a hook meets with most often, so that `?` does.
+impl From<Why> for Failure {
+    fn from(why: Why) -> Self {
+        why.to_string().into()
+    }
+}
+
+impl From<NameError> for Failure {
+    fn from(error: NameError) -> Self {
+        error.to_string().into()
+    }
+}
+
+impl<M> From<SendError<M>> for Failure {
+    fn from(error: SendError<M>) -> Self {
+        error.to_string().into()
+    }
+}
+
+impl<M> From<RequestError<M>> for Failure {
+    fn from(error: RequestError<M>) -> Self {
+        error.to_string().into()
     }
 }
 

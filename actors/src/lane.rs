@@ -158,6 +158,16 @@ impl<T> Lane<T> {
         }
     }
 
+    /// Passes the lane from one life to the next, unless it already belongs to another.
+    pub(crate) fn pass_on(&self, from: Incarnation, to: Incarnation) -> bool {
+        let mut lane = self.lock();
+        let mine = lane.owner == Some(from);
+        if mine {
+            lane.owner = Some(to);
+        }
+        mine
+    }
+
     /// Takes the lane from `owner`, unless it already belongs to another.
     pub(crate) fn leave(&self, owner: Incarnation) -> bool {
         let mut lane = self.lock();
@@ -207,7 +217,19 @@ impl<T> Lane<T> {
 
     /// Closes the lane until it is given to somebody again, and hands out what was never served.
     pub(crate) fn stop(&self) -> VecDeque<T> {
+        self.stop_if(|_| true)
+    }
+
+    /// The same, unless the lane does not belong to `owner` any more.
+    pub(crate) fn stop_by(&self, owner: Incarnation) -> VecDeque<T> {
+        self.stop_if(|of| of == Some(owner))
+    }
+
+    fn stop_if(&self, allowed: impl FnOnce(Option<Incarnation>) -> bool) -> VecDeque<T> {
         let mut lane = self.lock();
+        if !allowed(lane.owner) {
+            return VecDeque::new();
+        }
         lane.stopped = true;
         lane.owner = None;
         let parked = lane.parked.take();
@@ -332,8 +354,10 @@ mod tests {
         lane.give_to(Some(LIFE.next()));
 
         assert!(matches!(lane.take(LIFE, Waker::noop()), Taken::Retired));
-        assert!(!lane.leave(LIFE));
+        assert!(!lane.leave(LIFE) && !lane.pass_on(LIFE, LIFE));
         assert!(matches!(lane.take(LIFE.next(), Waker::noop()), Taken::Got(1)));
+        assert!(lane.pass_on(LIFE.next(), LIFE));
+        assert_eq!(lane.owner(), Some(LIFE));
     }
 
     #[test]
@@ -341,7 +365,9 @@ mod tests {
         let lane = lane(2, WhenFull::Refuse);
         push(&lane, 1).unwrap();
 
-        assert_eq!(lane.stop(), [1]);
+        assert_eq!(lane.stop_by(LIFE.next()), []);
+        assert_eq!(lane.stop_by(LIFE), [1]);
+        assert_eq!(lane.stop(), []);
         assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));
         lane.give_to(None);
         assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));

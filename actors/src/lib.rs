@@ -58,7 +58,10 @@ pub use topic::Publisher;
 
 pub use blastema_contract::detector::FaultEvent;
 pub use blastema_core::Instant;
-pub use blastema_core::detection::{CheckFailed, Freshness, Invariant, Range, Rate};
+pub use blastema_core::dead_letters::DeadReason;
+pub use blastema_core::detection::{
+    CheckFailed, Freshness, Invariant, Opinion, Range, Rate, Record, Row, Turn,
+};
 pub use blastema_core::{Event, Fault, FaultKind, Lifecycle, Place, Request, Severity};
 
 /// Everything that an application usually needs.

@@ -189,3 +189,20 @@ pub struct Fault {
     /// How often it was seen while latched; 1 for once.
     pub count: u32,
 }
+
+impl Fault {
+    /// A fault of a whole node that its keeper found itself: it stands in no detector's record.
+    pub fn of_node(node: NodeName, kind: FaultKind, detail: String, found_at: Instant) -> Self {
+        Fault {
+            id: FaultId(0),
+            severity: Severity::Critical,
+            kind,
+            place: Place::Node(node),
+            incarnation: Incarnation::FIRST,
+            detail,
+            found_at,
+            symptom_of: None,
+            count: 1,
+        }
+    }
+}

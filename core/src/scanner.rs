@@ -340,6 +340,16 @@ impl Scanner {
         here.map(|component| component.judged.object.clone()).collect()
     }
 
+    /// Which components have something in service, which turn it is, and since when at least; by slot.
+    pub fn busy(&self) -> impl Iterator<Item = (SlotId, u64, Instant)> + '_ {
+        let known = (0..).zip(&self.components);
+        known.filter_map(|(slot, component)| {
+            let component = component.as_ref()?;
+            let turn = component.reading?.turn;
+            (turn % 2 == 1).then_some((slot, turn, component.turn_since))
+        })
+    }
+
     /// Looks at all components; `read` gives what the component of a slot says.
     pub fn handle_stamps(&mut self, now: Instant, mut read: impl FnMut(SlotId) -> StampReading) {
         let Scanner { config, arbiters, components, outputs, .. } = self;
@@ -606,6 +616,8 @@ mod tests {
         let (object, incarnation) = (name("victim"), Incarnation(1));
         let waits = Sighting::Waits { slot: 2, object, incarnation, age: ms(1000) };
         assert_eq!(seen, [waits]);
+        let busy: Vec<_> = world.scanner.busy().map(|(slot, turn, _)| (slot, turn)).collect();
+        assert_eq!(busy, [(2, 1)]);
         world.stamps[2].turn = 3;
         assert_eq!(world.pass(3000, true).len(), 1);
         world.stamps[2].turn = 4;

@@ -137,7 +137,8 @@ impl World {
         for (number, wire) in self.wires.iter().enumerate() {
             for (side, end) in wire.ends.iter().enumerate() {
                 if end.0 == index {
-                    let config = LinkConfig::new(name(index), incarnation);
+                    let usual = LinkConfig::new(name(index), incarnation);
+                    let config = LinkConfig { hello_interval: 20 * MS, ..usual };
                     links.push((number, side, Link::new(config, now)));
                 }
             }
@@ -391,6 +392,7 @@ fn read(message: &Bytes) -> Key {
 fn for_seeds(seeds: std::ops::Range<u64>, scenario: impl Fn(u64)) {
     struct Tell(u64);
     impl Drop for Tell {
+        #[expect(clippy::print_stderr, reason = "whoever sees the test fail needs the seed")]
         fn drop(&mut self) {
             if std::thread::panicking() {
                 eprintln!("the failing seed is {}", self.0);

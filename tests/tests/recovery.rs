@@ -18,6 +18,7 @@ enum Provoke {
     Panic,
     Error,
     Fatal,
+    Hang,
 }
 
 /// What all parts of one robot went through, and how their next lives are to begin.
@@ -94,6 +95,7 @@ impl Handle<Provoke> for Part {
             Provoke::Panic => panic!("as it was told"),
             Provoke::Error => self.failure = Some("too hot".into()),
             Provoke::Fatal => self.failure = Some(Failure::fatal("on fire")),
+            Provoke::Hang => std::future::pending().await,
         }
         true
     }
@@ -101,7 +103,9 @@ impl Handle<Provoke> for Part {
 
 fn part(name: &'static str, diary: &Diary) -> ChildSpec<Part> {
     let diary = diary.clone();
-    ChildSpec::new(name, move || Part { name, diary: diary.clone(), failure: None }).rate_hz(100.0)
+    ChildSpec::new(name, move || Part { name, diary: diary.clone(), failure: None })
+        .rate_hz(100.0)
+        .max_wait(Duration::from_secs(1))
 }
 
 fn node() -> NodeBuilder {
@@ -248,6 +252,21 @@ fn a_fatal_fault_is_followed_by_the_next_life_also_where_ending_is_allowed() {
 
         assert_eq!(diary.take(), ["arm ends", "arm begins"]);
         assert_eq!(record(&node).await, ["fatal error of arm: recovered"]);
+        assert!(answers(&node, "arm").await);
+    });
+}
+
+#[test]
+fn a_handler_that_never_returns_is_given_up_and_replaced() {
+    paused(async {
+        let diary = Diary::default();
+        let node = start(node().child(part("arm", &diary)).child(part("laser", &diary))).await;
+        diary.take();
+
+        provoke(&node, "arm", Provoke::Hang).await;
+
+        assert_eq!(diary.take(), ["arm begins"]);
+        assert_eq!(record(&node).await, ["hang of arm: recovered"]);
         assert!(answers(&node, "arm").await);
     });
 }

@@ -406,7 +406,7 @@ impl Handler<SafeStop> for Supervisor {
 /// is found out by asking it. Only one that does not answer is not asked.
 fn cause_of_rest(fault: &Fault) -> Cause {
     match Cause::of(fault) {
-        Cause::Stuck => Cause::Stuck,
+        stuck @ (Cause::Stuck | Cause::Behind) => stuck,
         Cause::Died | Cause::Faulty => Cause::Faulty,
     }
 }

@@ -10,6 +10,7 @@ use super::life::LifeToken;
 use super::pulse;
 use super::spec::Limits;
 use super::stamp::Place;
+use super::watch::Glimpsed;
 use crate::component::{Component, Handle};
 use crate::death_watch::Mourners;
 use crate::lane::{Lane, WhenFull};
@@ -234,9 +235,13 @@ impl<C: Component> Anchor<C> {
 
     /// Closes the queue until the next life; what was in it is returned or counted.
     pub(crate) fn close(&self) {
-        for mail in self.lane.stop() {
-            self.return_mail(mail, Why::Stopped);
-        }
+        self.lane.stop().into_iter().for_each(|mail| self.return_mail(mail, Why::Stopped));
+    }
+
+    /// The same, by the life that ends; without effect when it was given up and another has begun.
+    pub(crate) fn close_by(&self, incarnation: Incarnation) {
+        let left = self.lane.stop_by(incarnation);
+        left.into_iter().for_each(|mail| self.return_mail(mail, Why::Stopped));
     }
 
     /// A message that is not going to be served.
@@ -286,6 +291,13 @@ impl<C: Component> Anchor<C> {
             }
         };
         self.record.bury(M::NAME, &refused);
+    }
+}
+
+impl<C: Component> Glimpsed for Anchor<C> {
+    fn glimpse(&self) -> Alive {
+        let allowance = self.record.seat().map(|seated| seated.slot.stamp.read().allowance);
+        self.alive(allowance.is_some_and(|allowance| !allowance.is_zero()))
     }
 }
 

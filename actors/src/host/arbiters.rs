@@ -22,6 +22,11 @@ pub(crate) struct Seat {
 }
 
 impl Seat {
+    /// Another life of the same component can begin here.
+    pub(crate) fn is_usable(&self) -> bool {
+        !self.own_thread && !self.pulse.is_fenced() && self.handle.alive()
+    }
+
     /// The component that lived here has ended.
     pub(crate) fn vacate(&self) {
         if self.own_thread {

@@ -20,12 +20,15 @@ const CONTROL: usize = 16;
 pub(crate) struct HostedChild<C: Component> {
     anchor: Arc<Anchor<C>>,
     report: Option<Recipient<ChildReport>>,
+    /// Where the last life was. The next one stays there if it can, so that what is spread over the
+    /// arbiters stays so, and events keep their order.
+    seat: Option<Seat>,
 }
 
 impl<C: Component> HostedChild<C> {
     pub(crate) fn new(anchor: Arc<Anchor<C>>) -> Self {
         crate::panics::install_hook();
-        HostedChild { anchor, report: None }
+        HostedChild { anchor, report: None, seat: None }
     }
 
     /// A life is there, or on its way.
@@ -58,7 +61,9 @@ impl<C: Component> Child for HostedChild<C> {
         let record = &self.anchor.record;
         record.set_incarnation(incarnation);
         record.set_state(Lifecycle::Created);
-        let seat = match record.environment.arbiters.place(record.limits.own_thread) {
+        let known = self.seat.take().filter(Seat::is_usable);
+        let place = || record.environment.arbiters.place(record.limits.own_thread);
+        let seat = match known.map_or_else(place, Ok) {
             Ok(seat) => seat,
             Err(error) => {
                 let reason = format!("it was given no thread: {error}");
@@ -70,6 +75,7 @@ impl<C: Component> Child for HostedChild<C> {
         self.anchor.set_control(Some(Addr::new(sender)));
         let boarding = Boarding { anchor: Some(self.anchor.clone()), incarnation, seat, report };
         let handle = boarding.seat.handle.clone();
+        self.seat = Some(boarding.seat.clone());
         handle.spawn_fn(move || {
             if let Some(pump) = boarding.enter() {
                 let context = actix::Context::with_receiver(receiver);
@@ -142,6 +148,14 @@ impl<C: Component> Anchor<C> {
     pub(crate) fn end(&self) {
         self.close();
         self.subscriptions().iter().for_each(|subscription| subscription.end());
+    }
+
+    /// The same, by the life that ends in order.
+    pub(crate) fn end_by(&self, incarnation: Incarnation) {
+        if self.lane.owner() == Some(incarnation) {
+            self.close_by(incarnation);
+            self.subscriptions().iter().for_each(|subscription| subscription.end());
+        }
     }
 }
 

@@ -30,7 +30,7 @@ pub(crate) struct Pulse {
     /// 1 + the slot of the component on the thread right now; 0 between polls.
     running: AtomicU32,
     gate: AtomicU8,
-    /// The time of the last beat, in nanoseconds.
+    /// The time of the last beat, in nanoseconds; 0 where none beats.
     time: AtomicU64,
     deadlines: Mutex<Deadlines>,
 }
@@ -82,10 +82,11 @@ impl Pulse {
         self.id
     }
 
-    /// The pulse of this thread, if it is an arbiter that was enrolled.
+    /// The pulse of this thread, if it is an arbiter that was enrolled and whose loop turns.
     #[inline]
     pub(crate) fn here() -> Option<Arc<Pulse>> {
-        HERE.try_with(|here| here.get().cloned()).ok().flatten()
+        let beats = BEATS.try_with(Cell::get).unwrap_or(false);
+        HERE.try_with(|here| here.get().filter(|_| beats).cloned()).ok().flatten()
     }
 
     /// Gives this thread its pulse, and lets it beat while its event loop turns.
@@ -114,16 +115,17 @@ impl Pulse {
 
     fn start_beating(self: Arc<Self>) {
         /// A thread may hold one event loop after another, as tests do.
-        struct Beating;
+        struct Beating(Arc<Pulse>);
         impl Drop for Beating {
             fn drop(&mut self) {
+                self.0.time.store(0, Relaxed);
                 let _ = BEATS.try_with(|beats| beats.set(false));
             }
         }
         if BEATS.replace(true) {
             return;
         }
-        let beating = Beating;
+        let beating = Beating(self.clone());
         self.time.store(platform::now().as_nanos(), Relaxed);
         actix_rt::spawn(async move {
             let _beating = beating;
@@ -284,5 +286,59 @@ impl Drop for Deadline {
         deadlines.free.push(self.place);
         drop(deadlines);
         drop(entry);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_doubles::{advance, now, paused};
+
+    #[test]
+    fn a_fence_is_lifted_by_the_beat_unless_the_arbiter_is_lost() {
+        let pulse = Pulse::default();
+        assert!(!pulse.lose(), "only a fenced arbiter can be lost");
+        pulse.fence();
+        assert!(pulse.is_fenced() && !pulse.is_lost());
+
+        pulse.beat(Instant::from_millis(1));
+        assert!(!pulse.is_fenced());
+
+        pulse.fence();
+        assert!(pulse.lose());
+        assert!(!pulse.lose(), "once");
+        pulse.beat(Instant::from_millis(2));
+        assert!(pulse.is_fenced() && pulse.is_lost());
+    }
+
+    #[test]
+    fn who_is_isolated_is_told_so_and_who_is_fenced_is_told_that() {
+        paused(async {
+            assert_eq!(forbidden(), None);
+            let pulse = Pulse::enrol_here();
+            pulse.mute(true);
+            assert_eq!(forbidden(), Some(Why::Isolated));
+            pulse.fence();
+            assert_eq!(forbidden(), Some(Why::Fenced));
+            pulse.mute(false);
+            assert_eq!(forbidden(), Some(Why::Fenced));
+            pulse.lift();
+            assert_eq!(forbidden(), None);
+        });
+    }
+
+    #[test]
+    fn a_thread_beats_in_each_of_its_event_loops_and_not_between_them() {
+        for _ in 0..2 {
+            assert!(Pulse::here().is_none());
+            paused(async {
+                let pulse = Pulse::enrol_here();
+                let before = pulse.beats();
+                advance(Duration::from_millis(100)).await;
+                assert!((9..=11).contains(&(pulse.beats() - before)));
+                assert!(platform::now() - rough_now() <= BEAT);
+                assert!(now() > Instant::ORIGIN && Pulse::here().is_some());
+            });
+        }
     }
 }

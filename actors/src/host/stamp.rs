@@ -172,7 +172,10 @@ mod tests {
         drop(slot);
 
         let reading = stamp.read();
-        assert!(reading.turn % 2 == 0 || reading.incarnation != 3, "or somebody has claimed it");
+        assert!(
+            reading.turn.is_multiple_of(2) || reading.incarnation != 3,
+            "or somebody has claimed it"
+        );
     }
 
     #[test]

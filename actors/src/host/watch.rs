@@ -10,7 +10,7 @@ use super::spec::Limits;
 use super::stamp::Stamp;
 use crate::platform;
 use actix::Recipient;
-use blastema_contract::reports::Sighted;
+use blastema_contract::reports::{Alive, Sighted};
 use blastema_core::detection::Watch;
 use blastema_core::scanner::{
     Judged, PulseReading, Scanner, ScannerConfig, Sighting, StampReading,
@@ -18,7 +18,7 @@ use blastema_core::scanner::{
 use blastema_core::{Incarnation, Instant, Machine, ObjectName};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use std::{io, thread};
@@ -29,9 +29,26 @@ const PULSES: Duration = super::pulse::BEAT;
 /// six percent of a core for a hundred thousand.
 const STAMPS: u64 = 10;
 
+/// What can be told of a component without asking it.
+pub(crate) trait Glimpsed: Send + Sync {
+    /// Where it stands, how many messages wait, and how long the oldest of them has.
+    fn glimpse(&self) -> Alive;
+}
+
+/// What a component is doing, also if it is stuck.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Glance {
+    pub(crate) object: ObjectName,
+    /// As it would answer itself.
+    pub(crate) alive: Alive,
+    /// The contract or hook in service, and since when, at least.
+    pub(crate) current: Option<(&'static str, Duration)>,
+}
+
 /// One component as the watch sees it.
 pub(crate) struct Watched {
     pub(crate) object: ObjectName,
+    pub(crate) inside: Weak<dyn Glimpsed>,
     pub(crate) pulse: Arc<Pulse>,
     pub(crate) stamp: &'static Stamp,
     pub(crate) limits: Limits,
@@ -63,6 +80,8 @@ struct Entries {
     by_slot: Mutex<BTreeMap<u32, Watched>>,
     /// Raised by every change.
     version: AtomicU64,
+    /// What was in service at the last look: slot, turn, and since when.
+    busy: Mutex<Vec<(u32, u64, Instant)>>,
 }
 
 impl WatchList {
@@ -73,6 +92,25 @@ impl WatchList {
     pub(crate) fn enter(&self, slot: u32, watched: Watched) {
         self.lock().insert(slot, watched);
         self.0.version.fetch_add(1, Relaxed);
+    }
+
+    /// What every component is doing now.
+    pub(crate) fn glances(&self) -> Vec<Glance> {
+        let now = platform::now();
+        let busy = self.0.busy.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let glance = |(slot, watched): (&u32, &Watched)| {
+            let reading = watched.stamp.read();
+            let since = busy.binary_search_by_key(slot, |entry| entry.0).ok().map(|at| busy[at]);
+            let since = since.filter(|(_, turn, _)| *turn == reading.turn);
+            let age = since.map_or(Duration::ZERO, |(_, _, since)| now - since);
+            let is_busy = reading.turn % 2 == 1;
+            Some(Glance {
+                object: watched.object.clone(),
+                alive: watched.inside.upgrade()?.glimpse(),
+                current: is_busy.then(|| (label::name(reading.during), age)),
+            })
+        };
+        self.lock().iter().filter_map(glance).collect()
     }
 
     pub(crate) fn leave(&self, slot: u32) {
@@ -198,6 +236,8 @@ impl Eyes {
         if self.looks.is_multiple_of(STAMPS) {
             let stamps = &self.stamps;
             self.scanner.handle_stamps(now, |slot| read(stamps.get(&slot)));
+            let busy = self.scanner.busy().collect();
+            *self.list.0.busy.lock().unwrap_or_else(PoisonError::into_inner) = busy;
         }
         self.looks += 1;
         while let Some(sighting) = self.scanner.poll_output() {

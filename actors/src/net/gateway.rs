@@ -110,7 +110,7 @@ pub(super) struct Gateway {
     /// Peers by number, and their gates.
     peers: BTreeMap<NodeId, (NodeName, Arc<Gate>)>,
     /// Where replies go, by our number of the request.
-    replies: BTreeMap<u64, ReplyTo>,
+    replies: BTreeMap<u64, (NodeName, ReplyTo)>,
     /// What peers have bound here.
     doorways: BTreeMap<(NodeId, u32), Arc<dyn Doorway>>,
     /// What peers listen to here.
@@ -204,7 +204,7 @@ impl Gateway {
                 self.serve((peer, binding), id, &payload, reply_to);
             }
             ExchangeOutput::Resolve { reply_as, result } => {
-                if let Some(reply_to) = self.replies.remove(&reply_as) {
+                if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
                     reply_to(result);
                 }
             }
@@ -424,8 +424,8 @@ impl Actor for Gateway {
 impl Supervised for Gateway {
     /// Every promise is resolved, and every session begins anew, so that both ends agree again.
     fn restarting(&mut self, context: &mut Context<Self>) {
-        for (_, reply_to) in std::mem::take(&mut self.replies) {
-            reply_to(Err(Why::PeerDied { incarnation: blastema_core::Incarnation(0) }));
+        for (node, reply_to) in std::mem::take(&mut self.replies).into_values() {
+            reply_to(Err(Why::Unreachable { node: node.to_string() }));
         }
         let forwards: Vec<_> = self.forwards.keys().copied().collect();
         forwards.into_iter().for_each(|key| self.end_forward(key));
@@ -498,7 +498,7 @@ impl Handler<Ship> for Gateway {
         gate.taken();
         let reply_as = reply_to.map(|reply_to| {
             let number = self.number();
-            self.replies.insert(number, reply_to);
+            self.replies.insert(number, (to.node.clone(), reply_to));
             number
         });
         let ObjectAddress { node, object } = to;

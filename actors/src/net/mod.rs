@@ -80,7 +80,7 @@ impl LinkSpec {
             remote,
             neighbour: None,
             cost: 10,
-            hello_interval: Duration::from_millis(20),
+            hello_interval: Duration::from_millis(50),
         }
     }
 }

@@ -12,9 +12,11 @@ use crate::chain::notifier::Notifier;
 use crate::chain::recoverer::{Recoverer, RecovererSetup};
 use crate::chain::strategy::{ToolBox, Tools};
 use crate::guardian::Guardian;
-use crate::host::arbiters::Arbiters;
+use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
 use crate::host::environment::{HostEnvironment, Reports};
+use crate::host::watch::{self as lookout, WatchGuard};
 use crate::net::{self, NetEnvironment, NetHandle};
+use crate::registry::Registry;
 use crate::{panics, platform};
 use actix::prelude::*;
 use blastema_contract::detector::{ReadRecord, Subscribe};
@@ -22,14 +24,17 @@ use blastema_contract::monitor::{Dismiss, Enrol, ReadTable};
 use blastema_contract::notifier::AddPort;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::strategy::Reroute;
+use blastema_contract::strategy::{Reroute, RestNode};
 use blastema_core::detection::{
     DetectorLimits, EnrolError, Enrolment, MonitorLimits, NotifierLimits, ObjectKind, Port, Watch,
 };
 use blastema_core::recovery::{self, RecovererLimits};
-use blastema_core::{Incarnation, NameError, NodeName, ObjectAddress, ObjectName};
+use blastema_core::scanner::ScannerConfig;
+use blastema_core::{
+    Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
+};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -45,6 +50,8 @@ pub(super) struct Chain {
     inquiries: Vec<(ObjectName, Recipient<AreYouAlive>)>,
     notifier: Recipient<AddPort>,
     recoverer: Recipient<Recover>,
+    /// Looks at arbiters and components; it ends when it is dropped.
+    lookout: Mutex<Option<WatchGuard>>,
     router: Arc<OnceLock<Recipient<Reroute>>>,
 }
 
@@ -74,9 +81,14 @@ impl Chain {
     }
 
     pub(super) fn stop(&self) {
+        self.look_out(None);
         if let Some(arbiter) = &self.arbiter {
             arbiter.stop();
         }
+    }
+
+    fn look_out(&self, lookout: Option<WatchGuard>) {
+        *self.lookout.lock().unwrap_or_else(PoisonError::into_inner) = lookout;
     }
 }
 
@@ -118,6 +130,7 @@ struct Parts {
     keeper: Addr<Keeper>,
     state: watch::Receiver<NodeState>,
     directory: Directory,
+    registry: Registry,
 }
 
 fn named(name: &str) -> ObjectName {
@@ -162,11 +175,12 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         Keeper::new(of, told, outputs)
     });
 
-    let directory = Directory::default();
+    let (directory, registry) = (Directory::default(), Registry::default());
     let router: Arc<OnceLock<Recipient<Reroute>>> = Arc::default();
     let tools = Tools::new(ToolBox {
         node: node.clone(),
         directory: directory.clone(),
+        registry: registry.clone(),
         router: router.clone(),
         safe_outputs: builder.safe_outputs.clone(),
         rest_node: keeper.clone().recipient(),
@@ -205,11 +219,12 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         dismiss: monitor.clone().recipient(),
         arbiter,
         inquiries,
+        lookout: Mutex::default(),
         notifier: notifier.recipient(),
         recoverer: recoverer.recipient(),
         router,
     };
-    Ok(Parts { guardian, chain, monitor, keeper, state, directory })
+    Ok(Parts { guardian, chain, monitor, keeper, state, directory, registry })
 }
 
 /// The networks of a node that runs.
@@ -277,6 +292,19 @@ fn make_networks(
     Ok((Networks { handle, cables, arbiter }, enrolments))
 }
 
+/// A thread that hangs cannot be ended. When several have been given up, only a new process helps.
+fn rest_when_threads_run_out(threads: &Arbiters, node: &NodeName, rest: Recipient<RestNode>) {
+    let node = node.clone();
+    threads.on_abandoned(Box::new(move |count| {
+        if count < ABANDONED_LIMIT {
+            return;
+        }
+        let reason = format!("{count} threads hang for good; begin the process anew");
+        let fault = Fault::of_node(node.clone(), FaultKind::Hang, reason.clone(), platform::now());
+        rest.do_send(RestNode { fault, reason });
+    }));
+}
+
 pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
     let node = NodeName::new(&builder.name)?;
@@ -292,7 +320,8 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         states: Some(parts.monitor.clone().recipient()),
         faults: Some(parts.monitor.clone().recipient()),
     };
-    let environment = HostEnvironment::new(arbiters, reports);
+    let registry = parts.registry.clone();
+    let environment = HostEnvironment { registry, ..HostEnvironment::new(arbiters, reports) };
     let (networks, network_enrolments) = if builder.networks.is_empty() {
         (None, Vec::new())
     } else {
@@ -301,7 +330,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         let (networks, enrolments) = make_networks(networks, placement, who, &parts, &environment)?;
         (Some(networks), enrolments)
     };
-    let Parts { guardian, chain, monitor, keeper, state, directory } = parts;
+    let Parts { guardian, chain, monitor, keeper, state, directory, .. } = parts;
 
     let plan = Arc::new(builder.plan);
     let ground = Ground {
@@ -332,6 +361,17 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         actors.insert(facts.name, facts.actor);
     }
     chain.enrol_all(enrolments).await?;
+
+    let config = ScannerConfig { grace: builder.grace, ..ScannerConfig::default() };
+    let list = environment.watch_list.clone();
+    let (threads, sighted) = (environment.arbiters.clone(), monitor.recipient());
+    chain.look_out(Some(match builder.placement {
+        Placement::Here => lookout::start_task(list, threads, config, sighted),
+        Placement::Threads { .. } | Placement::ComponentsHere => {
+            lookout::start_thread(list, threads, config, sighted)?
+        }
+    }));
+    rest_when_threads_run_out(&environment.arbiters, &node, keeper.clone().recipient());
 
     let shared = Shared {
         name: node,

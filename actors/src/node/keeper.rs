@@ -8,7 +8,7 @@ use crate::platform;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildReport};
 use blastema_contract::strategy::RestNode;
-use blastema_core::{Fault, FaultId, FaultKind, Incarnation, NodeName, Place};
+use blastema_core::{Fault, FaultKind, Incarnation, NodeName};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use tokio::sync::{oneshot, watch};
 use tracing::{error, info};
@@ -72,17 +72,8 @@ impl Keeper {
 
     /// The fault of a root that has given up: the detector has the particulars of each restart.
     fn storm(&self, reason: &str) -> Fault {
-        Fault {
-            id: FaultId(0),
-            kind: FaultKind::RestartStorm,
-            severity: FaultKind::RestartStorm.severity(),
-            place: Place::Node(self.node.clone()),
-            incarnation: Incarnation::FIRST,
-            detail: reason.to_owned(),
-            found_at: platform::now(),
-            symptom_of: None,
-            count: 1,
-        }
+        let kind = FaultKind::RestartStorm;
+        Fault::of_node(self.node.clone(), kind, reason.to_owned(), platform::now())
     }
 
     fn tell_ended(&mut self) {

@@ -118,9 +118,8 @@ impl Planted {
     pub(super) fn rules(&self, plan: &Plan) -> ChildRules {
         ChildRules {
             restart: self.restart,
-            ready_within: self.ready_within,
-            shutdown_within: self.shutdown_within,
             on_the_spot: plan.restarts_on_the_spot(self.child.name()),
+            ..ChildRules::guarded(self.ready_within, self.shutdown_within)
         }
     }
 }

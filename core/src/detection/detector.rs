@@ -111,6 +111,14 @@ pub enum DetectorOutput {
 struct Seen {
     incarnation: Incarnation,
     state: Lifecycle,
+    /// It was found that this life cannot go on; its end is no news.
+    doomed: bool,
+}
+
+impl Seen {
+    fn new(incarnation: Incarnation) -> Self {
+        Seen { incarnation, state: Lifecycle::Created, doomed: false }
+    }
 }
 
 /// Where and when something was seen.
@@ -230,7 +238,7 @@ impl Detector {
             self.behind.remove(object);
             return self.end_all_at(&scene, |_| true, &End::Cleared);
         }
-        let fresh = Seen { incarnation: scene.incarnation, state: Lifecycle::Created };
+        let fresh = Seen::new(scene.incarnation);
         let seen = self.objects.entry(object.clone()).or_insert(fresh);
         if scene.incarnation < seen.incarnation {
             self.stale += 1;
@@ -312,20 +320,21 @@ impl Detector {
     ) {
         let seen = self.objects.get_mut(object).expect("the caller has put it there");
         let before = seen.state;
+        // A life that was already over ends in some way or other; that is no second fault.
+        let over = std::mem::replace(&mut seen.doomed, exit != Exit::Stopped);
         seen.state = match exit {
             Exit::Stopped => Lifecycle::Finalized,
             _ => Lifecycle::Fatal,
         };
-        // A life that was already over ends in some way or other; that is no second fault.
-        let over = matches!(before, Lifecycle::Fatal | Lifecycle::Finalized);
         let (kind, detail) = match exit {
             Exit::Panicked { text, at, during } => {
                 (FaultKind::Panic, format!("{text}, at {at}, in {during}"))
             }
             Exit::Returned if !over => {
-                (FaultKind::UnexpectedExit, format!("it ended itself while {before}"))
+                // A life that ends itself in order is finalized before its guard says how it ended.
+                (FaultKind::UnexpectedExit, "it ended itself, and nobody had told it to".into())
             }
-            Exit::Aborted if !over => {
+            Exit::Aborted if !over && before != Lifecycle::Finalized => {
                 (FaultKind::UnexpectedExit, format!("its arbiter went away while it was {before}"))
             }
             Exit::Returned | Exit::Aborted | Exit::Stopped => return,
@@ -334,7 +343,7 @@ impl Detector {
             self.find(scene, kind, detail, Cause::Itself);
             return;
         };
-        *seen = Seen { incarnation: next, state: Lifecycle::Created };
+        *seen = Seen::new(next);
         let id = self.record(scene, kind, detail, Cause::Itself);
         self.end(id, scene.at, End::Recovered);
     }
@@ -348,6 +357,7 @@ impl Detector {
     ) {
         let seen = self.objects.get_mut(object).expect("the caller has put it there");
         let before = std::mem::replace(&mut seen.state, state);
+        seen.doomed |= state == Lifecycle::Fatal;
         if before == state {
             return;
         }
@@ -827,6 +837,24 @@ mod tests {
             bench.see(place, ONE, finding.clone());
 
             assert_eq!(bench.said(), [""; 0], "{finding:?}");
+        }
+    }
+
+    #[test]
+    fn a_life_that_ends_itself_is_missed_unless_it_was_known_to_end() {
+        let cases = [
+            (vec![Lifecycle::Finalized], FaultKind::UnexpectedExit),
+            (vec![Lifecycle::Fatal, Lifecycle::Finalized], FaultKind::Fatal),
+        ];
+        for (states, kind) in cases {
+            let mut bench = Bench::new();
+            bench.see("arm", ONE, state(Lifecycle::Active));
+            states.iter().for_each(|&to| bench.see("arm", ONE, state(to)));
+
+            bench.see("arm", ONE, exited(Exit::Returned));
+
+            assert_eq!(bench.said(), ["Found 1", "+1"], "{states:?}");
+            assert_eq!(bench.fault(1).kind, kind);
         }
     }
 

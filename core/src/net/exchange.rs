@@ -8,12 +8,16 @@
 //! A peer's part of it lives as long as the session with it. Each session has an epoch, so that what
 //! was begun in one is never answered in the next.
 
+mod vocabulary;
+
+pub use self::vocabulary::{Call, Epoch, ExchangeOutput, TopicContract};
+
 use super::message::Message;
 use super::naming::Announcement;
 use super::node_id::NodeId;
 use super::segment::Stream;
 use super::wire::Refusals;
-use crate::{ContractIdentity, MessageId, NodeName, ObjectName, PeerIdentity, Why};
+use crate::{ContractIdentity, MessageId, ObjectName, PeerIdentity, Why};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -24,173 +28,6 @@ const WAITING: usize = 1024;
 const WAITING_MAX: usize = 8 * WAITING;
 /// The most bindings and subscriptions that a peer may have here, each.
 const BINDINGS_MAX: usize = 16 * 1024;
-
-/// Which topic, and the contract of its events.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct TopicContract {
-    /// The topic.
-    pub topic: String,
-    /// The contract's name.
-    pub contract: String,
-}
-
-/// One session's number on this node.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Epoch(pub u64);
-
-/// What an object wants sent to one of another node.
-#[derive(Clone, Debug)]
-pub struct Call {
-    /// To which node.
-    pub node: NodeName,
-    /// To which object there.
-    pub object: ObjectName,
-    /// By which contract.
-    pub contract: ContractIdentity,
-    /// By which identity a repeated message is known.
-    pub id: Option<MessageId>,
-    /// The message.
-    pub payload: Bytes,
-    /// The number by which the caller knows the request; `None` if it wants no reply.
-    pub reply_as: Option<u64>,
-}
-
-/// What an exchange wants done.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum ExchangeOutput {
-    /// Give this to the session with the peer.
-    Send {
-        /// Whom.
-        peer: NodeId,
-        /// In which stream.
-        stream: Stream,
-        /// What.
-        message: Bytes,
-    },
-    /// Does this object take this contract? Answer with [`Exchange::handle_bound`].
-    Bind {
-        /// Who asks.
-        peer: NodeId,
-        /// In which session.
-        epoch: Epoch,
-        /// Under which number.
-        binding: u32,
-        /// Which object.
-        object: ObjectName,
-        /// The contract as the peer knows it.
-        identity: Box<PeerIdentity>,
-    },
-    /// Give this message to the object that is bound; answer a request with
-    /// [`Exchange::handle_answer`].
-    Serve {
-        /// From whom.
-        peer: NodeId,
-        /// In which session.
-        epoch: Epoch,
-        /// Through which binding.
-        binding: u32,
-        /// By which number to answer; `None` if no reply is wanted.
-        call: Option<u64>,
-        /// By which identity a repeated message is known.
-        id: Option<MessageId>,
-        /// The message.
-        payload: Bytes,
-    },
-    /// A request of ours is resolved.
-    Resolve {
-        /// The caller's number for it.
-        reply_as: u64,
-        /// With what.
-        result: Result<Bytes, Why>,
-    },
-    /// A message that wanted no reply did not arrive, or perhaps not.
-    Lost {
-        /// For which node.
-        peer: NodeId,
-        /// For which object there, and by which contract; `None` for an event.
-        to: Option<(ObjectName, &'static str)>,
-        /// Why.
-        why: Why,
-    },
-    /// Too much waits for the peer to agree to a contract: senders should stop.
-    Full {
-        /// Whom.
-        peer: NodeId,
-    },
-    /// They may go on.
-    Room {
-        /// Whom.
-        peer: NodeId,
-    },
-    /// Our contract differs from the peer's.
-    Differs {
-        /// Whose.
-        peer: NodeId,
-        /// Which contract, and what differs.
-        difference: String,
-    },
-    /// Send what is published here to this peer, unless the contract differs; then tell with
-    /// [`Exchange::handle_subscribe_refused`].
-    Subscribe {
-        /// Who wants it.
-        peer: NodeId,
-        /// Under which number.
-        subscription: u32,
-        /// Which topic.
-        topic: TopicContract,
-        /// The contract as the peer knows it.
-        identity: Box<PeerIdentity>,
-    },
-    /// Send no more of this.
-    Unsubscribe {
-        /// Who does not want it any more.
-        peer: NodeId,
-        /// Which.
-        subscription: u32,
-    },
-    /// An event arrived for those who listen here.
-    Event {
-        /// Which topic.
-        topic: TopicContract,
-        /// The event.
-        payload: Bytes,
-    },
-    /// Another node's fault for our recoverer; confirm with [`Exchange::handle_noticed`].
-    Notice {
-        /// Whose.
-        peer: NodeId,
-        /// In which session.
-        epoch: Epoch,
-        /// Under which number.
-        number: u64,
-        /// The fault.
-        payload: Bytes,
-    },
-    /// A fault that we told a peer of has arrived, or its session has ended before it had.
-    Noticed {
-        /// The number that was given to [`Exchange::handle_notice`].
-        number: u64,
-        /// It has arrived.
-        arrived: bool,
-    },
-    /// A peer told of its objects.
-    Names {
-        /// Whose.
-        peer: NodeId,
-        /// Which.
-        announcement: Announcement,
-    },
-    /// The peer ends in order.
-    Bye {
-        /// Who.
-        peer: NodeId,
-    },
-    /// The session is over: drop what the peer had here, its bindings and subscriptions.
-    Forget {
-        /// Whose.
-        peer: NodeId,
-    },
-}
 
 /// The machine of one node's dealings with all others. It needs no clock: deadlines are the caller's,
 /// silence the session's.
@@ -710,3 +547,6 @@ fn refuse(
         None => ExchangeOutput::Lost { peer, to: Some(to), why },
     }
 }
+
+#[cfg(test)]
+mod tests;

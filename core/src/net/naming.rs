@@ -140,7 +140,7 @@ mod tests {
         ours.handle_opened(there.clone(), Incarnation(1));
         tell(&mut ours, id, theirs.handle_opened(here, Incarnation(1)));
         let arm = ObjectAddress::new(there, object("arm"));
-        assert_eq!(ours.find(&object("arm")), [arm.clone()]);
+        assert_eq!(ours.find(&object("arm")), [arm]);
 
         tell(&mut ours, id, theirs.handle_own(objects(&["arm", "eye"])));
         assert_eq!(ours.find(&object("leg")), []);

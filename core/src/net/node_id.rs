@@ -11,7 +11,7 @@ use std::fmt;
 /// ```
 /// use blastema_core::{NodeName, net::NodeId};
 /// let module1 = NodeName::new("module1")?;
-/// assert_eq!(NodeId::of(&module1).to_string(), "a87abb6e");
+/// assert_eq!(NodeId::of(&module1).to_string(), "1c30bec4");
 /// # Ok::<(), blastema_core::NameError>(())
 /// ```
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -8,11 +8,14 @@
 //!
 //! [`advertisement`]: super::advertisement
 
+mod vocabulary;
+
+pub use self::vocabulary::{Health, LinkStatus, RouterConfig, RouterOutput};
+
 use super::advertisement::{
     Advertisement, Edge, HAVE_HEADER, NEIGHBOURS_MAX, Routing, STAMP, Stamp,
 };
 use super::frame::FRAME_HEADER;
-use super::link::Neighbour;
 use super::node_id::NodeId;
 use super::packet::{Class, HOPS_MAX, Packet, Payload, Undelivered};
 use super::topology::{self, Adjacent, Route, Topology};
@@ -25,137 +28,6 @@ use std::time::Duration;
 /// A link of this node, by its place in the node's configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LinkNumber(pub u16);
-
-/// How a router behaves.
-#[derive(Clone, Debug)]
-pub struct RouterConfig {
-    /// Our own name.
-    pub node: NodeName,
-    /// Our own life.
-    pub incarnation: Incarnation,
-    /// The most nodes that are remembered; more are refused and counted. Bounds memory and the time
-    /// that a change takes.
-    pub nodes_max: usize,
-    /// How often we repeat what nothing has changed in. Shorter repairs sooner and costs more.
-    pub refresh: Duration,
-    /// A node that nobody has heard of for so long is forgotten. At least three times `refresh`.
-    pub lifetime: Duration,
-    /// How often neighbours compare what they know.
-    pub compare: Duration,
-    /// After how long an advertisement is repeated that a neighbour has not confirmed.
-    pub resend: Duration,
-    /// How many nodes may pass a packet on, at most 31.
-    pub hops: u8,
-}
-
-impl RouterConfig {
-    /// The usual behaviour for this node.
-    pub fn new(node: NodeName, incarnation: Incarnation) -> Self {
-        RouterConfig {
-            node,
-            incarnation,
-            nodes_max: 256,
-            refresh: Duration::from_secs(10),
-            lifetime: Duration::from_secs(35),
-            compare: Duration::from_secs(1),
-            // Several round trips of any medium that a robot has, and still within one hello or two.
-            resend: Duration::from_millis(40),
-            hops: 16,
-        }
-    }
-}
-
-/// What a router must know of a link.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LinkStatus {
-    /// Who is at its other end.
-    pub neighbour: Neighbour,
-    /// It carries, or it does not.
-    pub health: Health,
-    /// How dear it is to use; the cheaper of two paths is taken. 0 counts as 1.
-    pub cost: u16,
-    /// The largest frame that it carries, in bytes.
-    pub mtu: usize,
-}
-
-/// Whether a link can be used.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Health {
-    /// It carries.
-    Up,
-    /// It may have failed: taken only where there is no other way.
-    Suspect,
-    /// It does not carry.
-    Down,
-}
-
-/// What a router wants done.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum RouterOutput {
-    /// Give this to the link as the router's own.
-    Routing {
-        /// Which link.
-        link: LinkNumber,
-        /// What.
-        bytes: Bytes,
-    },
-    /// Give this packet to the link.
-    Packet {
-        /// Which link.
-        link: LinkNumber,
-        /// The packet.
-        packet: Bytes,
-    },
-    /// A segment arrived for our session with the source.
-    Segment {
-        /// Who sent it.
-        source: NodeId,
-        /// The segment.
-        segment: Bytes,
-    },
-    /// A packet of ours could not be delivered.
-    Undelivered {
-        /// Where it should have gone.
-        destination: NodeId,
-        /// Why it did not.
-        reason: Undelivered,
-    },
-    /// A node can be reached, or has a new incarnation.
-    Reachable {
-        /// Which.
-        node: NodeName,
-        /// In which of its lives.
-        incarnation: Incarnation,
-        /// The largest segment that can be sent to it, in bytes.
-        mtu: usize,
-    },
-    /// What is sent to this node takes another way from now on. Repeat what is not acknowledged.
-    PathChanged {
-        /// Which.
-        node: NodeId,
-        /// The largest segment that can be sent to it, in bytes.
-        mtu: usize,
-    },
-    /// No path leads to a node any more.
-    Lost {
-        /// Which.
-        node: NodeName,
-        /// In which of its lives.
-        incarnation: Incarnation,
-    },
-    /// Two names give one node number. The second is ignored; give it another name.
-    NumberTaken {
-        /// Who has it.
-        node: NodeName,
-        /// Who is ignored.
-        refused: NodeName,
-    },
-    /// A node of our name has come up elsewhere in the network.
-    NameTaken {
-        /// Its incarnation, greater than ours.
-        incarnation: Incarnation,
-    },
-}
 
 /// The machine of a node's router.
 #[derive(Debug)]
@@ -703,3 +575,6 @@ impl Machine for Router {
         self.wake_at = self.earliest();
     }
 }
+
+#[cfg(test)]
+mod tests;

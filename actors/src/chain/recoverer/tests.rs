@@ -2,6 +2,7 @@ use super::*;
 use crate::chain::scripted::{Answer, Bench, fault};
 use crate::chain::strategy::{RecoveryStrategy, SafeOutputs, ToolBox};
 use crate::chain::supervisor::SupervisorChild;
+use crate::registry::Registry;
 use blastema_contract::strategy::{Reroute, RestNode};
 use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
 use blastema_core::{Fault, FaultId, FaultKind, NodeName, Place};
@@ -38,6 +39,7 @@ impl Chain {
         let tools = Tools::new(ToolBox {
             node: here.clone(),
             directory: bench.directory.clone(),
+            registry: Registry::default(),
             router: Arc::new(std::sync::OnceLock::from(router.recipient())),
             safe_outputs: Some(apply),
             rest_node: node.recipient(),

@@ -2,13 +2,15 @@
 
 use crate::chain::directory::{Directory, SupervisorPorts};
 use crate::panics;
+use crate::registry::Registry;
+use crate::sender::Sender;
 use actix::prelude::*;
 use blastema_contract::strategy::{Reroute, RestNode};
 use blastema_contract::supervisor::{
     GaveUp, IsolateChild, Recovered, ResetChild, RestartChild, SafeStop,
 };
 use blastema_core::recovery::{Done, Failed};
-use blastema_core::{Fault, NodeName, ObjectName, Place};
+use blastema_core::{Contract, Fault, NodeName, ObjectName, Place, Why};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, OnceLock};
 
@@ -20,6 +22,7 @@ pub(crate) type SafeOutputs = Arc<dyn Fn(&Fault) + Send + Sync>;
 pub(crate) struct ToolBox {
     pub(crate) node: NodeName,
     pub(crate) directory: Directory,
+    pub(crate) registry: Registry,
     /// Empty in a node without a network. The network needs the recoverer, and the recoverer the
     /// network: that is why it is filled later.
     pub(crate) router: Arc<OnceLock<Recipient<Reroute>>>,
@@ -27,14 +30,23 @@ pub(crate) struct ToolBox {
     pub(crate) rest_node: Recipient<RestNode>,
 }
 
-/// What a [`RecoveryStrategy`](super::RecoveryStrategy) can do: ask the supervisors and the router of its
-/// own node.
+/// What a [`RecoveryStrategy`](super::RecoveryStrategy) can do: ask the supervisors, the router and the
+/// components of its own node.
 #[derive(Clone)]
 pub struct Tools(Arc<ToolBox>);
 
 impl Tools {
     pub(crate) fn new(tools: ToolBox) -> Self {
         Tools(Arc::new(tools))
+    }
+
+    /// Where messages of contract `M` to the object of this name can be sent: what helps a component may
+    /// be known to itself, or to a neighbour, alone.
+    ///
+    /// # Errors
+    /// As [`Node::sender`](crate::Node::sender).
+    pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
+        self.0.registry.sender(name)
     }
 
     /// Replaces the life that the fault struck by the next one; its siblings fare as their supervisor's

@@ -110,7 +110,7 @@ impl Handle<Job> for Worker {
 
 struct Kit {
     stage: Stage,
-    child: Box<dyn blastema_contract::child::Child>,
+    _child: Box<dyn blastema_contract::child::Child>,
     worker: crate::ActorRef<Worker>,
     log: Log,
     detached: Arc<Mutex<Option<Sender<Said>>>>,
@@ -123,7 +123,7 @@ async fn kit() -> Kit {
     let spec = ChildSpec::new("worker", move || Worker { log: l.clone(), detached: d.clone() });
     let (mut child, worker) = stage.start(spec).await;
     child.standing_order(order(5));
-    Kit { stage, child, worker, log, detached }
+    Kit { stage, _child: child, worker, log, detached }
 }
 
 #[test]

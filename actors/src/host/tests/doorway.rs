@@ -20,8 +20,10 @@ fn name(text: &str) -> ObjectName {
     ObjectName::new(text).unwrap()
 }
 
+type ReplyPlace = Arc<Mutex<Option<Result<Bytes, Why>>>>;
+
 /// A place for one reply, and the callback that fills it.
-fn reply() -> (Arc<Mutex<Option<Result<Bytes, Why>>>>, ReplyTo) {
+fn reply() -> (ReplyPlace, ReplyTo) {
     let place = Arc::new(Mutex::new(None));
     let kept = place.clone();
     (place, Box::new(move |result| *kept.lock().unwrap() = Some(result)))

@@ -157,6 +157,11 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
         assert_eq!((culprit, life, during), (name("blocker"), Incarnation(1), "Block"));
         assert_eq!(victims, [name("neighbour")]);
         blocker.tell(Said(5)).unwrap();
+        let glances = site.stage.environment.watch_list.glances();
+        let stuck = glances.iter().find(|glance| glance.object == name("blocker")).unwrap();
+        let (during, age) = stuck.current.unwrap();
+        assert!(during == "Block" && age > Duration::from_millis(50), "{stuck:?}");
+        assert_eq!((stuck.alive.queued, stuck.alive.incarnation), (1, Incarnation(1)));
 
         child.abandon();
         let died = hung.await.unwrap().unwrap_err().why;

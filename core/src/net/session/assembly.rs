@@ -1,7 +1,7 @@
 //! Puts pieces together, within bounds of space and time.
 
 use crate::Instant;
-use crate::net::segment::Piece;
+use crate::net::segment::{PIECES_MAX, Piece};
 use bytes::{Bytes, BytesMut};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -93,6 +93,22 @@ impl<K: Ord + Copy> Assembly<K> {
             self.bytes -= pieces.bytes;
         }
     }
+}
+
+/// One whole, or pieces of at most `room` bytes.
+pub(crate) fn pieces_of(payload: &Bytes, room: usize) -> Vec<(Option<Piece>, Bytes)> {
+    if payload.len() <= room {
+        return vec![(None, payload.clone())];
+    }
+    let count = payload.len().div_ceil(room).min(PIECES_MAX.into()) as u16;
+    let size = payload.len().div_ceil(count.into());
+    (0..count)
+        .map(|index| {
+            let start = (usize::from(index) * size).min(payload.len());
+            let end = (start + size).min(payload.len());
+            (Some(Piece { index, count }), payload.slice(start..end))
+        })
+        .collect()
 }
 
 #[cfg(test)]

@@ -20,166 +20,34 @@
 //! takes it must decide what to do when its receiver is busy.
 
 mod assembly;
+mod best_effort;
+mod config;
+mod handshake;
 mod inbound;
 mod outbound;
+mod output;
 mod round_trip;
+mod tag;
+mod transmission;
+
+pub use self::config::SessionConfig;
+pub use self::output::{Refused, SessionCounters, SessionOutput};
 
 use self::assembly::Assembly;
+use self::best_effort::{BestEffort, Came};
 use self::inbound::{Arrived, Inbound};
-use self::outbound::{Outbound, Part};
+use self::outbound::Outbound;
 use self::round_trip::RoundTrip;
-use super::node_id::NodeId;
 use super::packet::Class;
-use super::segment::{Ack, DATA_HEADER, Data, Datagram, Open, PIECES_MAX, Piece, Segment, Stream};
-use super::wire::{Refusals, WireError};
-use crate::{Incarnation, Instant, Machine, NodeName, Why};
+use super::segment::{Data, Datagram, Segment, Stream};
+use super::wire::Refusals;
+use crate::{Incarnation, Instant, Machine, Why};
 use bytes::Bytes;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// The version of what sessions say to each other.
 pub const VERSION: u8 = 1;
-
-/// How a session behaves.
-#[derive(Clone, Debug)]
-pub struct SessionConfig {
-    /// Our own name.
-    pub node: NodeName,
-    /// Our own life.
-    pub incarnation: Incarnation,
-    /// The peer's name.
-    pub peer: NodeName,
-    /// Sessions of this machine are numbered above this. A machine that is built anew within one life
-    /// of its node must be given a greater number than the one before ever used.
-    pub number: u32,
-    /// How long the peer may owe an answer, or be without a path, before the session ends. Longer
-    /// rides out longer outages; shorter gives messages back sooner.
-    pub patience: Duration,
-    /// The most bytes of one message. Bounds what a peer can make us collect.
-    pub message_max: usize,
-    /// The bytes that should wait or be unacknowledged in one stream at most. Beyond, senders are
-    /// told to stop; at twice as many, messages are refused.
-    pub buffer_bytes: usize,
-    /// The number of messages, likewise.
-    pub buffer_messages: usize,
-    /// How many parts of a stream may be on their way, and may arrive ahead of their turn.
-    pub window: u32,
-    /// The largest part in bytes, however large the path's frames are: a full window of parts should
-    /// fit into the buffers of the sockets on the way.
-    pub part_max: usize,
-    /// How long an acknowledgement may wait for something to travel with.
-    pub ack_delay: Duration,
-    /// The shortest time after which silence is taken for loss.
-    pub retransmit_min: Duration,
-    /// The longest.
-    pub retransmit_max: Duration,
-    /// The most best-effort channels of the peer that are remembered.
-    pub channels_max: usize,
-}
-
-impl SessionConfig {
-    /// The usual behaviour between these two.
-    pub fn new(node: NodeName, incarnation: Incarnation, peer: NodeName) -> Self {
-        SessionConfig {
-            node,
-            incarnation,
-            peer,
-            number: 0,
-            patience: Duration::from_secs(2),
-            message_max: 1 << 20,
-            // Four of the largest messages, or a second of 1 kB at 4 kHz.
-            buffer_bytes: 4 << 20,
-            buffer_messages: 4096,
-            window: 256,
-            part_max: 8 * 1024,
-            ack_delay: Duration::from_millis(2),
-            // Ten times the delay of acknowledgements.
-            retransmit_min: Duration::from_millis(20),
-            retransmit_max: Duration::from_millis(500),
-            channels_max: 1024,
-        }
-    }
-}
-
-/// What a session wants done.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum SessionOutput {
-    /// Give this segment to the router for the peer.
-    Transmit {
-        /// How urgent it is.
-        class: Class,
-        /// The segment.
-        segment: Bytes,
-    },
-    /// A session has begun.
-    Opened {
-        /// With this life of the peer.
-        incarnation: Incarnation,
-    },
-    /// A message has arrived, once and in its order.
-    Message {
-        /// On which stream.
-        stream: Stream,
-        /// The message.
-        message: Bytes,
-    },
-    /// A best-effort message has arrived, newer than all before it on its channel.
-    Newest {
-        /// On which channel.
-        channel: u32,
-        /// The message.
-        message: Bytes,
-    },
-    /// A message was not acknowledged before its session ended.
-    Returned {
-        /// The stream that it was for.
-        stream: Stream,
-        /// The message.
-        message: Bytes,
-        /// Why.
-        why: Why,
-    },
-    /// The session is over. What was unacknowledged has been returned before this.
-    Ended {
-        /// Which life of the peer it was with.
-        incarnation: Incarnation,
-        /// Why.
-        why: Why,
-    },
-    /// A stream holds all that it should: stop sending, or messages will soon be refused.
-    Full {
-        /// Which.
-        stream: Stream,
-    },
-    /// A stream that was full takes messages again.
-    Room {
-        /// Which.
-        stream: Stream,
-    },
-    /// The peer speaks another version; the two cannot talk until one is updated.
-    Incompatible {
-        /// The peer's version.
-        theirs: u8,
-    },
-}
-
-/// A refused message, and why.
-pub type Refused = (Why, Bytes);
-
-/// What a session did so far.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SessionCounters {
-    /// Parts sent, repetitions included.
-    pub sent: u64,
-    /// Parts sent again.
-    pub repeated: u64,
-    /// Parts and best-effort messages that had arrived before.
-    pub doubled: u64,
-    /// Best-effort messages that came after a newer one of their channel.
-    pub overtaken: u64,
-    /// Messages that were never finished.
-    pub unfinished: u64,
-}
 
 /// The machine of one peer node's sessions, one after the other.
 #[derive(Debug)]
@@ -241,15 +109,6 @@ struct StreamState {
     is_full: bool,
 }
 
-#[derive(Debug)]
-struct BestEffort {
-    /// The last number used, by channel.
-    sent: BTreeMap<u32, u64>,
-    /// The newest that was delivered, by channel.
-    delivered: BTreeMap<u32, u64>,
-    pieces: Assembly<(u32, u64)>,
-}
-
 const STREAMS: [Stream; 2] = [Stream::Control, Stream::Data];
 
 impl Session {
@@ -282,11 +141,10 @@ impl Session {
             retransmit_at: None,
             owed_since: None,
             pieces: Assembly::new(assembly, Self::ASSEMBLY_PATIENCE),
-            best_effort: BestEffort {
-                sent: BTreeMap::new(),
-                delivered: BTreeMap::new(),
-                pieces: Assembly::new(assembly, Self::ASSEMBLY_PATIENCE),
-            },
+            best_effort: BestEffort::new(
+                config.channels_max,
+                Assembly::new(assembly, Self::ASSEMBLY_PATIENCE),
+            ),
             now,
             counters: SessionCounters::default(),
             refusals: Refusals::default(),
@@ -315,8 +173,8 @@ impl Session {
 
     /// What it did so far.
     pub fn counters(&self) -> SessionCounters {
-        let unfinished = self.pieces.given_up + self.best_effort.pieces.given_up;
-        SessionCounters { unfinished, ..self.counters }
+        let unfinished = self.pieces.given_up + self.best_effort.unfinished();
+        SessionCounters { unfinished: self.counters.unfinished + unfinished, ..self.counters }
     }
 
     /// What was refused so far.
@@ -376,14 +234,7 @@ impl Session {
         let (State::Open { peer }, Some(room)) = (self.state, self.path) else {
             return Err((Why::Restarting, message));
         };
-        let sequence = self.best_effort.sent.entry(channel).or_insert(0);
-        *sequence += 1;
-        let sequence = *sequence;
-        // The tag, the numbers, and the flags, at their longest.
-        let room = room.saturating_sub(28).max(1);
-        for (piece, payload) in pieces_of(&message, room) {
-            let tag = peer.tag;
-            let datagram = Datagram { tag, channel, sequence, piece, payload };
+        for datagram in self.best_effort.cut(peer.tag, channel, &message, room) {
             self.transmit(Class::Data, Segment::Datagram(datagram));
         }
         Ok(())
@@ -545,109 +396,6 @@ impl Session {
         self.owed_since = (waits || self.path.is_none()).then_some(self.now);
     }
 
-    fn open(&mut self, peer: Option<Peer>) {
-        self.number = self.number.saturating_add(1);
-        self.tag = self.new_tag();
-        let pause = self.config.retransmit_min;
-        self.state = State::Opening { peer, again_at: self.now, pause };
-        self.say_open();
-    }
-
-    /// A tag that no other session of ours with this peer has, as far as 32 bits can tell.
-    fn new_tag(&self) -> u32 {
-        let names = u64::from(NodeId::of(&self.config.node).0) << 32
-            | u64::from(NodeId::of(&self.config.peer).0);
-        let mixed = [names, self.config.incarnation.0, self.number.into()]
-            .into_iter()
-            .fold(0, |state: u64, word| mix(state ^ word));
-        // 0 stands for "not known" in the handshake.
-        (mixed as u32).max(1)
-    }
-
-    fn say_open(&mut self) {
-        let State::Opening { peer, pause, .. } = self.state else { return };
-        // Grows by half each time, up to the longest retransmission.
-        let next = (pause * 3 / 2).min(self.config.retransmit_max);
-        self.state = State::Opening { peer, again_at: self.now + pause, pause: next };
-        self.tell_open(peer.map_or(0, |peer| peer.tag));
-    }
-
-    fn tell_open(&mut self, echo: u32) {
-        let (tag, number) = (self.tag, self.number);
-        let incarnation = self.config.incarnation;
-        let open = Open { version: VERSION, tag, echo, incarnation, number };
-        self.transmit(Class::Control, Segment::Open(open));
-    }
-
-    fn handle_open(&mut self, open: Open) {
-        if open.version != VERSION {
-            let theirs = open.version;
-            if self.refusals.version == 0 {
-                self.outputs.push_back(SessionOutput::Incompatible { theirs });
-            }
-            self.refusals.count(&WireError::Version { theirs, ours: VERSION });
-            return;
-        }
-        let key = (open.incarnation, open.number);
-        if key < self.newest {
-            self.refusals.stale += 1;
-            return;
-        }
-        let theirs = Peer { incarnation: open.incarnation, number: open.number, tag: open.tag };
-        if key > self.newest {
-            self.newest = key;
-            self.end_with_old_peer(open.incarnation);
-        }
-        match self.state {
-            State::Idle if self.path.is_some() => self.open(Some(theirs)),
-            State::Idle | State::Closed => {}
-            State::Opening { again_at, pause, .. } => {
-                if open.echo == self.tag {
-                    self.begin(theirs);
-                    self.acknowledge();
-                } else {
-                    self.state = State::Opening { peer: Some(theirs), again_at, pause };
-                    self.say_open();
-                }
-            }
-            State::Open { peer } | State::Closing { peer, .. } if peer != theirs => {
-                // One session of the peer's has one tag.
-                self.refusals.unexpected += 1;
-            }
-            State::Open { .. } | State::Closing { .. } => {
-                if open.echo == self.tag {
-                    self.heard();
-                    self.acknowledge();
-                } else {
-                    self.tell_open(theirs.tag);
-                }
-            }
-        }
-    }
-
-    /// The peer has a newer session, or a newer life: what we had with the old one is over.
-    fn end_with_old_peer(&mut self, incarnation: Incarnation) {
-        match self.state {
-            State::Open { peer } | State::Closing { peer, .. } => {
-                let why = if peer.incarnation < incarnation {
-                    Why::PeerDied { incarnation: peer.incarnation }
-                } else {
-                    self.unreachable()
-                };
-                self.end(why);
-            }
-            // A new tag: the old peer may have been told the present one.
-            State::Opening { peer: Some(_), .. } => self.open(None),
-            _ => {}
-        }
-    }
-
-    fn begin(&mut self, peer: Peer) {
-        self.state = State::Open { peer };
-        self.heard();
-        self.outputs.push_back(SessionOutput::Opened { incarnation: peer.incarnation });
-    }
-
     /// Ends the present session; opens the next one if there is a path.
     fn end(&mut self, why: Why) {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
@@ -677,26 +425,16 @@ impl Session {
             }
             *state = StreamState::new(&self.config);
         }
+        self.counters = self.counters();
         let assembly = self.config.message_max.saturating_mul(2);
-        let given_up = self.pieces.given_up;
         self.pieces = Assembly::new(assembly, Self::ASSEMBLY_PATIENCE);
-        self.pieces.given_up = given_up;
-        self.best_effort.sent.clear();
-        self.best_effort.delivered.clear();
+        let pieces = Assembly::new(assembly, Self::ASSEMBLY_PATIENCE);
+        self.best_effort = BestEffort::new(self.config.channels_max, pieces);
         self.congestion = Self::CONGESTION_INITIAL;
         self.reduced_until = self.order;
         self.retransmit_at = None;
         self.owed_since = None;
         self.trip.progress();
-    }
-
-    fn handle_reset(&mut self, tag: u32) {
-        match self.state {
-            State::Open { peer } | State::Closing { peer, .. } if peer.tag == tag => {
-                self.end(self.unreachable());
-            }
-            _ => self.refusals.stale += 1,
-        }
     }
 
     fn handle_data(&mut self, data: Data) {
@@ -736,173 +474,22 @@ impl Session {
         self.close_when_done();
     }
 
-    fn handle_ack(&mut self, stream: Stream, ack: &Ack) {
-        let outbound = &mut self.streams[stream as usize].outbound;
-        let progress = match outbound.handle_ack(ack, self.now) {
-            Ok(progress) => progress,
-            Err(error) => return self.refusals.count(&error),
-        };
-        if let Some(sample) = progress.round_trip {
-            self.trip.measure(sample);
-        }
-        if let Some(order) = progress.order {
-            self.trip.progress();
-            self.congestion = (self.congestion + progress.parts).min(self.config.window as usize);
-            let mut lost = false;
-            for stream in &mut self.streams {
-                lost |= stream.outbound.find_lost(order);
-            }
-            // Once per round trip, as in RFC 9002: one burst of losses is one sign.
-            if lost && order >= self.reduced_until {
-                self.reduced_until = self.order;
-                self.congestion = (self.congestion / 2).max(Self::CONGESTION_MIN);
-            }
-            let flying = self.streams.iter().any(|stream| stream.outbound.flying() > 0);
-            self.retransmit_at = flying.then(|| self.now + self.trip.timeout());
-        }
-        self.make_room(stream);
-        self.heard();
-    }
-
-    fn make_room(&mut self, stream: Stream) {
-        let SessionConfig { buffer_bytes, buffer_messages, .. } = self.config;
-        let state = &mut self.streams[stream as usize];
-        let outbound = &state.outbound;
-        // Half empty, so that whoever waits can send more than one message.
-        let half =
-            outbound.bytes() <= buffer_bytes / 2 && outbound.messages() <= buffer_messages / 2;
-        if state.is_full && half {
-            state.is_full = false;
-            self.outputs.push_back(SessionOutput::Room { stream });
-        }
-    }
-
     fn handle_datagram(&mut self, datagram: Datagram) {
-        let Datagram { channel, sequence, piece, payload, .. } = datagram;
-        let full = self.best_effort.delivered.len() >= self.config.channels_max;
-        match self.best_effort.delivered.get(&channel) {
-            Some(newest) if sequence == *newest => self.counters.doubled += 1,
-            Some(newest) if sequence < *newest => self.counters.overtaken += 1,
-            None if full => self.refusals.too_large += 1,
-            _ => {
-                let message = match piece {
-                    None => Some(payload),
-                    Some(piece) => {
-                        let key = (channel, sequence);
-                        self.best_effort.pieces.handle(key, piece, payload, self.now)
-                    }
-                };
-                if let Some(message) = message {
-                    self.best_effort.delivered.insert(channel, sequence);
-                    self.outputs.push_back(SessionOutput::Newest { channel, message });
-                }
+        let channel = datagram.channel;
+        match self.best_effort.handle(datagram, self.now) {
+            Came::Newest(message) => {
+                self.outputs.push_back(SessionOutput::Newest { channel, message });
             }
-        }
-    }
-
-    fn close_when_done(&mut self) {
-        if let State::Closing { peer, again_at: None, tries: 0 } = self.state
-            && self.streams.iter().all(|stream| stream.outbound.is_empty())
-        {
-            let again_at = Some(self.now + self.trip.timeout());
-            self.state = State::Closing { peer, again_at, tries: 1 };
-            self.transmit(Class::Control, Segment::Close { tag: peer.tag });
-        }
-    }
-
-    fn handle_peers_close(&mut self) {
-        let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
-        self.transmit(Class::Control, Segment::Closed { tag: peer.tag });
-        // The peer's next session, if there is one, has a greater number.
-        self.newest = self.newest.max((peer.incarnation, peer.number.saturating_add(1)));
-        self.end(Why::Stopped);
-        if let State::Opening { .. } = self.state {
-            // It will not answer until it lives again: the router, or its own open, will tell.
-            self.state = State::Idle;
-        }
-    }
-
-    fn handle_closed(&mut self) {
-        if let State::Closing { tries: 1.., .. } = self.state {
-            self.end(Why::Stopped);
+            Came::InPart => {}
+            Came::Again => self.counters.doubled += 1,
+            Came::Overtaken => self.counters.overtaken += 1,
+            Came::TooMany => self.refusals.too_large += 1,
         }
     }
 
     fn transmit(&mut self, class: Class, segment: Segment) {
         let segment = segment.encode();
         self.outputs.push_back(SessionOutput::Transmit { class, segment });
-    }
-
-    /// Acknowledges both streams now.
-    fn acknowledge(&mut self) {
-        let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
-        let [control, data] = &mut self.streams;
-        let control = Some(control.inbound.acknowledge());
-        let data = Some(data.inbound.acknowledge());
-        self.transmit(Class::Control, Segment::Acknowledge { tag: peer.tag, control, data });
-    }
-
-    /// Sends the next part that may be sent: control first, and what was lost before what is new.
-    fn transmit_part(&mut self) -> bool {
-        let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return false };
-        let Some(mtu) = self.path else { return false };
-        let flying: usize = self.streams.iter().map(|stream| stream.outbound.flying()).sum();
-        if flying >= self.congestion {
-            return false;
-        }
-        // Room for an acknowledgement of a few ranges; one with more travels alone.
-        let room = mtu.saturating_sub(DATA_HEADER + 32).clamp(64, self.config.part_max);
-        for stream in STREAMS {
-            let state = &mut self.streams[stream as usize];
-            if let Some((sequence, part)) = state.outbound.transmit(room, self.order, self.now) {
-                let owed = state.inbound.owed().is_some();
-                let ack = owed.then(|| state.inbound.acknowledge());
-                let (ack, alone) = match ack {
-                    Some(ack) if ack.ranges.len() > 2 => (None, Some(ack)),
-                    ack => (ack, None),
-                };
-                if let Some(ack) = alone {
-                    let (control, data) = match stream {
-                        Stream::Control => (Some(ack), None),
-                        Stream::Data => (None, Some(ack)),
-                    };
-                    let tag = peer.tag;
-                    self.transmit(Class::Control, Segment::Acknowledge { tag, control, data });
-                }
-                self.transmit_as(peer.tag, stream, sequence, part, ack, room);
-                return true;
-            }
-        }
-        false
-    }
-
-    fn transmit_as(
-        &mut self,
-        tag: u32,
-        stream: Stream,
-        sequence: u64,
-        part: Part,
-        mut ack: Option<Ack>,
-        room: usize,
-    ) {
-        self.counters.sent += 1;
-        self.counters.repeated += u64::from(part.is_repeated());
-        self.order += 1;
-        self.retransmit_at.get_or_insert(self.now + self.trip.timeout());
-        let class = match stream {
-            Stream::Control => Class::Control,
-            Stream::Data => Class::Data,
-        };
-        let Part { first, last, payload, .. } = part;
-        for (piece, payload) in pieces_of(&payload, room) {
-            let ack = ack.take();
-            let data = Data { tag, stream, sequence, first, last, piece, ack, payload };
-            self.transmit(class, Segment::Data(data));
-        }
-    }
-
-    fn ack_owed(&self) -> Option<Instant> {
-        self.streams.iter().filter_map(|stream| stream.inbound.owed()).min()
     }
 
     fn give_up_at(&self) -> Option<Instant> {
@@ -922,26 +509,6 @@ impl Session {
             }
             State::Idle | State::Closed => {}
         }
-    }
-
-    fn repeat_close(&mut self, peer: Peer, tries: u32) {
-        if tries > Self::CLOSE_TRIES {
-            return self.end(Why::Stopped);
-        }
-        self.trip.back_off();
-        let again_at = Some(self.now + self.trip.timeout());
-        self.state = State::Closing { peer, again_at, tries: tries + 1 };
-        self.transmit(Class::Control, Segment::Close { tag: peer.tag });
-    }
-
-    fn handle_silence(&mut self) {
-        self.trip.back_off();
-        self.congestion = Self::CONGESTION_MIN;
-        self.reduced_until = self.order;
-        for stream in &mut self.streams {
-            stream.outbound.lose_all();
-        }
-        self.retransmit_at = Some(self.now + self.trip.timeout());
     }
 }
 
@@ -1010,26 +577,5 @@ impl Machine for Session {
     }
 }
 
-/// One whole, or pieces of at most `room` bytes.
-fn pieces_of(payload: &Bytes, room: usize) -> Vec<(Option<Piece>, Bytes)> {
-    if payload.len() <= room {
-        return vec![(None, payload.clone())];
-    }
-    let count = payload.len().div_ceil(room).min(PIECES_MAX.into()) as u16;
-    let size = payload.len().div_ceil(count.into());
-    (0..count)
-        .map(|index| {
-            let start = (usize::from(index) * size).min(payload.len());
-            let end = (start + size).min(payload.len());
-            (Some(Piece { index, count }), payload.slice(start..end))
-        })
-        .collect()
-}
-
-/// The finaliser of SplitMix64: every bit of the input changes half of the output's.
-fn mix(mut word: u64) -> u64 {
-    word = word.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    word = (word ^ (word >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    word = (word ^ (word >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    word ^ (word >> 31)
-}
+#[cfg(test)]
+mod tests;

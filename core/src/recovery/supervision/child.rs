@@ -13,6 +13,9 @@ pub enum Cause {
     Died,
     /// It does not answer: it is given up without being asked.
     Stuck,
+    /// It stands still behind somebody else's hang: it is given up too, and that its life is replaced
+    /// is not held against it or its supervisor.
+    Behind,
     /// It lives and answers: it is stopped in order. If it has ended by now, that was no orderly end.
     Faulty,
 }
@@ -24,6 +27,7 @@ impl Cause {
             FaultKind::Panic | FaultKind::UnexpectedExit | FaultKind::InitializationFailed => {
                 Cause::Died
             }
+            FaultKind::Hang if fault.symptom_of.is_some() => Cause::Behind,
             FaultKind::Hang | FaultKind::Silence => Cause::Stuck,
             _ => Cause::Faulty,
         }

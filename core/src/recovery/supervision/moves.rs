@@ -113,7 +113,7 @@ impl Supervision {
             return;
         }
         self.end_now(key, cause);
-        if !self.count_restart(key, now) {
+        if cause != Cause::Behind && !self.count_restart(key, now) {
             return;
         }
         let child = self.kept(key);
@@ -160,8 +160,8 @@ impl Supervision {
     fn end_now(&mut self, key: Key, cause: Cause) {
         match cause {
             Cause::Died if self.kept(key).lives() => self.set_state(key, State::Down),
-            Cause::Stuck if self.kept(key).lives() => self.abandon(key),
-            Cause::Died | Cause::Stuck | Cause::Faulty => {}
+            Cause::Stuck | Cause::Behind if self.kept(key).lives() => self.abandon(key),
+            Cause::Died | Cause::Stuck | Cause::Behind | Cause::Faulty => {}
         }
     }
 

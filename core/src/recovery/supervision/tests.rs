@@ -234,6 +234,21 @@ fn one_for_one_replaces_only_the_child_that_failed() {
 }
 
 #[test]
+fn a_life_that_stood_behind_anothers_hang_costs_no_restart() {
+    let mut rig = Rig::with(Strategy::OneForOne, 1, &[("b", ChildRules::default())]);
+    rig.begin();
+    rig.started("b", 1);
+
+    for life in 1..5 {
+        let next = life + 1;
+        let replaced = rig.restart("b", Cause::Behind, life);
+
+        assert_eq!(replaced, ["abandon b".into(), format!("start b #{next}")]);
+        rig.started("b", next);
+    }
+}
+
+#[test]
 fn independent_children_are_replaced_at_the_same_time() {
     let mut rig = Rig::serving(Strategy::OneForOne);
 
@@ -724,10 +739,11 @@ fn every_state_takes_every_input_and_comes_to_an_end() {
         ("ending", |rig| drop(rig.end())),
         ("forsaken", |rig| rig.machine.handle_forsake(rig.now)),
     ];
-    let inputs: [Act; 21] = [
+    let inputs: [Act; 22] = [
         ("nothing", |_| {}),
         ("restart, died", |rig| drop(rig.restart("b", Cause::Died, 1))),
         ("restart, stuck", |rig| drop(rig.restart("b", Cause::Stuck, 1))),
+        ("restart, behind another", |rig| drop(rig.restart("b", Cause::Behind, 1))),
         ("restart, faulty", |rig| drop(rig.restart("b", Cause::Faulty, 1))),
         ("restart, next life", |rig| drop(rig.restart("b", Cause::Stuck, 2))),
         ("restart by hand", |rig| drop(rig.restart_by_hand("b"))),

@@ -4,6 +4,15 @@
 //! the component is rebuilt. The component stays in its [`Home`] while a handler that unwinds borrows
 //! it, so that unwinding never runs its `Drop`; it is dropped afterwards, under a guard of its own.
 
+mod ending;
+mod outbox;
+mod shared;
+
+pub(crate) use shared::{SharedPump, local};
+
+use ending::dispose;
+use outbox::Notice;
+
 use super::anchor::{Anchor, Seated};
 use super::arbiters::Seat;
 use super::chores::{Chore, Chores};
@@ -15,22 +24,21 @@ use super::stamp::{Place, Slot};
 use super::watch::Watched;
 use crate::component::{Component, Failure};
 use crate::context::Context;
-use crate::death_watch::{Down, Ending};
 use crate::lane::Taken;
 use crate::letter::{Brief, Letter, Mail, Nest};
-use crate::panics::{self, Guarded};
+use crate::panics::Guarded;
 use crate::platform;
 use actix::Recipient;
-use blastema_contract::child::{ChildEvent, ChildReport, StandingOrder};
-use blastema_contract::reports::{Alive, Exit, Exited, StateReported};
+use blastema_contract::child::{ChildEvent, ChildReport};
+use blastema_contract::reports::{Alive, StateReported};
 use blastema_core::{Incarnation, Instant, Lifecycle, Why};
-use std::any::{Any, TypeId};
+use std::any::TypeId;
 use std::cell::RefCell;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
-use std::rc::{Rc, Weak};
+use std::rc::Rc;
 use std::sync::Arc;
 use std::task::{self, Poll, Waker};
 
@@ -70,13 +78,6 @@ struct Nested<C: Component> {
     contract: TypeId,
     label: u32,
     nest: Pin<Box<dyn Nest<C>>>,
-}
-
-/// Told when the poll is over, so that the replacement's first message does not wait for it.
-enum Notice {
-    Exited(Exited),
-    State(StateReported),
-    Child(ChildEvent, Incarnation),
 }
 
 /// How far one step came.
@@ -143,8 +144,10 @@ impl<C: Component> Pump<C> {
         };
         pump.begin_life();
         let record = &pump.anchor.record;
+        let anchor = Arc::downgrade(&pump.anchor);
         let watched = Watched {
             object: record.name.clone(),
+            inside: anchor,
             pulse: pump.pulse.clone(),
             stamp: pump.slot.stamp,
             limits: record.limits.clone(),
@@ -164,6 +167,10 @@ impl<C: Component> Pump<C> {
         self.chores.begin(record.limits.interval);
         if self.course.is_starting() {
             self.chores.limit(Chore::ReadyLimit, record.limits.ready_within);
+        }
+        // Whoever gave this life up before its place was known could not tell it so.
+        if self.anchor.lane.owner() != Some(self.life.incarnation) {
+            self.life.token.end();
         }
     }
 
@@ -292,7 +299,10 @@ impl<C: Component> Pump<C> {
         match self.anchor.lane.take(self.life.incarnation, cx.waker()) {
             Taken::Got(mail) => self.open(mail, cx),
             Taken::Empty => Progress::Wait,
-            Taken::Retired => Progress::Over,
+            Taken::Retired => {
+                self.life.token.end();
+                Progress::Over
+            }
         }
     }
 
@@ -546,195 +556,6 @@ impl<C: Component> Pump<C> {
         }
         self.waker = Some(waker);
     }
-
-    /// A condition that the component gave has panicked.
-    pub(crate) fn die_of(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
-        self.died(payload, during);
-        if let Some(waker) = &self.waker {
-            waker.wake_by_ref();
-        }
-    }
-
-    fn died_in_service(&mut self, payload: Box<dyn Any + Send>) {
-        let during = super::label::name(self.slot.stamp.read().during);
-        self.died(payload, during);
-    }
-
-    /// This life has ended by a panic. Begins the next one where a standing order says so.
-    #[cold]
-    fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
-        let exit =
-            Exit::Panicked { text: panics::text_of(payload), at: panics::take_place(), during };
-        if self.slot.stamp.is_busy() {
-            self.slot.stamp.step();
-        }
-        let incarnation = self.life.incarnation;
-        self.life.token.end();
-        if let Service::Message(_) = self.service {
-            self.anchor.record.blame(incarnation);
-            self.anchor.record.bury(during, &Why::PeerDied { incarnation });
-        }
-        self.bury();
-        if self.anchor.lane.owner() != Some(incarnation) {
-            return self.leave(); // It had been given up before; nobody waits for its report.
-        }
-        let restarted_as = self.may_restart().then(|| incarnation.next());
-        match restarted_as {
-            Some(next) => {
-                self.anchor.lane.give_to(Some(next));
-                self.life = Rc::new(Life::new(next, self.slot.stamp));
-                self.course = Course::new(self.course.is_starting());
-                self.start_failed = false;
-                self.begin_life();
-            }
-            None => {
-                self.anchor.lane.leave(incarnation);
-                self.over = true;
-            }
-        }
-        self.report_exit(incarnation, exit, restarted_as);
-    }
-
-    /// Draws on the standing order, if there is one.
-    fn may_restart(&mut self) -> bool {
-        let Some(StandingOrder { times, period, .. }) = self.anchor.record.order() else {
-            return false;
-        };
-        if self.course.is_ending() {
-            return false;
-        }
-        let now = platform::now();
-        while self.deaths.front().is_some_and(|&death| now - death > period) {
-            self.deaths.pop_front();
-        }
-        let allowed = self.deaths.len() < usize::try_from(times).unwrap_or(usize::MAX);
-        if allowed {
-            self.deaths.push_back(now);
-        }
-        allowed
-    }
-
-    /// Tells how a life has ended: the monitor, the supervisor, and those who watch.
-    fn report_exit(
-        &mut self,
-        incarnation: Incarnation,
-        exit: Exit,
-        restarted_as: Option<Incarnation>,
-    ) {
-        let record = &self.anchor.record;
-        let object = record.name.clone();
-        let ending = Ending::from(&exit);
-        record.mourners.tell(&Down { object: object.clone(), incarnation, ending });
-        let event = match (&exit, self.course.is_starting() && restarted_as.is_none()) {
-            (Exit::Stopped, _) => ChildEvent::Stopped,
-            (Exit::Panicked { text, at, .. }, true) => {
-                ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") }
-            }
-            _ => ChildEvent::Died { exit: exit.clone(), restarted_as },
-        };
-        // A life of which the supervisor knows that it never began does not die in addition.
-        let known = self.start_failed && matches!(event, ChildEvent::Died { .. });
-        let exited = Notice::Exited(Exited { object, incarnation, exit, restarted_as });
-        // A replacement's own news come after the end of the life that it replaces.
-        let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
-        let place = place.unwrap_or(self.outbox.len());
-        let child = (!known).then_some(Notice::Child(event, incarnation));
-        self.outbox.splice(place..place, [exited].into_iter().chain(child));
-    }
-
-    /// The life ends without a panic, its hooks done.
-    fn end(&mut self, end: End) {
-        let incarnation = self.life.incarnation;
-        self.over = true;
-        self.life.token.end();
-        self.bury();
-        let exit = match end {
-            End::Stopped => {
-                self.anchor.end();
-                Exit::Stopped
-            }
-            End::Returned | End::Fatal => {
-                self.anchor.lane.leave(incarnation);
-                Exit::Returned
-            }
-        };
-        self.anchor.record.set_state(Lifecycle::Finalized);
-        self.report_exit(incarnation, exit, None);
-    }
-
-    /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
-    fn bury(&mut self) {
-        let service = std::mem::replace(&mut self.service, Service::Idle);
-        let nests = std::mem::take(&mut self.nests);
-        self.followed = false;
-        dispose((service, nests));
-        dispose(self.chores.clear());
-        dispose(self.life.take_wishes());
-        dispose(self.home.take());
-    }
-
-    /// Somebody gave this life up and begins, or has begun, the next.
-    fn is_abandoned(&self) -> bool {
-        self.life.token.has_ended() && !self.over
-    }
-
-    /// Ends without a word, after having been given up.
-    fn leave(&mut self) {
-        self.over = true;
-        let _guarded = Guarded::enter();
-        self.bury();
-        self.outbox.clear();
-        if self.pulse.is_lost() {
-            self.seat.return_late();
-        } else {
-            self.pulse.lift();
-        }
-    }
-
-    fn flush(&mut self) {
-        if self.outbox.is_empty() {
-            return;
-        }
-        let record = &self.anchor.record;
-        let reports = &record.environment.reports;
-        for notice in self.outbox.drain(..) {
-            match notice {
-                Notice::Exited(exited) => tell(reports.exits.as_ref(), exited),
-                Notice::State(state) => tell(reports.states.as_ref(), state),
-                Notice::Child(event, incarnation) => {
-                    let object = record.name.clone();
-                    self.supervisor.do_send(ChildReport { object, incarnation, event });
-                }
-            }
-        }
-    }
-}
-
-impl Notice {
-    fn is_of_after(&self, incarnation: Incarnation) -> bool {
-        match self {
-            Notice::Exited(exited) => exited.incarnation > incarnation,
-            Notice::State(state) => state.incarnation > incarnation,
-            Notice::Child(_, of) => *of > incarnation,
-        }
-    }
-}
-
-fn tell<M>(recipient: Option<&Recipient<M>>, message: M)
-where
-    M: actix::Message + Send + 'static,
-    M::Result: Send,
-{
-    if let Some(recipient) = recipient {
-        recipient.do_send(message);
-    }
-}
-
-/// Drops a thing whose `Drop` is the user's.
-fn dispose<T>(thing: T) {
-    if let Err(payload) = catch_unwind(AssertUnwindSafe(move || drop(thing))) {
-        panics::text_of(payload); // What was thrown is the user's too.
-    }
 }
 
 // Holding the borrow across the await is the point: messages wait, and control does not borrow.
@@ -754,78 +575,5 @@ async fn run_hook<C: Component>(home: Rc<Home<C>>, hook: Hook) -> Result<(), Fai
         Hook::Reset => component.on_reset(cx).await,
         Hook::Shutdown => component.on_shutdown(cx).await,
         Hook::Finalize => component.on_finalize(cx).await,
-    }
-}
-
-thread_local! {
-    /// The pumps of this arbiter, by the anchor that they serve, for its hubs.
-    static PUMPS: RefCell<BTreeMap<usize, Weak<dyn Any>>> = const { RefCell::new(BTreeMap::new()) };
-}
-
-/// The pump of a component that lives on this arbiter.
-pub(crate) fn local<C: Component>(anchor: &Arc<Anchor<C>>) -> Option<Weak<RefCell<Pump<C>>>> {
-    let key = Arc::as_ptr(anchor).addr();
-    let pump = PUMPS.with_borrow(|pumps| pumps.get(&key)?.upgrade())?;
-    let pump: Rc<RefCell<Pump<C>>> = pump.downcast().ok()?;
-    Some(Rc::downgrade(&pump))
-}
-
-/// The pump as a future, and as something that the arbiter's hubs can reach.
-pub(crate) struct SharedPump<C: Component>(pub(crate) Rc<RefCell<Pump<C>>>);
-
-impl<C: Component> SharedPump<C> {
-    pub(crate) fn new(pump: Pump<C>) -> Self {
-        let key = Arc::as_ptr(&pump.anchor).addr();
-        let pump = Rc::new(RefCell::new(pump));
-        let erased: Rc<dyn Any> = pump.clone();
-        PUMPS.with_borrow_mut(|pumps| pumps.insert(key, Rc::downgrade(&erased)));
-        SharedPump(pump)
-    }
-}
-
-impl<C: Component> Future for SharedPump<C> {
-    type Output = ();
-
-    fn poll(self: Pin<&mut Self>, cx: &mut task::Context<'_>) -> Poll<()> {
-        self.0.borrow_mut().run(cx)
-    }
-}
-
-impl<C: Component> Drop for SharedPump<C> {
-    fn drop(&mut self) {
-        let mut pump = self.0.borrow_mut();
-        let key = Arc::as_ptr(&pump.anchor).addr();
-        let _ = PUMPS.try_with(|pumps| {
-            let mut pumps = pumps.borrow_mut();
-            let mine = Rc::as_ptr(&self.0).addr();
-            let mine = pumps.get(&key).is_some_and(|known| {
-                known.upgrade().is_none_or(|known| Rc::as_ptr(&known).cast::<()>().addr() == mine)
-            });
-            if mine {
-                pumps.remove(&key);
-            }
-        });
-        pump.anchor.record.environment.watch_list.leave(pump.slot.index);
-        pump.drop_before_the_end();
-    }
-}
-
-impl<C: Component> Pump<C> {
-    /// The future is dropped: after its end, or because its arbiter goes away.
-    fn drop_before_the_end(&mut self) {
-        if self.over {
-            return;
-        }
-        if self.is_abandoned() {
-            return self.leave();
-        }
-        let incarnation = self.life.incarnation;
-        self.over = true;
-        self.life.token.end();
-        self.anchor.record.blame(incarnation);
-        self.bury();
-        self.anchor.lane.leave(incarnation);
-        self.report_exit(incarnation, Exit::Aborted, None);
-        self.flush();
     }
 }

@@ -1,0 +1,55 @@
+//! What a pump has to tell, kept until its poll is over.
+
+use super::Pump;
+use crate::component::Component;
+use actix::Recipient;
+use blastema_contract::child::{ChildEvent, ChildReport};
+use blastema_contract::reports::{Exited, StateReported};
+use blastema_core::Incarnation;
+
+/// Told when the poll is over, so that the replacement's first message does not wait for it.
+pub(super) enum Notice {
+    Exited(Exited),
+    State(StateReported),
+    Child(ChildEvent, Incarnation),
+}
+
+impl<C: Component> Pump<C> {
+    pub(super) fn flush(&mut self) {
+        if self.outbox.is_empty() {
+            return;
+        }
+        let record = &self.anchor.record;
+        let reports = &record.environment.reports;
+        for notice in self.outbox.drain(..) {
+            match notice {
+                Notice::Exited(exited) => tell(reports.exits.as_ref(), exited),
+                Notice::State(state) => tell(reports.states.as_ref(), state),
+                Notice::Child(event, incarnation) => {
+                    let object = record.name.clone();
+                    self.supervisor.do_send(ChildReport { object, incarnation, event });
+                }
+            }
+        }
+    }
+}
+
+impl Notice {
+    pub(super) fn is_of_after(&self, incarnation: Incarnation) -> bool {
+        match self {
+            Notice::Exited(exited) => exited.incarnation > incarnation,
+            Notice::State(state) => state.incarnation > incarnation,
+            Notice::Child(_, of) => *of > incarnation,
+        }
+    }
+}
+
+fn tell<M>(recipient: Option<&Recipient<M>>, message: M)
+where
+    M: actix::Message + Send + 'static,
+    M::Result: Send,
+{
+    if let Some(recipient) = recipient {
+        recipient.do_send(message);
+    }
+}

@@ -1,0 +1,313 @@
+//! Two exchanges that hear each other.
+
+use super::*;
+use crate::NodeName;
+use crate::layout::{Described, Layout};
+
+fn layout_of_number() -> &'static Layout {
+    u64::layout()
+}
+
+fn layout_of_text() -> &'static Layout {
+    String::layout()
+}
+
+fn contract(message: crate::layout::LayoutOf) -> ContractIdentity {
+    let reply = layout_of_number;
+    let fingerprint = crate::contract::fingerprint(message, reply);
+    ContractIdentity { name: "count", version: 1, fingerprint, message, reply }
+}
+
+fn count() -> ContractIdentity {
+    contract(layout_of_number)
+}
+
+fn node(name: &str) -> NodeName {
+    NodeName::new(name).unwrap()
+}
+
+fn arm() -> ObjectName {
+    ObjectName::new("arm").unwrap()
+}
+
+fn topic() -> TopicContract {
+    TopicContract { topic: "news".into(), contract: "count".into() }
+}
+
+fn payload() -> Bytes {
+    Bytes::from_static(b"payload")
+}
+
+/// Two exchanges; what one sends, the other gets.
+struct Pair {
+    ends: [Exchange; 2],
+    ids: [NodeId; 2],
+    told: [Vec<ExchangeOutput>; 2],
+}
+
+impl Pair {
+    fn new() -> Self {
+        let ids = [NodeId::of(&node("left")), NodeId::of(&node("right"))];
+        let told = [vec![], vec![]];
+        Pair { ends: [Exchange::default(), Exchange::default()], ids, told }
+    }
+
+    fn open() -> Self {
+        let mut pair = Pair::new();
+        for end in 0..2 {
+            let peer = pair.ids[1 - end];
+            pair.ends[end].handle_reachable(peer, true);
+            pair.ends[end].handle_opened(peer);
+        }
+        pair.run();
+        pair
+    }
+
+    /// Carries out what can be carried out without the application.
+    fn run(&mut self) {
+        loop {
+            let mut busy = false;
+            for end in 0..2 {
+                while let Some(output) = self.ends[end].poll_output() {
+                    busy = true;
+                    match output {
+                        ExchangeOutput::Send { message, .. } => {
+                            self.ends[1 - end].handle_message(self.ids[end], message);
+                        }
+                        other => self.told[end].push(other),
+                    }
+                }
+            }
+            if !busy {
+                return;
+            }
+        }
+    }
+
+    fn take(&mut self, end: usize) -> Vec<ExchangeOutput> {
+        std::mem::take(&mut self.told[end])
+    }
+
+    fn call(&mut self, contract: ContractIdentity, reply_as: Option<u64>) {
+        let (node, object) = (node("right"), arm());
+        let call = Call { node, object, contract, id: None, payload: payload(), reply_as };
+        self.ends[0].handle_call(call);
+        self.run();
+    }
+
+    /// The right end agrees to the binding that it was just asked for.
+    fn agree(&mut self) -> Epoch {
+        let told = self.take(1);
+        let [ExchangeOutput::Bind { peer, epoch, binding, identity, .. }] = &told[..] else {
+            panic!("{told:?}");
+        };
+        assert_eq!(count().check(identity), Ok(()));
+        self.ends[1].handle_bound(*peer, *epoch, *binding, Ok(()));
+        self.run();
+        *epoch
+    }
+}
+
+#[test]
+fn the_first_message_binds_and_all_are_served_in_order() {
+    let mut pair = Pair::open();
+    pair.call(count(), Some(10));
+    pair.call(count(), None);
+    assert!(pair.ends[0].is_waiting());
+
+    let epoch = pair.agree();
+    pair.call(count(), Some(11));
+
+    let calls: Vec<_> = pair
+        .take(1)
+        .into_iter()
+        .map(|output| match output {
+            ExchangeOutput::Serve { call, .. } => call,
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert_eq!(calls, [Some(1), None, Some(2)]);
+    let left = pair.ids[0];
+    pair.ends[1].handle_answer(left, epoch, 2, Ok(payload()));
+    pair.ends[1].handle_answer(left, epoch, 1, Err(Why::Stopped));
+    pair.run();
+    let resolved = |reply_as, result| ExchangeOutput::Resolve { reply_as, result };
+    assert_eq!(pair.take(0), [resolved(11, Ok(payload())), resolved(10, Err(Why::Stopped))]);
+}
+
+#[test]
+fn a_contract_that_differs_is_shown_from_both_sides_and_asked_again_next_time() {
+    let mut pair = Pair::open();
+    pair.call(contract(layout_of_text), Some(10));
+    let told = pair.take(1);
+    let [ExchangeOutput::Bind { peer, epoch, binding, identity, .. }] = &told[..] else {
+        panic!("{told:?}");
+    };
+    let theirs = count().check(identity).unwrap_err().to_string();
+    let why = Why::ContractDiffers { difference: theirs.clone() };
+    pair.ends[1].handle_bound(*peer, *epoch, *binding, Err((why, Some(count()))));
+    pair.run();
+
+    let told = pair.take(0);
+    let [
+        ExchangeOutput::Differs { difference, .. },
+        ExchangeOutput::Resolve { reply_as: 10, result: Err(Why::ContractDiffers { .. }) },
+    ] = &told[..]
+    else {
+        panic!("{told:?}");
+    };
+    assert_ne!(*difference, theirs, "here and there have changed places");
+    pair.call(count(), Some(11));
+    pair.agree();
+    assert!(matches!(pair.take(1)[..], [ExchangeOutput::Serve { .. }]));
+}
+
+#[test]
+fn everything_is_resolved_when_the_session_ends_and_late_answers_go_nowhere() {
+    let mut pair = Pair::open();
+    let right = pair.ids[1];
+    pair.call(count(), Some(10));
+    let epoch = pair.agree();
+    pair.ends[0].handle_notice(right, 77, payload());
+    pair.run();
+
+    pair.ends[0].handle_ended(right, &Why::Stopped);
+    pair.run();
+
+    let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(Why::Stopped) };
+    let noticed = ExchangeOutput::Noticed { number: 77, arrived: false };
+    assert_eq!(pair.take(0), [resolved, noticed, ExchangeOutput::Forget { peer: right }]);
+
+    let left = pair.ids[0];
+    pair.ends[1].handle_ended(left, &Why::Stopped);
+    for end in 0..2 {
+        pair.ends[end].handle_opened(pair.ids[1 - end]);
+    }
+    pair.take(1);
+    pair.ends[1].handle_answer(left, epoch, 1, Ok(payload()));
+    pair.run();
+    assert_eq!(pair.take(0), [], "the answer belongs to the session before");
+}
+
+#[test]
+fn without_a_session_a_call_is_refused_with_the_reason() {
+    let mut pair = Pair::new();
+    pair.call(count(), Some(10));
+    let why = Why::Unreachable { node: "right".into() };
+    let resolved = |why| ExchangeOutput::Resolve { reply_as: 10, result: Err(why) };
+    assert_eq!(pair.take(0), [resolved(why)]);
+
+    pair.ends[0].handle_reachable(pair.ids[1], true);
+    pair.call(count(), Some(10));
+    assert_eq!(pair.take(0), [resolved(Why::Restarting)]);
+    pair.call(count(), None);
+    let (peer, to) = (pair.ids[1], Some((arm(), "count")));
+    assert_eq!(pair.take(0), [ExchangeOutput::Lost { peer, to, why: Why::Restarting }]);
+}
+
+#[test]
+fn too_many_messages_for_one_binding_are_told_and_then_refused() {
+    let mut pair = Pair::open();
+    for _ in 0..WAITING_MAX + 1 {
+        let (node, object) = (node("right"), arm());
+        let (id, reply_as, contract) = (None, None, count());
+        let call = Call { node, object, contract, id, payload: payload(), reply_as };
+        pair.ends[0].handle_call(call);
+    }
+    pair.run();
+    let peer = pair.ids[1];
+    let lost = ExchangeOutput::Lost { peer, to: Some((arm(), "count")), why: Why::Full };
+    assert_eq!(pair.take(0), [ExchangeOutput::Full { peer }, lost]);
+
+    pair.agree();
+
+    assert_eq!(pair.take(0), [ExchangeOutput::Room { peer }]);
+    assert_eq!(pair.take(1).len(), WAITING_MAX);
+}
+
+#[test]
+fn an_interest_is_told_now_and_to_every_later_session() {
+    let mut pair = Pair::new();
+    pair.ends[0].handle_interest(topic(), Some(count()));
+    for end in 0..2 {
+        pair.ends[end].handle_opened(pair.ids[1 - end]);
+    }
+    pair.run();
+    let told = pair.take(1);
+    let [ExchangeOutput::Subscribe { peer, subscription, topic: wanted, .. }] = &told[..] else {
+        panic!("{told:?}");
+    };
+    assert_eq!(*wanted, topic());
+
+    pair.ends[1].handle_event(*peer, *subscription, payload());
+    pair.run();
+    let event = ExchangeOutput::Event { topic: topic(), payload: payload() };
+    assert_eq!(pair.take(0), [event]);
+
+    pair.ends[0].handle_interest(topic(), None);
+    pair.run();
+    let (peer, subscription) = (*peer, *subscription);
+    assert_eq!(pair.take(1), [ExchangeOutput::Unsubscribe { peer, subscription }]);
+    pair.ends[1].handle_event(peer, subscription, payload());
+    pair.run();
+    assert_eq!(pair.take(0), []);
+    assert_eq!(pair.ends[0].refusals().stale, 1);
+}
+
+#[test]
+fn a_notice_is_confirmed_only_when_it_was_taken() {
+    let mut pair = Pair::open();
+    pair.ends[0].handle_notice(pair.ids[1], 77, payload());
+    pair.run();
+    let told = pair.take(1);
+    let [ExchangeOutput::Notice { peer, epoch, number, .. }] = told[..] else {
+        panic!("{told:?}");
+    };
+    assert_eq!(pair.take(0), []);
+
+    pair.ends[1].handle_noticed(peer, epoch, number);
+    pair.run();
+
+    assert_eq!(pair.take(0), [ExchangeOutput::Noticed { number: 77, arrived: true }]);
+}
+
+#[test]
+fn a_returned_message_resolves_its_request() {
+    let mut pair = Pair::open();
+    pair.call(count(), None);
+    pair.agree();
+    pair.take(1);
+    let call = |reply_as| Call {
+        node: node("right"),
+        object: arm(),
+        contract: count(),
+        id: None,
+        payload: payload(),
+        reply_as,
+    };
+    let mut told = vec![];
+    for reply_as in [Some(10), None] {
+        pair.ends[0].handle_call(call(reply_as));
+        let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
+            panic!("it is sent");
+        };
+        pair.ends[0].handle_returned(peer, message, Why::Full);
+        told.extend(pair.ends[0].poll_output());
+    }
+
+    let (peer, to) = (pair.ids[1], Some((arm(), "count")));
+    let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(Why::Full) };
+    let lost = ExchangeOutput::Lost { peer, to, why: Why::Full };
+    assert_eq!(told, [resolved, lost]);
+}
+
+#[test]
+fn a_peer_that_binds_without_end_is_refused_beyond_the_limit() {
+    let mut pair = Pair::open();
+    let identity: Bytes = count().brief().encode().into();
+    for binding in 0..BINDINGS_MAX as u32 + 3 {
+        let bind = Message::Bind { binding, object: arm(), identity: identity.clone() };
+        pair.ends[0].handle_message(pair.ids[1], bind.encode());
+    }
+    assert_eq!(pair.ends[0].refusals().too_large, 3);
+}

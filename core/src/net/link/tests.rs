@@ -1,0 +1,232 @@
+//! Two ends of one cable.
+
+use super::*;
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+fn config(name: &str, incarnation: u64) -> LinkConfig {
+    LinkConfig {
+        hello_interval: Duration::from_millis(10),
+        ..LinkConfig::new(NodeName::new(name).unwrap(), Incarnation(incarnation))
+    }
+}
+
+/// Two ends of one cable that takes a millisecond.
+struct Cable {
+    ends: [Link; 2],
+    now: u64,
+    cut: [bool; 2],
+    in_flight: Vec<(u64, usize, Bytes)>,
+    told: Vec<(u64, usize, LinkOutput)>,
+}
+
+impl Cable {
+    fn new(left: LinkConfig, right: LinkConfig) -> Self {
+        let ends = [Link::new(left, at(0)), Link::new(right, at(0))];
+        Cable { ends, now: 0, cut: [false; 2], in_flight: vec![], told: vec![] }
+    }
+
+    fn run_until(&mut self, end: u64) {
+        while self.now < end {
+            let arrived: Vec<_> = self.in_flight.extract_if(.., |f| f.0 <= self.now).collect();
+            for (_, to, frame) in arrived {
+                self.ends[to].handle_frame(frame, at(self.now));
+            }
+            for from in 0..2 {
+                if self.ends[from].poll_timeout().is_some_and(|due| due <= at(self.now)) {
+                    self.ends[from].handle_timeout(at(self.now));
+                }
+                while let Some(output) = self.ends[from].poll_output() {
+                    match output {
+                        LinkOutput::Transmit(_) if self.cut[from] => {}
+                        LinkOutput::Transmit(frame) => {
+                            self.in_flight.push((self.now + 1, 1 - from, frame));
+                        }
+                        other => self.told.push((self.now, from, other)),
+                    }
+                }
+            }
+            self.now += 1;
+        }
+    }
+
+    fn states(&self) -> [LinkState; 2] {
+        [self.ends[0].state(), self.ends[1].state()]
+    }
+}
+
+fn running() -> Cable {
+    let mut cable = Cable::new(config("left", 1), config("right", 1));
+    cable.run_until(100);
+    assert_eq!(cable.states(), [LinkState::Up; 2]);
+    cable.told.clear();
+    cable
+}
+
+#[test]
+fn a_link_is_up_once_both_ends_have_proved_that_they_hear_each_other() {
+    let mut cable = Cable::new(config("left", 1), config("right", 1));
+
+    cable.run_until(60);
+
+    assert_eq!(cable.states(), [LinkState::Up; 2]);
+    assert_eq!(cable.ends[0].neighbour().unwrap().node.as_str(), "right");
+    assert_eq!(cable.ends[0].quality().round_trip, Some(Duration::from_millis(2)));
+}
+
+#[test]
+fn a_cut_cable_is_suspect_after_two_intervals_and_down_after_three_and_a_half() {
+    let mut cable = running();
+
+    cable.cut = [true; 2];
+    cable.run_until(200);
+
+    let of_left: Vec<_> = cable.told.iter().filter(|told| told.1 == 0).collect();
+    // The last hello left at 90 and arrived at 91.
+    assert!(matches!(of_left[0], (111, _, LinkOutput::Changed { state: LinkState::Suspect, .. })));
+    assert!(matches!(of_left[1], (126, _, LinkOutput::Changed { state: LinkState::Down, .. })));
+    assert_eq!(of_left.len(), 2);
+}
+
+#[test]
+fn a_cable_that_carries_one_way_only_is_down_at_both_ends() {
+    let mut cable = running();
+
+    cable.cut = [true, false];
+    cable.run_until(300);
+
+    assert_eq!(cable.states(), [LinkState::Down; 2]);
+}
+
+#[test]
+fn a_link_that_was_down_must_prove_itself_longer_each_time() {
+    let mut cable = running();
+    let mut outages = vec![];
+    for _ in 0..3 {
+        cable.cut = [true; 2];
+        cable.run_until(cable.now + 100);
+        cable.cut = [false; 2];
+        let back = cable.now;
+        while cable.ends[0].state() != LinkState::Up {
+            cable.run_until(cable.now + 1);
+        }
+        outages.push(cable.now - back);
+    }
+    assert!(outages[0] < outages[1] && outages[1] < outages[2], "{outages:?}");
+}
+
+#[test]
+fn a_restarted_neighbour_is_a_new_incarnation_and_the_old_one_is_never_heard_again() {
+    let mut cable = running();
+    let old_hello = Frame::Hello(Hello {
+        node: NodeName::new("right").unwrap(),
+        incarnation: Incarnation(1),
+        sequence: 1000,
+        interval_us: 10_000,
+        echo: None,
+    });
+
+    cable.ends[1] = Link::new(config("right", 2), at(cable.now));
+    cable.run_until(300);
+    cable.ends[0].handle_frame(old_hello.encode(), at(300));
+
+    assert_eq!(cable.states(), [LinkState::Up; 2]);
+    assert_eq!(cable.ends[0].neighbour().unwrap().incarnation, Incarnation(2));
+    assert_eq!(cable.ends[0].refusals().stale, 1);
+    let downs = cable
+        .told
+        .iter()
+        .filter(|told| matches!(told, (_, 0, LinkOutput::Changed { state: LinkState::Down, .. })));
+    assert_eq!(downs.count(), 1);
+}
+
+#[test]
+fn an_observer_that_stood_still_suspects_nobody() {
+    let mut cable = running();
+
+    cable.ends[0].handle_timeout(at(5000));
+
+    assert_eq!(cable.ends[0].state(), LinkState::Up);
+    assert!(cable.ends[0].poll_timeout().unwrap() > at(5000));
+    cable.ends[0].handle_timeout(at(5010));
+    cable.ends[0].handle_timeout(at(5020));
+    assert_eq!(cable.ends[0].state(), LinkState::Up);
+    cable.ends[0].handle_timeout(at(5025));
+    assert_eq!(cable.ends[0].state(), LinkState::Down, "silent after the stall, too");
+}
+
+#[test]
+fn a_link_that_its_transport_gives_up_is_down_at_once() {
+    let mut cable = running();
+
+    cable.ends[0].handle_loss(at(100));
+
+    assert_eq!(cable.ends[0].state(), LinkState::Down);
+}
+
+#[test]
+fn data_passes_only_while_the_link_carries() {
+    let mut cable = Cable::new(config("left", 1), config("right", 1));
+    let packet = Frame::Data(Bytes::from_static(b"packet")).encode();
+
+    cable.ends[0].handle_packet(Bytes::from_static(b"too early"));
+    cable.ends[0].handle_frame(packet.clone(), at(0));
+    assert_eq!(cable.ends[0].refusals().unexpected, 2);
+
+    let mut cable = running();
+    cable.ends[0].handle_frame(packet, at(100));
+    let packet = LinkOutput::Packet(Bytes::from_static(b"packet"));
+    assert_eq!(cable.ends[0].poll_output(), Some(packet));
+}
+
+#[test]
+fn a_stranger_a_namesake_and_a_foreign_release_are_refused_and_told_once() {
+    let mut link = Link::new(
+        LinkConfig { expected: Some(NodeName::new("arm").unwrap()), ..config("base", 7) },
+        at(0),
+    );
+    let hello = |name: &str| {
+        let node = NodeName::new(name).unwrap();
+        let incarnation = Incarnation(1);
+        Frame::Hello(Hello { node, incarnation, sequence: 1, interval_us: 10_000, echo: None })
+            .encode()
+    };
+
+    for _ in 0..3 {
+        link.handle_frame(hello("leg"), at(1));
+    }
+    link.handle_frame(hello("base"), at(2));
+    link.handle_frame(Bytes::from_static(&[0xb9, 0]), at(3));
+
+    let node = |name| NodeName::new(name).unwrap();
+    let (expected, found) = (node("arm"), node("leg"));
+    let wrong = LinkRefusal::WrongNeighbour { expected, found };
+    assert_eq!(link.poll_output(), Some(LinkOutput::Refused(wrong)));
+    let namesake = LinkRefusal::NameTaken { node: node("base") };
+    assert_eq!(link.poll_output(), Some(LinkOutput::Refused(namesake)));
+    assert_eq!(link.poll_output(), None);
+    assert_eq!((link.refusals().unexpected, link.refusals().version), (4, 1));
+}
+
+#[test]
+fn a_link_that_loses_too_much_is_degraded_until_it_is_much_better() {
+    let mut cable = running();
+    let mut number = 0;
+    let mut lossy = |cable: &mut Cable, lost_of_ten: u64, rounds: u64| {
+        for _ in 0..rounds * 10 {
+            number += 1;
+            cable.cut = [false, number % 10 < lost_of_ten];
+            cable.run_until(cable.now + 10);
+        }
+    };
+
+    lossy(&mut cable, 2, 8);
+    assert!(cable.ends[0].quality().degraded);
+    lossy(&mut cable, 0, 8);
+
+    assert!(!cable.ends[0].quality().degraded);
+    let told = cable.told.iter().filter(|told| matches!(told.2, LinkOutput::Quality(_)));
+    assert_eq!(told.count(), 2);
+}

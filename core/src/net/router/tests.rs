@@ -1,0 +1,305 @@
+//! A router among neighbours that the test speaks for.
+
+use super::*;
+use crate::net::link::Neighbour;
+
+const FIRST: LinkNumber = LinkNumber(0);
+const SECOND: LinkNumber = LinkNumber(1);
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+fn named(name: &str) -> NodeName {
+    NodeName::new(name).unwrap()
+}
+
+fn id(name: &str) -> NodeId {
+    NodeId::of(&named(name))
+}
+
+/// Whoever tests speaks for the neighbours.
+fn router() -> Router {
+    Router::new(RouterConfig::new(named("own"), Incarnation(1)), at(1000))
+}
+
+fn up(neighbour: &str, cost: u16) -> LinkStatus {
+    let neighbour = Neighbour { node: named(neighbour), incarnation: Incarnation(1) };
+    LinkStatus { neighbour, health: Health::Up, cost, mtu: 1400 }
+}
+
+fn advertisement(node: &str, sequence: u32, edges: &[(&str, u16)]) -> Advertisement {
+    let stamp = Stamp { origin: id(node), incarnation: Incarnation(1), sequence };
+    let edge = |(to, cost): &(&str, u16)| Edge { to: id(to), cost: *cost, mtu: 1400 };
+    Advertisement { stamp, node: named(node), edges: edges.iter().map(edge).collect() }
+}
+
+fn tell(router: &mut Router, link: LinkNumber, told: Advertisement, now: u64) {
+    router.handle_routing(link, Routing::Announce(vec![told]).encode(), at(now));
+}
+
+fn outputs(router: &mut Router, now: u64) -> Vec<RouterOutput> {
+    router.handle_timeout(at(now));
+    std::iter::from_fn(|| router.poll_output()).collect()
+}
+
+fn without_routing(outputs: Vec<RouterOutput>) -> Vec<RouterOutput> {
+    outputs.into_iter().filter(|o| !matches!(o, RouterOutput::Routing { .. })).collect()
+}
+
+fn announced(outputs: &[RouterOutput], link: LinkNumber) -> Vec<Advertisement> {
+    let bytes = outputs.iter().filter_map(|output| match output {
+        RouterOutput::Routing { link: on, bytes } if *on == link => Some(bytes.clone()),
+        _ => None,
+    });
+    bytes
+        .filter_map(|bytes| match Routing::decode(bytes) {
+            Ok(Routing::Announce(told)) => Some(told),
+            _ => None,
+        })
+        .flatten()
+        .collect()
+}
+
+/// Two ways to `far`, over `left` and over `right`; `left` is cheaper.
+fn between_two() -> Router {
+    let mut router = router();
+    router.handle_link(FIRST, up("left", 1), at(1000));
+    router.handle_link(SECOND, up("right", 5), at(1000));
+    tell(&mut router, FIRST, advertisement("left", 1, &[("own", 1), ("far", 1)]), 1000);
+    tell(&mut router, SECOND, advertisement("right", 1, &[("own", 5), ("far", 1)]), 1000);
+    tell(&mut router, FIRST, advertisement("far", 1, &[("left", 1), ("right", 1)]), 1000);
+    let reached = without_routing(outputs(&mut router, 1010));
+    assert_eq!(reached.len(), 3, "{reached:?}");
+    router
+}
+
+fn packet_to(destination: &str, hops: u8) -> Packet {
+    let payload = Payload::Segment(Bytes::from_static(b"segment"));
+    let (destination, source) = (id(destination), id("source"));
+    Packet { class: Class::Data, hops, destination, source, payload }
+}
+
+fn over(output: Option<RouterOutput>) -> Option<LinkNumber> {
+    match output {
+        Some(RouterOutput::Packet { link, .. }) => Some(link),
+        _ => None,
+    }
+}
+
+#[test]
+fn the_alternate_is_known_ahead_and_taken_without_any_computation() {
+    let mut router = between_two();
+    let route = router.route(id("far")).unwrap();
+    assert_eq!((route.next, route.alternate, route.cost), (FIRST, Some(SECOND), 2));
+    let segment = || Bytes::from_static(b"segment");
+    router.handle_segment(id("far"), Class::Data, segment());
+    assert_eq!(over(router.poll_output()), Some(FIRST));
+
+    let suspect = LinkStatus { health: Health::Suspect, ..up("left", 1) };
+    router.handle_link(FIRST, suspect, at(1020));
+
+    let changed = RouterOutput::PathChanged { node: id("far"), mtu: 1389 };
+    let told: Vec<_> = std::iter::from_fn(|| router.poll_output()).collect();
+    assert!(told.contains(&changed), "{told:?}");
+    router.handle_segment(id("far"), Class::Data, segment());
+    assert_eq!(over(router.poll_output()), Some(SECOND));
+}
+
+#[test]
+fn a_way_that_would_lead_back_is_no_alternate() {
+    let mut router = router();
+    router.handle_link(FIRST, up("left", 1), at(1000));
+    router.handle_link(SECOND, up("right", 1), at(1000));
+    // What `right` sends to `left` it sends through us.
+    tell(&mut router, FIRST, advertisement("left", 1, &[("own", 1)]), 1000);
+    tell(&mut router, SECOND, advertisement("right", 1, &[("own", 1)]), 1000);
+    outputs(&mut router, 1010);
+
+    assert_eq!(router.route(id("left")).unwrap().alternate, None);
+}
+
+#[test]
+fn an_edge_counts_only_if_both_ends_announce_it() {
+    let mut router = router();
+    router.handle_link(FIRST, up("left", 1), at(1000));
+    tell(&mut router, FIRST, advertisement("left", 1, &[("own", 1), ("far", 1)]), 1000);
+    tell(&mut router, FIRST, advertisement("far", 1, &[]), 1000);
+    outputs(&mut router, 1010);
+    assert!(router.route(id("far")).is_none());
+
+    tell(&mut router, FIRST, advertisement("far", 2, &[("left", 1)]), 1020);
+    let told = without_routing(outputs(&mut router, 1030));
+
+    assert!(matches!(&told[..], [RouterOutput::Reachable { node, .. }] if *node == named("far")));
+}
+
+#[test]
+fn a_packet_is_passed_on_with_one_hop_less_and_never_back() {
+    let mut router = between_two();
+
+    router.handle_packet(SECOND, packet_to("far", 3).encode(), at(1020));
+    let Some(RouterOutput::Packet { link: FIRST, packet }) = router.poll_output() else {
+        panic!("it goes on over the cheaper way");
+    };
+    assert_eq!(Packet::decode(packet).unwrap().hops, 2);
+
+    router.handle_packet(FIRST, packet_to("far", 3).encode(), at(1020));
+    assert_eq!(over(router.poll_output()), Some(SECOND), "never back to where it came from");
+}
+
+#[test]
+fn what_cannot_be_delivered_comes_back_with_the_reason() {
+    let mut router = between_two();
+    // The source is the node called right.
+    let from_right = |destination, hops| {
+        let packet = Packet { source: id("right"), ..packet_to(destination, hops) };
+        packet.encode()
+    };
+    let check = |router: &mut Router, expected| {
+        let Some(RouterOutput::Packet { packet, .. }) = router.poll_output() else {
+            panic!("nothing came back");
+        };
+        let Ok(Packet { destination, payload: Payload::Return { reason, .. }, .. }) =
+            Packet::decode(packet)
+        else {
+            panic!("it is no return");
+        };
+        assert_eq!((destination, reason), (id("right"), expected));
+    };
+
+    router.handle_packet(SECOND, from_right("nowhere", 5), at(1020));
+    check(&mut router, Undelivered::NoRoute);
+    router.handle_packet(SECOND, from_right("far", 0), at(1020));
+    check(&mut router, Undelivered::TooManyHops);
+    router.handle_segment(id("nowhere"), Class::Data, Bytes::new());
+    let (destination, reason) = (id("nowhere"), Undelivered::NoRoute);
+    let undelivered = RouterOutput::Undelivered { destination, reason };
+    assert_eq!(router.poll_output(), Some(undelivered));
+    router.handle_segment(id("far"), Class::Data, Bytes::from(vec![0; 1400]));
+    let (destination, reason) = (id("far"), Undelivered::TooLarge);
+    let undelivered = RouterOutput::Undelivered { destination, reason };
+    assert_eq!(router.poll_output(), Some(undelivered));
+    // A return that cannot be delivered is not returned again.
+    let payload = Payload::Return { destination: id("far"), reason: Undelivered::NoRoute };
+    let returned = Packet { payload, ..packet_to("nowhere", 3) };
+    router.handle_packet(SECOND, returned.encode(), at(1020));
+    assert_eq!(router.poll_output(), None);
+}
+
+#[test]
+fn news_is_passed_on_at_once_and_repeated_until_confirmed() {
+    let mut router = between_two();
+    let news = advertisement("far", 2, &[("left", 1)]);
+
+    tell(&mut router, FIRST, news.clone(), 1020);
+    assert_eq!(announced(&outputs(&mut router, 1020), SECOND), vec![news.clone()]);
+    let again = outputs(&mut router, 1065);
+    assert!(announced(&again, SECOND).contains(&news));
+
+    let stamps = vec![news.stamp];
+    let confirm = Routing::Have { range: None, stamps };
+    router.handle_routing(SECOND, confirm.encode(), at(1070));
+    let later = outputs(&mut router, 1200);
+    assert!(!announced(&later, SECOND).contains(&news));
+}
+
+#[test]
+fn old_news_is_answered_with_newer_news() {
+    let mut router = between_two();
+    tell(&mut router, FIRST, advertisement("far", 5, &[("left", 1)]), 1020);
+    outputs(&mut router, 1030);
+
+    tell(&mut router, SECOND, advertisement("far", 4, &[]), 1040);
+
+    let answer = announced(&outputs(&mut router, 1040), SECOND);
+    assert_eq!(
+        answer.iter().find(|told| told.stamp.origin == id("far")).unwrap().stamp.sequence,
+        5
+    );
+    assert!(router.refusals().stale >= 1);
+}
+
+#[test]
+fn what_a_neighbour_lacks_is_seen_in_its_list_and_sent() {
+    let mut router = between_two();
+    outputs(&mut router, 1030);
+
+    let range = Some((NodeId(0), NodeId(u32::MAX)));
+    let nothing = Routing::Have { range, stamps: vec![] };
+    router.handle_routing(SECOND, nothing.encode(), at(1031));
+
+    let sent = announced(&outputs(&mut router, 1031), SECOND);
+    let mut origins: Vec<_> = sent.iter().map(|told| told.node.as_str()).collect();
+    origins.sort();
+    assert_eq!(origins, ["far", "left", "own", "right"]);
+}
+
+#[test]
+fn a_node_that_nobody_repeats_is_forgotten() {
+    let mut router = between_two();
+    for now in (2000..60_000).step_by(1000) {
+        let sequence = now as u32;
+        let left = advertisement("left", sequence, &[("own", 1), ("far", 1)]);
+        let right = advertisement("right", sequence, &[("own", 5), ("far", 1)]);
+        tell(&mut router, FIRST, left, now);
+        tell(&mut router, SECOND, right, now);
+        outputs(&mut router, now);
+    }
+    assert!(router.route(id("far")).is_none());
+    assert!(router.route(id("left")).is_some());
+}
+
+#[test]
+fn a_restarted_node_is_told_with_its_new_life() {
+    let mut router = between_two();
+    let mut reborn = advertisement("far", 1, &[("left", 1), ("right", 1)]);
+    reborn.stamp.incarnation = Incarnation(2);
+
+    tell(&mut router, FIRST, reborn, 1020);
+
+    let told = without_routing(outputs(&mut router, 1030));
+    let (node, incarnation) = (named("far"), Incarnation(2));
+    assert_eq!(told, [RouterOutput::Reachable { node, incarnation, mtu: 1389 }]);
+}
+
+#[test]
+fn a_router_built_anew_counts_on_and_tells_what_it_cannot_find_again() {
+    let config = RouterConfig::new(named("own"), Incarnation(1));
+    let reached = ["left", "gone"].map(|node| (named(node), Incarnation(1)));
+    let mut router = Router::reborn(config, reached, at(1000));
+    router.handle_link(FIRST, up("left", 1), at(1000));
+
+    // The neighbour still holds what the old router said.
+    tell(&mut router, FIRST, advertisement("own", 57, &[("left", 1)]), 1001);
+
+    let told = announced(&outputs(&mut router, 1010), FIRST);
+    assert_eq!(told.last().unwrap().stamp.sequence, 58);
+    let lost = without_routing(outputs(&mut router, 2100));
+    let (node, incarnation) = (named("gone"), Incarnation(1));
+    assert_eq!(lost, [RouterOutput::Lost { node, incarnation }]);
+}
+
+#[test]
+fn a_second_node_of_our_name_is_told_once() {
+    let mut router = between_two();
+    let mut usurper = advertisement("own", 1, &[]);
+    usurper.stamp.incarnation = Incarnation(9);
+
+    for now in [1020, 1030, 1040] {
+        tell(&mut router, FIRST, usurper.clone(), now);
+    }
+
+    let told = without_routing(outputs(&mut router, 1050));
+    assert_eq!(told, [RouterOutput::NameTaken { incarnation: Incarnation(9) }]);
+}
+
+#[test]
+fn a_link_that_cannot_carry_an_advertisement_is_not_used() {
+    let mut router = router();
+    let narrow = LinkStatus { mtu: MTU_MIN - 1, ..up("left", 1) };
+
+    router.handle_link(FIRST, narrow, at(1000));
+
+    assert_eq!(outputs(&mut router, 1010), []);
+}

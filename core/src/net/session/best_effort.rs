@@ -1,0 +1,85 @@
+//! Messages that are sent once, if at all: of one channel, the newest that arrives counts.
+
+use super::assembly::{Assembly, pieces_of};
+use crate::Instant;
+use crate::net::segment::Datagram;
+use bytes::Bytes;
+use std::collections::BTreeMap;
+
+/// The bytes that a datagram puts before its payload, at most.
+const DATAGRAM_HEADER: usize = 28;
+
+/// Both directions of all channels of one session.
+#[derive(Debug)]
+pub(crate) struct BestEffort {
+    /// The last number used, by channel.
+    sent: BTreeMap<u32, u64>,
+    /// The newest that was delivered, by channel.
+    delivered: BTreeMap<u32, u64>,
+    channels_max: usize,
+    pieces: Assembly<(u32, u64)>,
+}
+
+/// What became of a datagram.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Came {
+    /// It completes the newest message of its channel.
+    Newest(Bytes),
+    /// More pieces are to come.
+    InPart,
+    /// The message was delivered before.
+    Again,
+    /// A newer one was.
+    Overtaken,
+    /// The peer has too many channels.
+    TooMany,
+}
+
+impl BestEffort {
+    pub(crate) fn new(channels_max: usize, pieces: Assembly<(u32, u64)>) -> Self {
+        BestEffort { sent: BTreeMap::new(), delivered: BTreeMap::new(), channels_max, pieces }
+    }
+
+    /// The datagrams of one message, none larger than `room` with its header.
+    pub(crate) fn cut(
+        &mut self,
+        tag: u32,
+        channel: u32,
+        message: &Bytes,
+        room: usize,
+    ) -> impl Iterator<Item = Datagram> + use<> {
+        let sequence = self.sent.entry(channel).or_insert(0);
+        *sequence += 1;
+        let sequence = *sequence;
+        let room = room.saturating_sub(DATAGRAM_HEADER).max(1);
+        let pieces = pieces_of(message, room).into_iter();
+        pieces.map(move |(piece, payload)| Datagram { tag, channel, sequence, piece, payload })
+    }
+
+    pub(crate) fn handle(&mut self, datagram: Datagram, now: Instant) -> Came {
+        let Datagram { channel, sequence, piece, payload, .. } = datagram;
+        let full = self.delivered.len() >= self.channels_max;
+        match self.delivered.get(&channel) {
+            Some(newest) if sequence == *newest => return Came::Again,
+            Some(newest) if sequence < *newest => return Came::Overtaken,
+            None if full => return Came::TooMany,
+            _ => {}
+        }
+        let message = match piece {
+            None => Some(payload),
+            Some(piece) => self.pieces.handle((channel, sequence), piece, payload, now),
+        };
+        match message {
+            Some(message) => {
+                self.delivered.insert(channel, sequence);
+                Came::Newest(message)
+            }
+            None => Came::InPart,
+        }
+    }
+
+    /// Messages that were never finished.
+    pub(crate) fn unfinished(&self) -> u64 {
+        self.pieces.given_up
+    }
+}

@@ -1,0 +1,65 @@
+//! How a session behaves.
+
+use crate::{Incarnation, NodeName};
+use std::time::Duration;
+
+/// How a session behaves.
+#[derive(Clone, Debug)]
+pub struct SessionConfig {
+    /// Our own name.
+    pub node: NodeName,
+    /// Our own life.
+    pub incarnation: Incarnation,
+    /// The peer's name.
+    pub peer: NodeName,
+    /// Sessions of this machine are numbered above this. A machine that is built anew within one life
+    /// of its node must be given a greater number than the one before ever used.
+    pub number: u32,
+    /// How long the peer may owe an answer, or be without a path, before the session ends. Longer
+    /// rides out longer outages; shorter gives messages back sooner.
+    pub patience: Duration,
+    /// The most bytes of one message. Bounds what a peer can make us collect.
+    pub message_max: usize,
+    /// The bytes that should wait or be unacknowledged in one stream at most. Beyond, senders are
+    /// told to stop; at twice as many, messages are refused.
+    pub buffer_bytes: usize,
+    /// The number of messages, likewise.
+    pub buffer_messages: usize,
+    /// How many parts of a stream may be on their way, and may arrive ahead of their turn.
+    pub window: u32,
+    /// The largest part in bytes, however large the path's frames are: a full window of parts should
+    /// fit into the buffers of the sockets on the way.
+    pub part_max: usize,
+    /// How long an acknowledgement may wait for something to travel with.
+    pub ack_delay: Duration,
+    /// The shortest time after which silence is taken for loss.
+    pub retransmit_min: Duration,
+    /// The longest.
+    pub retransmit_max: Duration,
+    /// The most best-effort channels of the peer that are remembered.
+    pub channels_max: usize,
+}
+
+impl SessionConfig {
+    /// The usual behaviour between these two.
+    pub fn new(node: NodeName, incarnation: Incarnation, peer: NodeName) -> Self {
+        SessionConfig {
+            node,
+            incarnation,
+            peer,
+            number: 0,
+            patience: Duration::from_secs(2),
+            message_max: 1 << 20,
+            // Four of the largest messages, or a second of 1 kB at 4 kHz.
+            buffer_bytes: 4 << 20,
+            buffer_messages: 4096,
+            window: 256,
+            part_max: 8 * 1024,
+            ack_delay: Duration::from_millis(2),
+            // Ten times the delay of acknowledgements.
+            retransmit_min: Duration::from_millis(20),
+            retransmit_max: Duration::from_millis(500),
+            channels_max: 1024,
+        }
+    }
+}

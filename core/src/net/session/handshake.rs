@@ -1,0 +1,148 @@
+//! How a session begins and ends.
+
+use super::{Peer, Session, SessionOutput, State, VERSION, tag};
+use crate::net::packet::Class;
+use crate::net::segment::{Open, Segment};
+use crate::net::wire::WireError;
+use crate::{Incarnation, Why};
+
+impl Session {
+    pub(super) fn open(&mut self, peer: Option<Peer>) {
+        self.number = self.number.saturating_add(1);
+        self.tag = tag::tag(&self.config, self.number);
+        let pause = self.config.retransmit_min;
+        self.state = State::Opening { peer, again_at: self.now, pause };
+        self.say_open();
+    }
+
+    pub(super) fn say_open(&mut self) {
+        let State::Opening { peer, pause, .. } = self.state else { return };
+        // Grows by half each time, up to the longest retransmission.
+        let next = (pause * 3 / 2).min(self.config.retransmit_max);
+        self.state = State::Opening { peer, again_at: self.now + pause, pause: next };
+        self.tell_open(peer.map_or(0, |peer| peer.tag));
+    }
+
+    pub(super) fn tell_open(&mut self, echo: u32) {
+        let (tag, number) = (self.tag, self.number);
+        let incarnation = self.config.incarnation;
+        let open = Open { version: VERSION, tag, echo, incarnation, number };
+        self.transmit(Class::Control, Segment::Open(open));
+    }
+
+    pub(super) fn handle_open(&mut self, open: Open) {
+        if open.version != VERSION {
+            let theirs = open.version;
+            if self.refusals.version == 0 {
+                self.outputs.push_back(SessionOutput::Incompatible { theirs });
+            }
+            self.refusals.count(&WireError::Version { theirs, ours: VERSION });
+            return;
+        }
+        let key = (open.incarnation, open.number);
+        if key < self.newest {
+            self.refusals.stale += 1;
+            return;
+        }
+        let theirs = Peer { incarnation: open.incarnation, number: open.number, tag: open.tag };
+        if key > self.newest {
+            self.newest = key;
+            self.end_with_old_peer(open.incarnation);
+        }
+        match self.state {
+            State::Idle if self.path.is_some() => self.open(Some(theirs)),
+            State::Idle | State::Closed => {}
+            State::Opening { again_at, pause, .. } => {
+                if open.echo == self.tag {
+                    self.begin(theirs);
+                    self.acknowledge();
+                } else {
+                    self.state = State::Opening { peer: Some(theirs), again_at, pause };
+                    self.say_open();
+                }
+            }
+            State::Open { peer } | State::Closing { peer, .. } if peer != theirs => {
+                // One session of the peer's has one tag.
+                self.refusals.unexpected += 1;
+            }
+            State::Open { .. } | State::Closing { .. } => {
+                if open.echo == self.tag {
+                    self.heard();
+                    self.acknowledge();
+                } else {
+                    self.tell_open(theirs.tag);
+                }
+            }
+        }
+    }
+
+    /// The peer has a newer session, or a newer life: what we had with the old one is over.
+    pub(super) fn end_with_old_peer(&mut self, incarnation: Incarnation) {
+        match self.state {
+            State::Open { peer } | State::Closing { peer, .. } => {
+                let why = if peer.incarnation < incarnation {
+                    Why::PeerDied { incarnation: peer.incarnation }
+                } else {
+                    self.unreachable()
+                };
+                self.end(why);
+            }
+            // A new tag: the old peer may have been told the present one.
+            State::Opening { peer: Some(_), .. } => self.open(None),
+            _ => {}
+        }
+    }
+
+    pub(super) fn begin(&mut self, peer: Peer) {
+        self.state = State::Open { peer };
+        self.heard();
+        self.outputs.push_back(SessionOutput::Opened { incarnation: peer.incarnation });
+    }
+
+    pub(super) fn handle_reset(&mut self, tag: u32) {
+        match self.state {
+            State::Open { peer } | State::Closing { peer, .. } if peer.tag == tag => {
+                self.end(self.unreachable());
+            }
+            _ => self.refusals.stale += 1,
+        }
+    }
+
+    pub(super) fn close_when_done(&mut self) {
+        if let State::Closing { peer, again_at: None, tries: 0 } = self.state
+            && self.streams.iter().all(|stream| stream.outbound.is_empty())
+        {
+            let again_at = Some(self.now + self.trip.timeout());
+            self.state = State::Closing { peer, again_at, tries: 1 };
+            self.transmit(Class::Control, Segment::Close { tag: peer.tag });
+        }
+    }
+
+    pub(super) fn repeat_close(&mut self, peer: Peer, tries: u32) {
+        if tries > Self::CLOSE_TRIES {
+            return self.end(Why::Stopped);
+        }
+        self.trip.back_off();
+        let again_at = Some(self.now + self.trip.timeout());
+        self.state = State::Closing { peer, again_at, tries: tries + 1 };
+        self.transmit(Class::Control, Segment::Close { tag: peer.tag });
+    }
+
+    pub(super) fn handle_peers_close(&mut self) {
+        let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
+        self.transmit(Class::Control, Segment::Closed { tag: peer.tag });
+        // The peer's next session, if there is one, has a greater number.
+        self.newest = self.newest.max((peer.incarnation, peer.number.saturating_add(1)));
+        self.end(Why::Stopped);
+        if let State::Opening { .. } = self.state {
+            // It will not answer until it lives again: the router, or its own open, will tell.
+            self.state = State::Idle;
+        }
+    }
+
+    pub(super) fn handle_closed(&mut self) {
+        if let State::Closing { tries: 1.., .. } = self.state {
+            self.end(Why::Stopped);
+        }
+    }
+}

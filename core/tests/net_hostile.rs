@@ -1,0 +1,286 @@
+//! Bytes from outside: garbage, and messages that were true once and were changed on the way. Nothing
+//! panics, everything is counted, and nothing grows without bound.
+
+use blastema_core::net::advertisement::{Advertisement, Edge, Routing, Stamp};
+use blastema_core::net::exchange::ExchangeOutput;
+use blastema_core::net::frame::{Echo, Frame, Hello};
+use blastema_core::net::link::LinkConfig;
+use blastema_core::net::message::Message;
+use blastema_core::net::packet::{Packet, Payload};
+use blastema_core::net::router::{Health, LinkStatus};
+use blastema_core::net::segment::{Ack, Data, Datagram, Open, Piece, Segment, Stream};
+use blastema_core::net::{
+    Class, Exchange, Link, LinkNumber, Neighbour, NodeId, Router, RouterConfig, Session,
+    SessionConfig, SessionOutput,
+};
+use blastema_core::{Incarnation, Instant, Machine, NodeName};
+use bytes::Bytes;
+use proptest::collection::vec;
+use proptest::prelude::*;
+
+fn name(name: &str) -> NodeName {
+    NodeName::new(name).unwrap()
+}
+
+fn drain<M: Machine>(machine: &mut M) -> Vec<M::Output> {
+    std::iter::from_fn(|| machine.poll_output()).collect()
+}
+
+/// Whole messages of every layer, as a peer might send them.
+fn genuine() -> Vec<Bytes> {
+    let hello = Hello {
+        node: name("peer"),
+        incarnation: Incarnation(1),
+        sequence: 7,
+        interval_us: 10_000,
+        echo: Some(Echo { incarnation: Incarnation(1), sequence: 1, held_us: 5 }),
+    };
+    let stamp =
+        Stamp { origin: NodeId::of(&name("peer")), incarnation: Incarnation(1), sequence: 2 };
+    let edges = vec![Edge { to: NodeId::of(&name("own")), cost: 1, mtu: 1400 }];
+    let announce = Routing::Announce(vec![Advertisement { stamp, node: name("peer"), edges }]);
+    let range = Some((NodeId(0), NodeId(u32::MAX)));
+    let have = Routing::Have { range, stamps: vec![stamp] };
+    let ack = Ack { next: 0, window: 100, ranges: vec![(2, 3)] };
+    let payload = Bytes::from_static(b"\x05hello");
+    let data = Data {
+        tag: 1,
+        stream: Stream::Data,
+        sequence: 0,
+        first: true,
+        last: true,
+        piece: Some(Piece { index: 0, count: 2 }),
+        ack: Some(ack.clone()),
+        payload: payload.clone(),
+    };
+    let open = Open { version: 1, tag: 9, echo: 0, incarnation: Incarnation(1), number: 1 };
+    let segment = Segment::Data(data).encode();
+    let packet = Packet {
+        class: Class::Data,
+        hops: 3,
+        destination: NodeId::of(&name("own")),
+        source: NodeId::of(&name("peer")),
+        payload: Payload::Segment(segment.clone()),
+    };
+    let names = Message::Names { complete: true, added: vec![], removed: vec![] };
+    let datagram =
+        Datagram { tag: 1, channel: 1, sequence: 1, piece: None, payload: payload.clone() };
+    vec![
+        Frame::Hello(hello).encode(),
+        Frame::Data(packet.encode()).encode(),
+        Frame::Routing(announce.encode()).encode(),
+        announce.encode(),
+        have.encode(),
+        packet.encode(),
+        segment,
+        Segment::Open(open).encode(),
+        Segment::Datagram(datagram).encode(),
+        Segment::Acknowledge { tag: 1, control: None, data: Some(ack) }.encode(),
+        Segment::Reset { tag: 1 }.encode(),
+        Message::Request { binding: 1, call: 1, id: None, payload: payload.clone() }.encode(),
+        Message::Event { subscription: 1, payload }.encode(),
+        names.encode(),
+    ]
+}
+
+/// Garbage, or something genuine with a few bytes changed and its end cut off or doubled.
+fn hostile() -> impl Strategy<Value = Bytes> {
+    let changed = (0..genuine().len(), vec((any::<usize>(), any::<u8>()), 0..4), 0..4usize);
+    let changed = changed.prop_map(|(which, changes, end)| {
+        let mut bytes = genuine()[which].to_vec();
+        for (at, byte) in changes {
+            let at = at % bytes.len();
+            bytes[at] = byte;
+        }
+        match end {
+            0 => bytes.truncate(bytes.len() / 2),
+            1 => bytes.extend_from_within(..),
+            _ => {}
+        }
+        Bytes::from(bytes)
+    });
+    prop_oneof![vec(any::<u8>(), 0..200).prop_map(Bytes::from), changed]
+}
+
+fn link() -> Link {
+    let config = LinkConfig::new(name("own"), Incarnation(1));
+    Link::new(config, Instant::from_millis(1000))
+}
+
+fn router() -> Router {
+    let config = RouterConfig { nodes_max: 8, ..RouterConfig::new(name("own"), Incarnation(1)) };
+    let mut router = Router::new(config, Instant::ORIGIN);
+    let neighbour = Neighbour { node: name("peer"), incarnation: Incarnation(1) };
+    let status = LinkStatus { neighbour, health: Health::Up, cost: 1, mtu: 1400 };
+    router.handle_link(LinkNumber(0), status, Instant::ORIGIN);
+    router
+}
+
+/// A session that is open, and its own tag.
+fn session() -> (Session, u32) {
+    let config = SessionConfig {
+        channels_max: 4,
+        message_max: 1000,
+        ..SessionConfig::new(name("own"), Incarnation(1), name("peer"))
+    };
+    let mut session = Session::new(config, Instant::ORIGIN);
+    session.handle_path(1400, Instant::ORIGIN);
+    let outputs = drain(&mut session);
+    let [SessionOutput::Transmit { segment, .. }] = &outputs[..] else { panic!("{outputs:?}") };
+    let Ok(Segment::Open(Open { tag, .. })) = Segment::decode(segment.clone()) else {
+        panic!("it says who it is first");
+    };
+    let answer = Open { version: 1, tag: 9, echo: tag, incarnation: Incarnation(1), number: 1 };
+    session.handle_segment(Segment::Open(answer).encode(), Instant::ORIGIN);
+    assert_eq!(session.peer(), Some(Incarnation(1)));
+    (session, tag)
+}
+
+proptest! {
+    #[test]
+    fn no_bytes_panic_a_decoder_and_what_is_understood_comes_back_the_same(bytes in hostile()) {
+        if let Ok(frame) = Frame::decode(bytes.clone()) {
+            prop_assert_eq!(Frame::decode(frame.encode()), Ok(frame));
+        }
+        if let Ok(packet) = Packet::decode(bytes.clone()) {
+            prop_assert_eq!(Packet::decode(packet.encode()), Ok(packet));
+        }
+        if let Ok(routing) = Routing::decode(bytes.clone()) {
+            prop_assert_eq!(Routing::decode(routing.encode()), Ok(routing));
+        }
+        if let Ok(segment) = Segment::decode(bytes.clone()) {
+            prop_assert_eq!(Segment::decode(segment.encode()), Ok(segment));
+        }
+        if let Ok(message) = Message::decode(bytes) {
+            prop_assert_eq!(Message::decode(message.encode()), Ok(message));
+        }
+    }
+
+    #[test]
+    fn no_frames_panic_a_link(frames in vec(hostile(), 0..30)) {
+        let mut link = link();
+        for (n, frame) in frames.into_iter().enumerate() {
+            let now = Instant::from_millis(1000 + n as u64);
+            link.handle_frame(frame, now);
+            link.handle_timeout(now);
+            prop_assert!(drain(&mut link).len() <= 4);
+        }
+    }
+
+    #[test]
+    fn no_frames_panic_a_router_or_make_it_know_too_many(frames in vec(hostile(), 0..30)) {
+        let mut router = router();
+        for (n, frame) in frames.into_iter().enumerate() {
+            let now = Instant::from_millis(n as u64);
+            router.handle_routing(LinkNumber(0), frame.clone(), now);
+            router.handle_packet(LinkNumber(0), frame, now);
+            router.handle_timeout(now);
+            drain(&mut router);
+        }
+        prop_assert!(router.routes().count() <= 9);
+    }
+
+    #[test]
+    fn no_segments_panic_a_session(segments in vec(hostile(), 0..30), known in any::<bool>()) {
+        let (mut session, tag) = session();
+        for (n, segment) in segments.into_iter().enumerate() {
+            let now = Instant::from_millis(n as u64);
+            let mut segment = segment.to_vec();
+            // As if an attacker, or an error, knew the session's tag.
+            if known && segment.len() >= 5 {
+                segment[1..5].copy_from_slice(&tag.to_be_bytes());
+            }
+            session.handle_segment(segment.into(), now);
+            session.handle_timeout(now);
+            for output in drain(&mut session) {
+                if let SessionOutput::Message { message, .. } = output {
+                    prop_assert!(message.len() <= 1000);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn no_messages_panic_an_exchange(messages in vec(hostile(), 0..30)) {
+        let mut exchange = Exchange::default();
+        let peer = NodeId(1);
+        exchange.handle_opened(peer);
+        for message in messages {
+            exchange.handle_message(peer, message);
+            while let Some(output) = exchange.poll_output() {
+                let answers = matches!(output, ExchangeOutput::Resolve { .. });
+                prop_assert!(!answers, "nothing was asked");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_flood_of_invented_nodes_is_refused_beyond_the_limit() {
+    let mut router = router();
+    for n in 0..1000 {
+        let node = name(&format!("n{n}"));
+        let stamp = Stamp { origin: NodeId::of(&node), incarnation: Incarnation(1), sequence: 1 };
+        let edges = vec![Edge { to: NodeId::of(&name("peer")), cost: 1, mtu: 1400 }];
+        let announce = Routing::Announce(vec![Advertisement { stamp, node, edges }]);
+        router.handle_routing(LinkNumber(0), announce.encode(), Instant::ORIGIN);
+        router.handle_timeout(Instant::ORIGIN);
+        drain(&mut router);
+    }
+    assert_eq!(router.refusals().too_large, 992);
+    router.handle_timeout(Instant::from_millis(10));
+    // None of them is believed: nobody else says that it has a link to them.
+    assert_eq!(router.routes().count(), 1);
+}
+
+#[test]
+fn a_peer_that_never_finishes_a_message_costs_no_more_than_its_bound() {
+    let (mut session, tag) = session();
+    for n in 0..100_000u64 {
+        let datagram = Datagram {
+            tag,
+            channel: 1,
+            sequence: n + 1,
+            piece: Some(Piece { index: 0, count: 2 }),
+            payload: Bytes::from_static(&[0; 100]),
+        };
+        session.handle_segment(Segment::Datagram(datagram).encode(), Instant::ORIGIN);
+    }
+    assert!(session.counters().unfinished > 99_900, "{:?}", session.counters());
+}
+
+#[test]
+fn an_acknowledgement_of_what_was_never_sent_is_refused_and_an_absurd_window_bounded() {
+    let (mut session, tag) = session();
+    let ack = Ack { next: 5, window: u32::MAX, ranges: vec![] };
+    let lie = Segment::Acknowledge { tag, control: None, data: Some(ack) };
+    session.handle_segment(lie.encode(), Instant::ORIGIN);
+    assert_eq!(session.refusals().malformed, 1);
+
+    let ack = Ack { next: 0, window: u32::MAX, ranges: vec![] };
+    let greedy = Segment::Acknowledge { tag, control: None, data: Some(ack) };
+    session.handle_segment(greedy.encode(), Instant::ORIGIN);
+    for _ in 0..8000 {
+        let _ = session.handle_send(Stream::Data, Bytes::from_static(&[0; 1000]), Instant::ORIGIN);
+    }
+    // No more than the congestion window is on its way.
+    assert!(drain(&mut session).len() <= 64);
+}
+
+#[test]
+fn a_message_longer_than_its_limit_ends_the_session_that_announces_it() {
+    let (mut session, tag) = session();
+    let data = Data {
+        tag,
+        stream: Stream::Data,
+        sequence: 0,
+        first: true,
+        last: false,
+        piece: None,
+        ack: None,
+        payload: Bytes::from_static(b"\xff\xff\xff\x7f"),
+    };
+    session.handle_segment(Segment::Data(data).encode(), Instant::ORIGIN);
+    assert_eq!(session.peer(), None);
+    assert_eq!(session.refusals().too_large, 1);
+}

@@ -1,0 +1,85 @@
+//! A handler that does not return keeps its thread, and a thread cannot be killed. So the culprit is named
+//! and fenced off, its next life begins on another thread, and its neighbours, which stood still behind
+//! it, move there too, with what waits in their queues.
+#![allow(clippy::print_stdout, reason = "an example shows what happens")]
+
+use blastema::Turn;
+use blastema::prelude::*;
+use std::time::Duration;
+
+/// Looks for something on the map. Where there is nothing, it looks for ever.
+#[derive(Debug, Request)]
+#[contract(name = "map/search", reply = bool)]
+struct Search {
+    exists: bool,
+}
+
+struct Map;
+
+impl Component for Map {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Search>();
+    }
+}
+
+impl Handle<Search> for Map {
+    async fn handle(&mut self, search: Search, _: &mut Context<Self>) -> bool {
+        while !search.exists {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        true
+    }
+}
+
+/// Counts.
+#[derive(Debug, Request)]
+#[contract(name = "counter/count", reply = u32)]
+struct Count;
+
+#[derive(Default)]
+struct Counter {
+    count: u32,
+}
+
+impl Component for Counter {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Count>();
+    }
+}
+
+impl Handle<Count> for Counter {
+    async fn handle(&mut self, _: Count, _: &mut Context<Self>) -> u32 {
+        self.count += 1;
+        self.count
+    }
+}
+
+#[blastema::main]
+async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let node = Node::builder("module1")
+        .work_threads(1) // so that both live on one thread
+        .grace(Duration::from_millis(100))
+        .child(ChildSpec::new("map", || Map).max_block(Duration::from_millis(200)))
+        .child(ChildSpec::new("counter", Counter::default))
+        .start()
+        .await?;
+    let map: Sender<Search> = node.sender("map")?;
+    let counter: Sender<Count> = node.sender("counter")?;
+    let mut faults = node.fault_events();
+
+    println!("count {}", counter.ask(Count).await?);
+    map.tell(Search { exists: false })?;
+    let waiting = counter.ask_within(Count, Duration::from_secs(5));
+
+    while let Some(event) = faults.next().await {
+        match event.turn {
+            Turn::Found => println!("{} of {}", event.fault.kind, event.fault.place),
+            Turn::Recovered => break,
+            _ => {}
+        }
+    }
+    println!("found again: {}", map.ask(Search { exists: true }).await?);
+    println!("count {}", waiting.await?); // it had to begin anew, and has lost nothing that waited
+    println!("threads given up: {}", node.abandoned_threads());
+    Ok(())
+}

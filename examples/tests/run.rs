@@ -1,0 +1,151 @@
+//! Runs every example as its reader would, and checks what it prints.
+
+use std::io::Read;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::sync::mpsc::sync_channel;
+use std::thread;
+use std::time::Duration;
+
+/// The slowest example takes about a second; the rest is for a machine that is busy with other tests.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Where Cargo puts the example, beside the folder of this test.
+fn program(name: &str) -> PathBuf {
+    let test = std::env::current_exe().expect("a running program has a path");
+    let profile = test.ancestors().nth(2).expect("a test lies in a folder of its profile");
+    profile.join("examples").join(format!("{name}{}", std::env::consts::EXE_SUFFIX))
+}
+
+/// What the example prints until it ends, which it must do in time and well.
+fn output(name: &str) -> String {
+    let mut child = Command::new(program(name))
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap_or_else(|error| {
+            panic!("{name}: {error}; build it with `cargo build -p blastema-examples --examples`")
+        });
+    let mut stdout = child.stdout.take().expect("it was asked for");
+    let (done, printed) = sync_channel(1);
+    thread::spawn(move || {
+        let mut text = String::new();
+        let read = stdout.read_to_string(&mut text);
+        // The test may have given up by now.
+        let _ = done.send(read.map(|_| text));
+    });
+    let Ok(text) = printed.recv_timeout(PATIENCE) else {
+        child.kill().expect("it still runs");
+        panic!("{name} did not end within {PATIENCE:?}");
+    };
+    let status = child.wait().expect("it was started here");
+    let text = text.expect("examples print UTF-8");
+    assert!(status.success(), "{name} ended with {status}; it had printed:\n{text}");
+    text
+}
+
+/// The example prints these lines in this order, perhaps with others in between.
+#[track_caller]
+fn check(name: &str, expected: &[&str]) {
+    let text = output(name);
+    let mut lines = text.lines();
+    for line in expected {
+        assert!(lines.any(|printed| printed == *line), "{line:?} is missing in:\n{text}");
+    }
+}
+
+#[test]
+fn hello_outlives_the_death_of_its_laser() {
+    check(
+        "hello",
+        &[
+            "the request failed: the receiver died in its life #1 while it served this message",
+            "0.8 m",
+        ],
+    );
+}
+
+#[test]
+fn supervised_restarts_what_depends_on_the_laser_and_comes_to_rest_with_its_brakes_on() {
+    check(
+        "supervised",
+        &[
+            "laser#1 works",
+            "planner#1 works",
+            "motors#1 works",
+            "-- the laser is struck",
+            "motors#1 rests",
+            "planner#1 rests",
+            "laser#2 works",
+            "planner#2 works",
+            "motors#2 works",
+            "-- the laser is struck",
+            "motors#2 rests",
+            "planner#2 rests",
+            "brakes on: restart storm of module1",
+            "at rest: drive needed more than 0 restarts in 10s",
+        ],
+    );
+}
+
+#[test]
+fn own_strategy_regrasps_until_it_holds() {
+    check("own_strategy", &["attempt 1 at regrasp", "attempt 2 at regrasp"]);
+    check(
+        "own_strategy",
+        &[
+            "GRIPPER-SLIP of module1:gripper: Found",
+            "GRIPPER-SLIP of module1:gripper: Recovered",
+        ],
+    );
+}
+
+#[test]
+fn events_reach_those_who_want_them() {
+    check("events", &["15 %", "5 %"]);
+    // Between two topics no order is promised.
+    let mut lines: Vec<String> = output("events").lines().map(str::to_owned).collect();
+    lines.sort();
+    assert_eq!(lines, ["15 %", "5 %", "99 %"]);
+}
+
+#[test]
+fn validity_keeps_old_and_wrong_orders_from_the_motors() {
+    check(
+        "validity",
+        &[
+            "turning at 1.2 m/s",
+            "still turning at 1.2 m/s",
+            "too old: 1",
+            "check failed: speed is 9.0, and should be in 0.0..=1.5",
+            "still turning at 1.2 m/s",
+        ],
+    );
+}
+
+#[test]
+fn death_watch_tells_the_tool_changer_of_the_arm() {
+    check(
+        "death_watch",
+        &[
+            "may release: true",
+            "the request failed: the receiver died in its life #1 while it served this message",
+            "arm#1 died in arm/move: 2 m is out of reach",
+            "may release: false",
+        ],
+    );
+}
+
+#[test]
+fn flood_loses_only_what_its_queue_says() {
+    check(
+        "flood",
+        &[
+            "newest: reading 1000 was the last",
+            "newest: some gave way: true",
+            "careful: a reading came back: the receiver's queue is full",
+            "careful: it was taken when there was room",
+            "newest: removed with 0 waiting",
+        ],
+    );
+}

@@ -1,0 +1,41 @@
+//! What the README shows is what runs: its programs are compared with the files from which they come.
+
+use std::fs;
+use std::path::Path;
+
+fn file(path: &str) -> String {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the folder of the workspace");
+    fs::read_to_string(root.join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+/// The first block of Rust below a heading of the README.
+fn shown(heading: &str) -> String {
+    let readme = file("README.md");
+    let below = readme.split_once(heading).unwrap_or_else(|| panic!("no {heading:?} in README.md")).1;
+    let block = below.split_once("```rust\n").expect("a block of Rust below the heading").1;
+    block.split_once("\n```").expect("the end of the block").0.to_owned()
+}
+
+/// A file from its first line of code on: without the lines about the file itself.
+fn code_of(path: &str) -> String {
+    let text = file(path);
+    let about = |line: &&str| line.starts_with("//!") || line.starts_with("#!") || line.is_empty();
+    let lines: Vec<&str> = text.lines().skip_while(about).collect();
+    lines.join("\n")
+}
+
+#[track_caller]
+fn assert_same(shown: &str, runs: &str, cure: &str) {
+    let differs = shown.lines().zip(runs.lines()).find(|(left, right)| left != right);
+    assert!(shown == runs, "they differ, first at {differs:?}\nWhat to do: {cure}");
+}
+
+#[test]
+fn the_program_of_the_readme_is_the_example_hello() {
+    assert_same(
+        &shown("## A program"),
+        &code_of("examples/examples/hello.rs"),
+        "copy the code of examples/examples/hello.rs, from its first `use` on, into README.md below \
+         \"A program\"",
+    );
+}

@@ -1,0 +1,278 @@
+//! A component that does what the test says: strings are pulled for its hooks, requests tell it the rest.
+
+use blastema::prelude::*;
+use blastema::{Down, Incarnation, RequestError};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// What a hook does the next time that it is called.
+#[derive(Clone, Debug)]
+pub(crate) enum Pull {
+    Fail(&'static str),
+    Fatal(&'static str),
+    Panic(&'static str),
+    /// It does not return for so long.
+    Wait(Duration),
+}
+
+/// What a puppet is asked to do, while it serves the request or afterwards.
+#[derive(Clone, Debug, PartialEq, Structure)]
+pub(crate) enum Deed {
+    /// Nothing but to answer.
+    Nothing,
+    /// Panics with this text.
+    Panic(String),
+    /// Panics in a task of its own, a little later.
+    PanicInTask(String),
+    /// Panics in a timer, a little later.
+    PanicInTimer(String),
+    /// Panics with something that is no text.
+    PanicOddly,
+    /// Leaves work because of this.
+    Fail(String),
+    /// Leaves work for ever because of this.
+    FailFatally(String),
+    /// Ends this life in order.
+    Stop,
+    /// Takes so many milliseconds, without keeping the thread.
+    Await(u64),
+    /// The same, and says so before.
+    AwaitAsAnnounced(u64),
+    /// Keeps the thread for so many milliseconds.
+    Block(u64),
+    /// Declares a fault of this code.
+    Declare(String),
+    /// Finds a value out of range.
+    Check(f64),
+    /// Watches another object.
+    Watch(String),
+    /// Publishes this.
+    Publish(u32),
+    /// Asks another puppet to do nothing.
+    Consult(String),
+}
+
+/// Asks a puppet for a deed. It answers with its incarnation.
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(name = "test/do", reply = u64)]
+pub(crate) struct Do(pub(crate) Deed);
+
+/// A command that is noted in the diary.
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(name = "test/note")]
+pub(crate) struct Note(pub(crate) u32);
+
+/// What puppets publish and listen to; odd ones only.
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(name = "test/news")]
+pub(crate) struct News(pub(crate) u32);
+
+/// The test's end of all strings, and what the puppets wrote down.
+#[derive(Clone, Default)]
+pub(crate) struct Strings(Arc<Mutex<Inner>>);
+
+#[derive(Default)]
+struct Inner {
+    pulls: BTreeMap<String, VecDeque<Pull>>,
+    diary: Vec<String>,
+}
+
+impl Strings {
+    fn inner(&self) -> MutexGuard<'_, Inner> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A puppet of this name.
+    pub(crate) fn spec(&self, name: &'static str) -> ChildSpec<Puppet> {
+        let strings = self.clone();
+        ChildSpec::new(name, move || {
+            strings.act_at_once(name, "factory");
+            Puppet { name, strings: strings.clone() }
+        })
+    }
+
+    /// The next time that `hook` of the puppet `name` is called, it does this; pulled twice, the time
+    /// after that too.
+    pub(crate) fn pull(&self, name: &str, hook: &str, pull: Pull) {
+        self.inner().pulls.entry(format!("{name} {hook}")).or_default().push_back(pull);
+    }
+
+    /// What was written down since the last look, but for the rounds.
+    pub(crate) fn diary(&self) -> Vec<String> {
+        std::mem::take(&mut self.inner().diary)
+    }
+
+    /// The lines of the diary that hold this text.
+    pub(crate) fn lines(&self, text: &str) -> Vec<String> {
+        self.diary().into_iter().filter(|line| line.contains(text)).collect()
+    }
+
+    fn write(&self, line: String) {
+        self.inner().diary.push(line);
+    }
+
+    fn next(&self, name: &str, hook: &str) -> Option<Pull> {
+        self.inner().pulls.get_mut(&format!("{name} {hook}"))?.pop_front()
+    }
+
+    fn act_at_once(&self, name: &str, hook: &str) {
+        if let Some(Pull::Panic(text)) = self.next(name, hook) {
+            panic!("{text}");
+        }
+    }
+}
+
+pub(crate) struct Puppet {
+    name: &'static str,
+    strings: Strings,
+}
+
+impl Puppet {
+    async fn act(&self, hook: &'static str, life: Incarnation) -> Result<(), Failure> {
+        let Puppet { name, strings } = self;
+        if hook != "on_execute" {
+            strings.write(format!("{name}{life} {hook}"));
+        }
+        match strings.next(name, hook) {
+            None => Ok(()),
+            Some(Pull::Fail(why)) => Err(why.into()),
+            Some(Pull::Fatal(why)) => Err(Failure::fatal(why)),
+            Some(Pull::Panic(text)) => panic!("{text}"),
+            Some(Pull::Wait(span)) => {
+                tokio::time::sleep(span).await;
+                Ok(())
+            }
+        }
+    }
+}
+
+impl Drop for Puppet {
+    fn drop(&mut self) {
+        self.strings.act_at_once(self.name, "drop");
+    }
+}
+
+impl Component for Puppet {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Do>();
+        ports.accept::<Note>();
+        ports.listen::<News>().only_if(|News(n)| {
+            assert!(*n != 13, "thirteen is an unlucky number");
+            n % 2 == 1
+        });
+    }
+
+    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.act("on_initialize", cx.incarnation()).await
+    }
+    async fn on_startup(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.act("on_startup", cx.incarnation()).await
+    }
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.act("on_activated", cx.incarnation()).await
+    }
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.act("on_execute", cx.incarnation()).await
+    }
+    async fn on_deactivated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.act("on_deactivated", cx.incarnation()).await
+    }
+    async fn on_aborting(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.act("on_aborting", cx.incarnation()).await
+    }
+    async fn on_error(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.act("on_error", cx.incarnation()).await
+    }
+    async fn on_reset(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.act("on_reset", cx.incarnation()).await
+    }
+    async fn on_shutdown(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.act("on_shutdown", cx.incarnation()).await
+    }
+    async fn on_finalize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.act("on_finalize", cx.incarnation()).await
+    }
+}
+
+impl Handle<Do> for Puppet {
+    async fn handle(&mut self, Do(deed): Do, cx: &mut Context<Self>) -> u64 {
+        let soon = Duration::from_millis(10);
+        match deed {
+            Deed::Nothing => {}
+            Deed::Panic(text) => panic!("{text}"),
+            Deed::PanicInTask(text) => cx.spawn(async move {
+                tokio::time::sleep(soon).await;
+                panic!("{text}");
+            }),
+            Deed::PanicInTimer(text) => {
+                cx.after(soon, move |_, _| panic!("{text}"));
+            }
+            Deed::PanicOddly => std::panic::panic_any(42_u8),
+            Deed::Fail(why) => cx.fail(why),
+            Deed::FailFatally(why) => cx.fail(Failure::fatal(why)),
+            Deed::Stop => cx.stop(),
+            Deed::Await(ms) => tokio::time::sleep(Duration::from_millis(ms)).await,
+            Deed::AwaitAsAnnounced(ms) => {
+                let _announced = cx.long_operation(Duration::from_millis(2 * ms));
+                tokio::time::sleep(Duration::from_millis(ms)).await;
+            }
+            Deed::Block(ms) => block(Duration::from_millis(ms)),
+            Deed::Declare(code) => {
+                cx.declare_fault(FaultKind::Custom(code.as_str().into()), "as it was told");
+            }
+            Deed::Check(value) => {
+                cx.check_range("the value", &value, 0.0..=1.0);
+            }
+            Deed::Watch(name) => cx.watch(&name).expect("a good name"),
+            Deed::Publish(n) => cx.publish(News(n)),
+            Deed::Consult(name) => {
+                let other = cx.sender::<Do>(&name).expect("a puppet of this name");
+                let _ = other.ask(Do(Deed::Nothing)).await;
+            }
+        }
+        cx.incarnation().0
+    }
+}
+
+/// Keeps the thread, as a driver that waits for a device does.
+fn block(span: Duration) {
+    let (_keep, never) = std::sync::mpsc::sync_channel::<()>(0);
+    let _ = never.recv_timeout(span);
+}
+
+impl Handle<Note> for Puppet {
+    async fn handle(&mut self, Note(n): Note, cx: &mut Context<Self>) {
+        self.strings.write(format!("{}{} note {n}", self.name, cx.incarnation()));
+    }
+}
+
+impl Handle<News> for Puppet {
+    async fn handle(&mut self, News(n): News, cx: &mut Context<Self>) {
+        self.strings.write(format!("{}{} news {n}", self.name, cx.incarnation()));
+    }
+}
+
+impl Handle<Down> for Puppet {
+    async fn handle(&mut self, down: Down, cx: &mut Context<Self>) {
+        let Down { object, incarnation, ending } = down;
+        let (me, life) = (self.name, cx.incarnation());
+        self.strings.write(format!("{me}{life} mourns {object}{incarnation}: {ending:?}"));
+    }
+}
+
+/// Asks for a deed, and says which life did it.
+pub(crate) async fn ask(node: &Node, name: &str, deed: Deed) -> Result<u64, RequestError<Do>> {
+    node.sender::<Do>(name).expect("a puppet of this name").ask(Do(deed)).await
+}
+
+/// Which life of the puppet answers now.
+pub(crate) async fn life(node: &Node, name: &str) -> u64 {
+    ask(node, name, Deed::Nothing).await.expect("the puppet answers")
+}
+
+/// Lets the puppet panic in a handler.
+pub(crate) async fn strike(node: &Node, name: &str) {
+    let struck = ask(node, name, Deed::Panic("struck".into())).await;
+    assert!(matches!(struck.expect_err("it dies").why, Why::PeerDied { .. }));
+}
