@@ -40,3 +40,21 @@ fn the_program_of_the_readme_is_the_example_hello() {
          \"A program\"",
     );
 }
+
+#[test]
+fn the_documentation_of_the_facade_begins_with_the_same_program() {
+    let facade = file("actors/src/lib.rs");
+    let docs: Vec<&str> = facade
+        .lines()
+        .filter_map(|line| line.strip_prefix("//!"))
+        .map(|line| line.strip_prefix(' ').unwrap_or(line))
+        .collect();
+    let docs = docs.join("\n");
+    let program = docs.split("\n```\n").nth(1).expect("a program in the documentation of the facade");
+    assert_same(
+        program,
+        &code_of("examples/examples/hello.rs"),
+        "copy the code of examples/examples/hello.rs, from its first `use` on, into the documentation of \
+         actors/src/lib.rs",
+    );
+}
