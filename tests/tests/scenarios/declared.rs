@@ -164,8 +164,7 @@ async fn an_error_of_a_victim_passes_with_its_root_or_is_treated_then() {
     assert!(took > Duration::from_secs(2), "{took:?}");
     assert_eq!(life(&node, "planner").await, 1, "a reset has helped");
     let record = node.faults().await;
-    let ended = |entry: &blastema::core::detection::Entry| {
-        matches!(entry.ended, Some((_, End::Recovered)))
-    };
+    let ended =
+        |entry: &blastema::core::detection::Entry| matches!(entry.ended, Some((_, End::Recovered)));
     assert!(record.entries.iter().all(ended), "{record:?}");
 }

@@ -96,7 +96,12 @@ async fn a_strategy_whose_drop_panics_harms_nobody() {
 #[blastema_testkit::test]
 async fn attempts_wait_for_each_other_as_the_back_off_says() {
     let strings = Strings::default();
-    let backoff = Backoff { first: Duration::from_secs(1), factor: 2, jitter_percent: 0, ..Backoff::default() };
+    let backoff = Backoff {
+        first: Duration::from_secs(1),
+        factor: 2,
+        jitter_percent: 0,
+        ..Backoff::default()
+    };
     let ladder = Ladder::first(Measure::Custom("oil".into())).times(3).backoff(backoff);
     let builder = robot(&strings, ladder.then(Measure::Restart));
     let mut node = TestNode::start(builder.recovery("oil", || Useless::Fails)).await;
@@ -139,7 +144,10 @@ async fn an_isolated_object_neither_sends_nor_receives_but_lives() {
     assert!(reason.contains("isolate"), "{reason}");
     let refused = notes.tell(Note(1)).expect_err("nothing gets in");
     assert_eq!((refused.why, refused.message), (Why::Isolated, Note(1)));
-    node.publisher::<crate::puppet::News>("test/news").unwrap().publish(crate::puppet::News(1)).unwrap();
+    node.publisher::<crate::puppet::News>("test/news")
+        .unwrap()
+        .publish(crate::puppet::News(1))
+        .unwrap();
     node.settle().await;
     assert_eq!(strings.lines("news"), ["ear#1 news 1"], "nor an event");
     assert!(node.row("joint").await.isolated);

@@ -38,7 +38,8 @@ async fn a_component_whose_drop_panics_while_it_is_restarted_is_replaced_all_the
 async fn a_component_that_panics_while_it_stops_is_stopped() {
     for hook in ["on_deactivated", "on_shutdown", "on_finalize", "drop"] {
         let strings = Strings::default();
-        let builder = Node::builder("module1").child(strings.spec("arm")).child(strings.spec("hand"));
+        let builder =
+            Node::builder("module1").child(strings.spec("arm")).child(strings.spec("hand"));
         let node = TestNode::start(builder).await;
         strings.pull("hand", hook, Pull::Panic("while stopping"));
 
