@@ -239,6 +239,11 @@ impl NetHandle {
         self.doors.clone()
     }
 
+    /// Completes when messages can be sent to this node.
+    pub(crate) async fn connected(&self, node: &NodeName) {
+        self.doors.opened(node).await;
+    }
+
     /// All links, in the order of the configuration.
     pub(crate) async fn read_links(&self) -> Vec<LinkRow> {
         let mut rows = Vec::new();

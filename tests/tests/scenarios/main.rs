@@ -3,7 +3,18 @@
 //! Everything but `hangs` runs in virtual time on one thread. Each scenario says what was done to the
 //! robot, and what its record of faults, its table and its tree show afterwards.
 
+mod chain;
+mod declared;
 mod errors;
+mod escalation;
+mod events;
+mod floods;
+mod groups;
 mod initialization;
+mod mourning;
 mod panics;
 mod puppet;
+mod sending;
+mod strategies;
+mod throwers;
+mod tree;

@@ -1,0 +1,119 @@
+//! Restarts that are not worth it any more.
+
+use crate::puppet::{Deed, Strings, ask, life, strike};
+use blastema::prelude::*;
+use blastema::{Fault, NodeBuilder, Place};
+use blastema_testkit::TestNode;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+const PERIOD: Duration = Duration::from_secs(10);
+
+/// A supervisor `drive` with `motors` that allows one restart, beside a `lamp`.
+fn robot(strings: &Strings) -> NodeBuilder {
+    let drive = SupervisorSpec::new("drive", Strategy::OneForOne)
+        .intensity(1, PERIOD)
+        .child(strings.spec("motors"));
+    Node::builder("module1").child(strings.spec("lamp")).supervisor(drive)
+}
+
+#[blastema_testkit::test]
+async fn a_supervisor_that_gives_up_is_begun_anew_by_its_parent() {
+    let strings = Strings::default();
+    let mut node = TestNode::start(robot(&strings)).await;
+
+    strike(&node, "motors").await;
+    node.await_recovered(FaultKind::Panic, "motors").await;
+    strike(&node, "motors").await;
+    node.await_recovered(FaultKind::Panic, "motors").await;
+    let storm = node.await_fault(FaultKind::RestartStorm, "drive").await;
+    node.await_recovered(FaultKind::RestartStorm, "drive").await;
+
+    assert!(storm.detail.contains("motors needed more than 1 restarts"), "{}", storm.detail);
+    assert_eq!(node.state(), NodeState::Running);
+    assert_eq!((life(&node, "motors").await, life(&node, "lamp").await), (3, 1));
+    let tree = node.tree().await.unwrap();
+    assert_eq!((tree.restarts_left, tree.children[1].incarnation.0), (2, 2));
+    let record = node.faults().await;
+    assert!(record.entries.iter().all(|entry| entry.ended.is_some()), "{record:?}");
+}
+
+#[blastema_testkit::test]
+async fn a_root_that_gives_up_brings_the_node_to_safe_rest() {
+    let strings = Strings::default();
+    let rested: Arc<Mutex<Vec<Fault>>> = Arc::default();
+    let outputs = rested.clone();
+    let builder = robot(&strings)
+        .intensity(1, PERIOD)
+        .safe_outputs(move |fault| outputs.lock().unwrap().push(fault.clone()));
+    let node = TestNode::start(builder).await;
+    strings.diary();
+
+    for _ in 0..4 {
+        assert_eq!(node.state(), NodeState::Running);
+        strike(&node, "motors").await;
+        node.advance(Duration::from_millis(500)).await;
+    }
+
+    let NodeState::AtRest { reason } = node.ended().await else { panic!("{:?}", node.state()) };
+    assert!(reason.contains("drive"), "{reason}");
+    let rested = rested.lock().unwrap();
+    assert_eq!(rested[0].kind, FaultKind::RestartStorm);
+    assert_eq!(rested[0].place, Place::Node(node.name().clone()));
+    assert!(strings.diary().contains(&"lamp#1 on_finalize".into()), "everything was stopped");
+    let refused = ask(&node, "lamp", Deed::Nothing).await.expect_err("it is at rest");
+    assert_eq!(refused.why, Why::Stopped);
+}
+
+#[blastema_testkit::test]
+async fn a_budget_that_is_spent_comes_back_with_time() {
+    let strings = Strings::default();
+    let mut node = TestNode::start(robot(&strings)).await;
+
+    for n in 1..=5 {
+        strike(&node, "motors").await;
+        node.await_recovered(FaultKind::Panic, "motors").await;
+        assert_eq!(life(&node, "motors").await, n + 1);
+        node.advance(PERIOD + Duration::from_millis(1)).await;
+    }
+
+    assert_eq!(node.tree().await.unwrap().children[1].incarnation.0, 1, "drive never gave up");
+}
+
+#[blastema_testkit::test]
+async fn a_temporary_child_is_not_missed_and_a_transient_one_only_when_it_failed() {
+    let strings = Strings::default();
+    let group = SupervisorSpec::new("group", Strategy::OneForOne)
+        .child_with(strings.spec("guest"), Restart::Temporary)
+        .child_with(strings.spec("job"), Restart::Transient);
+    let node = TestNode::start(Node::builder("module1").supervisor(group)).await;
+
+    strike(&node, "guest").await;
+    strike(&node, "job").await;
+    node.advance(Duration::from_secs(1)).await;
+    assert_eq!(life(&node, "job").await, 2, "it had failed");
+    ask(&node, "job", Deed::Stop).await.unwrap();
+    node.advance(Duration::from_secs(60)).await;
+
+    use blastema::core::recovery::ChildState;
+    let tree = node.tree().await.unwrap();
+    let states: Vec<_> =
+        tree.children[0].below.as_ref().unwrap().children.iter().map(|leaf| leaf.state).collect();
+    assert_eq!(states, [ChildState::Finished; 2]);
+    let record = node.faults().await;
+    assert!(record.entries.iter().all(|entry| entry.ended.is_some()), "{record:?}");
+}
+
+#[blastema_testkit::test]
+async fn a_node_that_is_shut_down_stops_everything_in_reverse_order() {
+    let strings = Strings::default();
+    let node = TestNode::start(robot(&strings)).await;
+    strings.diary();
+
+    node.shutdown().await;
+
+    assert_eq!(node.state(), NodeState::Stopped);
+    let ends = strings.lines("on_finalize");
+    assert_eq!(ends, ["motors#1 on_finalize", "lamp#1 on_finalize"]);
+    node.shutdown().await;
+}

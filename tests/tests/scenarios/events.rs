@@ -1,0 +1,102 @@
+//! Publishing and listening, across deaths.
+
+use crate::puppet::{Deed, News, Strings, ask, life, strike};
+use blastema::core::dead_letters::DeadReason;
+use blastema::prelude::*;
+use blastema_testkit::{Harness, TestNode};
+use std::time::Duration;
+
+#[blastema_testkit::test]
+async fn a_condition_decides_before_anything_is_queued() {
+    let strings = Strings::default();
+    let node = TestNode::start(Node::builder("module1").child(strings.spec("ear"))).await;
+    let news = node.publisher::<News>("test/news").unwrap();
+
+    (1..=4).for_each(|n| news.publish(News(n)).unwrap());
+    node.settle().await;
+
+    assert_eq!(strings.lines("news"), ["ear#1 news 1", "ear#1 news 3"]);
+}
+
+#[blastema_testkit::test]
+async fn subscriptions_return_with_the_next_life_and_end_with_the_last() {
+    let strings = Strings::default();
+    let builder = Node::builder("module1").child(strings.spec("mouth")).child(strings.spec("ear"));
+    let mut node = TestNode::start(builder).await;
+
+    for n in [1, 3, 5] {
+        ask(&node, "mouth", Deed::Publish(n)).await.unwrap();
+        node.settle().await;
+        strike(&node, "ear").await;
+        node.await_recovered(FaultKind::Panic, "ear").await;
+    }
+
+    let heard: Vec<_> = strings.lines("news").into_iter().filter(|l| l.contains("ear")).collect();
+    assert_eq!(heard, ["ear#1 news 1", "ear#2 news 3", "ear#3 news 5"]);
+    node.remove_child("ear").await.unwrap();
+    ask(&node, "mouth", Deed::Publish(7)).await.unwrap();
+    node.settle().await;
+    assert_eq!(strings.lines("news"), ["mouth#1 news 7"]);
+}
+
+#[blastema_testkit::test]
+async fn an_event_that_comes_while_the_listener_is_busy_waits_in_its_queue() {
+    let strings = Strings::default();
+    let node = TestNode::start(Node::builder("module1").child(strings.spec("ear"))).await;
+    let news = node.publisher::<News>("test/news").unwrap();
+
+    node.sender("ear").unwrap().tell(crate::puppet::Do(Deed::Await(500))).unwrap();
+    node.settle().await;
+    [1, 3].into_iter().for_each(|n| news.publish(News(n)).unwrap());
+    node.advance(Duration::from_millis(499)).await;
+    assert_eq!(strings.lines("news"), [""; 0]);
+    node.advance(Duration::from_millis(1)).await;
+
+    assert_eq!(strings.lines("news"), ["ear#1 news 1", "ear#1 news 3"]);
+}
+
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(name = "test/fresh", max_age = "100ms")]
+struct Fresh(u32);
+
+/// Takes its time for each.
+struct Slow;
+
+impl Component for Slow {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Fresh>();
+    }
+}
+
+impl Handle<Fresh> for Slow {
+    async fn handle(&mut self, fresh: Fresh, cx: &mut Context<Self>) {
+        tokio::time::sleep(Duration::from_millis(80)).await;
+        cx.publish(fresh);
+    }
+}
+
+#[blastema_testkit::test]
+async fn what_has_grown_too_old_in_a_queue_is_counted_and_not_delivered() {
+    let spec = ChildSpec::new("slow", || Slow);
+    let mut slow = Harness::start(spec).await;
+    let served = slow.listen::<Fresh>().await;
+
+    (1..=4).for_each(|n| slow.tell(Fresh(n)).unwrap());
+    slow.advance(Duration::from_secs(1)).await;
+
+    assert_eq!(served.drain(), [Fresh(1), Fresh(2)]);
+    let letters = slow.dead_letters();
+    assert_eq!(letters.count(&"slow".parse().unwrap(), DeadReason::Expired), 2);
+}
+
+#[blastema_testkit::test]
+async fn an_object_can_listen_to_itself() {
+    let strings = Strings::default();
+    let node = TestNode::start(Node::builder("module1").child(strings.spec("ear"))).await;
+
+    ask(&node, "ear", Deed::Publish(1)).await.unwrap();
+    node.settle().await;
+
+    assert_eq!(strings.lines("news"), ["ear#1 news 1"]);
+    assert_eq!(life(&node, "ear").await, 1);
+}

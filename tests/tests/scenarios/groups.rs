@@ -1,0 +1,124 @@
+//! Siblings that cannot do without each other.
+
+use crate::puppet::{Deed, Pull, Strings, ask, life, strike};
+use blastema::core::recovery::ChildState;
+use blastema::prelude::*;
+use blastema_testkit::TestNode;
+use std::time::Duration;
+
+/// Three siblings `a`, `b` and `c` under a supervisor of their own, beside a stranger.
+async fn node_of(strings: &Strings, strategy: Strategy) -> TestNode {
+    let group = SupervisorSpec::new("group", strategy)
+        .child(strings.spec("a"))
+        .child(strings.spec("b"))
+        .child(strings.spec("c"));
+    let builder = Node::builder("module1").child(strings.spec("stranger")).supervisor(group);
+    let node = TestNode::start(builder).await;
+    strings.diary();
+    node
+}
+
+async fn lives(node: &TestNode) -> [u64; 4] {
+    [
+        life(node, "a").await,
+        life(node, "b").await,
+        life(node, "c").await,
+        life(node, "stranger").await,
+    ]
+}
+
+/// The first hooks of lives, and the last ones.
+fn begins_and_ends(strings: &Strings) -> Vec<String> {
+    let short = |line: String| {
+        line.strip_suffix(" on_initialize")
+            .map(|who| format!("+{who}"))
+            .or_else(|| line.strip_suffix(" on_finalize").map(|who| format!("-{who}")))
+    };
+    strings.diary().into_iter().filter_map(short).collect()
+}
+
+#[blastema_testkit::test]
+async fn one_for_all_stops_in_reverse_order_and_starts_in_order() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings, Strategy::OneForAll).await;
+
+    strike(&node, "b").await;
+    node.await_recovered(FaultKind::Panic, "b").await;
+
+    // The one that panicked has no last word.
+    assert_eq!(begins_and_ends(&strings), ["-c#1", "-a#1", "+a#2", "+b#2", "+c#2"]);
+    assert_eq!(lives(&node).await, [2, 2, 2, 1]);
+    node.await_fault(FaultKind::Panic, "b").await;
+    node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn rest_for_one_takes_those_that_were_started_after_it() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings, Strategy::RestForOne).await;
+
+    strike(&node, "b").await;
+    node.await_recovered(FaultKind::Panic, "b").await;
+
+    assert_eq!(begins_and_ends(&strings), ["-c#1", "+b#2", "+c#2"]);
+    assert_eq!(lives(&node).await, [1, 2, 2, 1]);
+}
+
+#[blastema_testkit::test]
+async fn one_for_one_touches_nobody_else() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings, Strategy::OneForOne).await;
+
+    strike(&node, "b").await;
+    node.await_recovered(FaultKind::Panic, "b").await;
+
+    assert_eq!(begins_and_ends(&strings), ["+b#2"]);
+    assert_eq!(lives(&node).await, [1, 2, 1, 1]);
+}
+
+#[blastema_testkit::test]
+async fn a_member_that_fails_while_the_group_starts_holds_up_those_behind_it_only() {
+    let strings = Strings::default();
+    let mut node = node_of(&strings, Strategy::OneForAll).await;
+    strings.pull("b", "on_initialize", Pull::Fail("jammed"));
+
+    strike(&node, "a").await;
+    node.await_recovered(FaultKind::InitializationFailed, "b").await;
+
+    let order = begins_and_ends(&strings);
+    assert_eq!(&order[..4], ["-c#1", "-b#1", "+a#2", "+b#2"]);
+    let tree = node.tree().await.unwrap();
+    let group = tree.children[1].below.as_ref().expect("the group answers");
+    assert!(group.children.iter().all(|leaf| leaf.state == ChildState::Running), "{group:?}");
+}
+
+#[blastema_testkit::test]
+async fn a_sibling_that_does_not_stop_is_given_up_after_its_time() {
+    let strings = Strings::default();
+    let group = SupervisorSpec::new("group", Strategy::OneForAll)
+        .child(strings.spec("a"))
+        .child(strings.spec("b").shutdown_within(Duration::from_secs(2)));
+    let mut node = TestNode::start(Node::builder("module1").supervisor(group)).await;
+    strings.pull("b", "on_deactivated", Pull::Wait(Duration::from_secs(3600)));
+
+    strike(&node, "a").await;
+    let took = node.await_recovered(FaultKind::Panic, "a").await;
+
+    assert!(took >= Duration::from_secs(2) && took < Duration::from_secs(3), "{took:?}");
+    assert_eq!((life(&node, "a").await, life(&node, "b").await), (2, 2));
+    node.await_fault(FaultKind::Panic, "a").await;
+    node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn what_is_sent_while_a_group_restarts_is_served_afterwards() {
+    let strings = Strings::default();
+    let node = node_of(&strings, Strategy::OneForAll).await;
+    strings.pull("b", "on_initialize", Pull::Wait(Duration::from_millis(300)));
+
+    strike(&node, "a").await;
+
+    // The one that is between two lives keeps its queue.
+    assert_eq!(ask(&node, "a", Deed::Nothing).await.unwrap(), 2);
+    assert_eq!(ask(&node, "b", Deed::Nothing).await.unwrap(), 2);
+}

@@ -1,0 +1,140 @@
+//! Every result of sending, and that each request resolves.
+
+use crate::puppet::{Deed, Do, Note, Pull, Strings, ask, strike};
+use blastema::core::dead_letters::DeadReason;
+use blastema::prelude::*;
+use blastema_testkit::{TestNode, now};
+use std::time::Duration;
+
+async fn node_of(strings: &Strings) -> TestNode {
+    TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await
+}
+
+#[blastema_testkit::test]
+async fn a_request_resolves_when_its_deadline_passes() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+    let arm = node.sender::<Do>("arm").unwrap();
+    let start = now();
+
+    let late = arm.ask_within(Do(Deed::Await(5000)), Duration::from_millis(700)).await;
+
+    let error = late.expect_err("it takes too long");
+    assert_eq!((error.why, error.message), (Why::DeadlinePassed, None));
+    let took = now() - start;
+    assert!(took >= Duration::from_millis(700) && took <= Duration::from_millis(720), "{took:?}");
+    assert_eq!(arm.ask_within(Do(Deed::Nothing), Duration::from_secs(60)).await.unwrap(), 1);
+}
+
+#[blastema_testkit::test]
+async fn a_request_whose_deadline_passed_in_the_queue_is_not_served() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+    let arm = node.sender::<Do>("arm").unwrap();
+    arm.tell(Do(Deed::Await(3000))).unwrap();
+
+    let late = arm.ask(Do(Deed::Panic("too late".into()))).await;
+    node.advance(Duration::from_secs(5)).await;
+
+    assert_eq!(late.expect_err("it waits too long").why, Why::DeadlinePassed);
+    assert_eq!(ask(&node, "arm", Deed::Nothing).await.unwrap(), 1, "nobody died of it");
+    let name = "arm".parse().unwrap();
+    assert_eq!(node.dead_letters().count(&name, DeadReason::DeadlinePassed), 1);
+}
+
+#[blastema_testkit::test]
+async fn a_request_in_the_queue_survives_the_receivers_death() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+    let arm = node.sender::<Do>("arm").unwrap();
+    arm.tell(Do(Deed::Panic("first".into()))).unwrap();
+
+    assert_eq!(arm.ask(Do(Deed::Nothing)).await.unwrap(), 2);
+}
+
+#[blastema_testkit::test]
+async fn between_two_lives_a_full_queue_says_restarting() {
+    let strings = Strings::default();
+    let group = SupervisorSpec::new("group", Strategy::OneForAll)
+        .child(strings.spec("first"))
+        .child(strings.spec("arm").queue(2, WhenFull::Refuse));
+    let node = TestNode::start(Node::builder("module1").supervisor(group)).await;
+    let notes = node.sender::<Note>("arm").unwrap();
+    strings.pull("first", "on_deactivated", Pull::Wait(Duration::from_secs(1)));
+
+    strike(&node, "arm").await;
+    node.settle().await;
+    (1..=2).for_each(|n| notes.tell(Note(n)).unwrap());
+    let refused = notes.tell(Note(3)).expect_err("there is no room for it");
+
+    assert_eq!((refused.why, refused.message), (Why::Restarting, Note(3)));
+    notes.deliver(Note(3)).await.expect("it waits for room");
+    node.advance(Duration::from_secs(1)).await;
+    assert_eq!(strings.lines("note"), ["arm#2 note 1", "arm#2 note 2", "arm#2 note 3"]);
+}
+
+#[blastema_testkit::test]
+async fn who_is_unknown_is_told_before_anything_is_sent() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+
+    for name in ["leg", "not a name", "module1:leg"] {
+        let why = node.sender::<Do>(name).expect_err("no such object");
+        assert!(matches!(&why, Why::Unknown { name: named } if named == name), "{why}");
+    }
+    assert_eq!(node.sender::<Do>("module1:arm").unwrap().ask(Do(Deed::Nothing)).await.unwrap(), 1);
+}
+
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/unheard")]
+struct Unheard;
+
+/// What `Note` might be in another program.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/note")]
+struct OtherNote {
+    text: String,
+}
+
+#[blastema_testkit::test]
+async fn who_takes_no_such_contract_or_another_one_says_so() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+
+    let unknown = node.sender::<Unheard>("arm").expect_err("it does not take it");
+    let differs = node.sender::<OtherNote>("arm").expect_err("it is another contract");
+
+    assert!(matches!(unknown, Why::Unknown { .. }), "{unknown}");
+    let Why::ContractDiffers { difference } = differs else { panic!("{differs}") };
+    assert!(difference.contains("text"), "{difference}");
+    assert!(OtherNote { text: String::new() }.text.is_empty());
+}
+
+#[blastema_testkit::test]
+async fn who_asks_somebody_that_asks_back_gets_a_deadline_and_not_a_knot() {
+    let strings = Strings::default();
+    let builder = Node::builder("module1").child(strings.spec("arm")).child(strings.spec("leg"));
+    let node = TestNode::start(builder).await;
+    let (arm, leg) = (node.sender::<Do>("arm").unwrap(), node.sender::<Do>("leg").unwrap());
+    let hour = Duration::from_secs(3600);
+
+    arm.tell(Do(Deed::Consult("leg".into()))).unwrap();
+    leg.tell(Do(Deed::Consult("arm".into()))).unwrap();
+
+    assert_eq!(arm.ask_within(Do(Deed::Nothing), hour).await.unwrap(), 1);
+    assert_eq!(leg.ask_within(Do(Deed::Nothing), hour).await.unwrap(), 1);
+    node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn a_node_that_has_stopped_refuses_everything_and_says_so() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+    let (deeds, notes) = (node.sender::<Do>("arm").unwrap(), node.sender::<Note>("arm").unwrap());
+
+    node.shutdown().await;
+
+    assert_eq!(deeds.ask(Do(Deed::Nothing)).await.expect_err("it is over").why, Why::Stopped);
+    assert_eq!(notes.tell(Note(1)).expect_err("it is over").why, Why::Stopped);
+    assert_eq!(notes.deliver(Note(1)).await.expect_err("it is over").why, Why::Stopped);
+}

@@ -1,0 +1,190 @@
+//! What is done about a fault: measures that help, fail, panic, or take too long.
+
+use crate::puppet::{Deed, Note, Pull, Strings, ask, life, strike};
+use blastema::core::detection::End;
+use blastema::core::recovery::{Backoff, ChildState, Done, Failed, Order};
+use blastema::prelude::*;
+use blastema::{NodeBuilder, RecoveryStrategy, Tools};
+use blastema_testkit::TestNode;
+use std::time::Duration;
+
+fn oil() -> FaultKind {
+    FaultKind::Custom("OIL".into())
+}
+
+/// A node with a `joint`, whose faults `OIL` are answered so.
+fn robot(strings: &Strings, ladder: Ladder) -> NodeBuilder {
+    Node::builder("module1")
+        .fault_kind("OIL")
+        .plan(Plan::default().on(oil(), ladder))
+        .child(strings.spec("joint"))
+}
+
+async fn declare(node: &TestNode) {
+    ask(node, "joint", Deed::Declare("OIL".into())).await.expect("it answers");
+}
+
+/// Does not help, each time in another way.
+enum Useless {
+    Fails,
+    Panics,
+    NeverEnds,
+    PanicsInDrop,
+}
+
+impl RecoveryStrategy for Useless {
+    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+        match self {
+            Useless::Fails => Err("the can is empty".into()),
+            Useless::Panics => panic!("the can explodes"),
+            Useless::NeverEnds => std::future::pending().await,
+            Useless::PanicsInDrop => tools.restart(&order.fault).await,
+        }
+    }
+}
+
+impl Drop for Useless {
+    fn drop(&mut self) {
+        if let Useless::PanicsInDrop = self {
+            panic!("the can explodes when it is thrown away");
+        }
+    }
+}
+
+#[blastema_testkit::test]
+async fn where_a_strategy_fails_the_next_rung_follows() {
+    let makes: [fn() -> Useless; 4] = [
+        || Useless::Fails,
+        || Useless::Panics,
+        || Useless::NeverEnds,
+        || panic!("there is no can"),
+    ];
+    for (n, make) in makes.into_iter().enumerate() {
+        let strings = Strings::default();
+        let ladder = Ladder::first(Measure::Custom("oil".into()))
+            .within(Duration::from_millis(500))
+            .then(Measure::Restart);
+        let mut node = TestNode::start(robot(&strings, ladder).recovery("oil", make)).await;
+
+        for life_now in 1..=2 {
+            declare(&node).await;
+            node.await_fault(oil(), "joint").await;
+            node.await_recovered(oil(), "joint").await;
+            assert_eq!(life(&node, "joint").await, life_now + 1, "case {n}");
+            node.advance(Duration::from_secs(60)).await;
+        }
+        node.expect_no_faults().await;
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_strategy_whose_drop_panics_harms_nobody() {
+    let strings = Strings::default();
+    let ladder = Ladder::first(Measure::Custom("oil".into()));
+    let builder = robot(&strings, ladder).recovery("oil", || Useless::PanicsInDrop);
+    let mut node = TestNode::start(builder).await;
+
+    for life_now in 1..=2 {
+        declare(&node).await;
+        node.await_recovered(oil(), "joint").await;
+        assert_eq!(life(&node, "joint").await, life_now + 1);
+        // Long enough for it to be released.
+        node.advance(Duration::from_secs(120)).await;
+    }
+}
+
+#[blastema_testkit::test]
+async fn attempts_wait_for_each_other_as_the_back_off_says() {
+    let strings = Strings::default();
+    let backoff = Backoff { first: Duration::from_secs(1), factor: 2, jitter_percent: 0, ..Backoff::default() };
+    let ladder = Ladder::first(Measure::Custom("oil".into())).times(3).backoff(backoff);
+    let builder = robot(&strings, ladder.then(Measure::Restart));
+    let mut node = TestNode::start(builder.recovery("oil", || Useless::Fails)).await;
+
+    declare(&node).await;
+    let took = node.await_recovered(oil(), "joint").await;
+
+    assert_eq!(took, Duration::from_secs(1 + 2));
+}
+
+#[blastema_testkit::test]
+async fn a_ladder_that_is_exhausted_ends_in_safe_rest() {
+    let strings = Strings::default();
+    let ladder = Ladder::first(Measure::Custom("oil".into()));
+    let mut node =
+        TestNode::start(robot(&strings, ladder).recovery("oil", || Useless::Fails)).await;
+
+    declare(&node).await;
+    let reason = node.await_given_up(oil(), "joint").await;
+    node.advance(Duration::from_secs(1)).await;
+
+    assert!(reason.contains("the can is empty"), "{reason}");
+    assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Resting);
+    assert!(strings.lines("on_finalize").contains(&"joint#1 on_finalize".into()));
+    assert_eq!(node.state(), NodeState::Running, "the others go on");
+}
+
+#[blastema_testkit::test]
+async fn an_isolated_object_neither_sends_nor_receives_but_lives() {
+    let strings = Strings::default();
+    let ladder = Ladder::first(Measure::Isolate);
+    let builder = robot(&strings, ladder).child(strings.spec("ear"));
+    let mut node = TestNode::start(builder).await;
+    let notes = node.sender::<Note>("joint").unwrap();
+
+    // It has something to say just after it was found to be faulty.
+    declare(&node).await;
+    let reason = node.await_given_up(oil(), "joint").await;
+
+    assert!(reason.contains("isolate"), "{reason}");
+    let refused = notes.tell(Note(1)).expect_err("nothing gets in");
+    assert_eq!((refused.why, refused.message), (Why::Isolated, Note(1)));
+    node.publisher::<crate::puppet::News>("test/news").unwrap().publish(crate::puppet::News(1)).unwrap();
+    node.settle().await;
+    assert_eq!(strings.lines("news"), ["ear#1 news 1"], "nor an event");
+    assert!(node.row("joint").await.isolated);
+    assert!(node.tree().await.unwrap().children[0].isolated);
+    assert_eq!(strings.lines("joint#1 on_finalize"), [""; 0], "its life goes on");
+}
+
+#[blastema_testkit::test]
+async fn safe_stop_applies_the_safe_outputs_even_if_they_panic() {
+    let strings = Strings::default();
+    let builder = robot(&strings, Ladder::first(Measure::SafeStop))
+        .safe_outputs(|fault| panic!("no brake for {}", fault.place));
+    let mut node = TestNode::start(builder.child(strings.spec("ear"))).await;
+
+    declare(&node).await;
+    node.await_given_up(oil(), "joint").await;
+    node.advance(Duration::from_secs(1)).await;
+
+    assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Resting);
+    strike(&node, "ear").await;
+    assert_eq!(life(&node, "ear").await, 2, "the chain is unharmed");
+}
+
+#[blastema_testkit::test]
+async fn a_second_fault_of_an_object_in_treatment_joins_its_case() {
+    let strings = Strings::default();
+    let ladder = Ladder::first(Measure::Restart);
+    let group = SupervisorSpec::new("group", Strategy::RestForOne).child(strings.spec("joint"));
+    let builder = Node::builder("module1")
+        .fault_kind("OIL")
+        .plan(Plan::default().on(oil(), ladder))
+        .supervisor(group);
+    let mut node = TestNode::start(builder).await;
+    strings.pull("joint", "on_deactivated", Pull::Wait(Duration::from_millis(300)));
+
+    declare(&node).await;
+    ask(&node, "joint", Deed::Check(7.5)).await.expect("not yet stopped");
+    node.await_recovered(oil(), "joint").await;
+    node.advance(Duration::from_secs(1)).await;
+
+    assert_eq!(life(&node, "joint").await, 2, "one restart for both");
+    let record = node.faults().await;
+    let cured = |kind: &FaultKind| {
+        let entry = record.entries.iter().find(|entry| entry.fault.kind == *kind);
+        matches!(entry.expect("it was found").ended, Some((_, End::Recovered)))
+    };
+    assert!(cured(&oil()), "{record:?}");
+}
