@@ -55,10 +55,8 @@ impl Handle<Turning> for Motors {
 
 #[blastema::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let node = Node::builder("module1")
-        .child(ChildSpec::new("motors", Motors::default))
-        .start()
-        .await?;
+    let node =
+        Node::builder("module1").child(ChildSpec::new("motors", Motors::default)).start().await?;
     let mut faults = node.fault_events();
     let speed: Sender<Speed> = node.sender("motors")?;
     let motors: Sender<Turning> = node.sender("motors")?;

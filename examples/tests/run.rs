@@ -93,10 +93,7 @@ fn own_strategy_regrasps_until_it_holds() {
     check("own_strategy", &["attempt 1 at regrasp", "attempt 2 at regrasp"]);
     check(
         "own_strategy",
-        &[
-            "GRIPPER-SLIP of module1:gripper: Found",
-            "GRIPPER-SLIP of module1:gripper: Recovered",
-        ],
+        &["GRIPPER-SLIP of module1:gripper: Found", "GRIPPER-SLIP of module1:gripper: Recovered"],
     );
 }
 

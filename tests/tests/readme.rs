@@ -11,7 +11,8 @@ fn file(path: &str) -> String {
 /// The first block of Rust below a heading of the README.
 fn shown(heading: &str) -> String {
     let readme = file("README.md");
-    let below = readme.split_once(heading).unwrap_or_else(|| panic!("no {heading:?} in README.md")).1;
+    let below =
+        readme.split_once(heading).unwrap_or_else(|| panic!("no {heading:?} in README.md")).1;
     let block = below.split_once("```rust\n").expect("a block of Rust below the heading").1;
     block.split_once("\n```").expect("the end of the block").0.to_owned()
 }

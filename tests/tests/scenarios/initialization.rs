@@ -55,7 +55,8 @@ async fn every_way_of_not_coming_up_is_answered_by_a_new_life() {
         let strings = Strings::default();
         strings.pull("camera", hook, pull.clone());
 
-        let mut node = TestNode::start(Node::builder("module1").child(strings.spec("camera"))).await;
+        let mut node =
+            TestNode::start(Node::builder("module1").child(strings.spec("camera"))).await;
         node.await_fault(kind.clone(), "camera").await;
         node.await_recovered(kind, "camera").await;
 

@@ -161,11 +161,8 @@ async fn under_rest_for_one_a_panic_takes_the_whole_chain() {
 async fn where_the_plan_forbids_it_nobody_restarts_on_the_spot() {
     let strings = Strings::default();
     let laser = "laser".parse().unwrap();
-    let plan = Plan::default().on_component(
-        laser,
-        FaultKind::Panic,
-        Ladder::first(Measure::SafeStop),
-    );
+    let plan =
+        Plan::default().on_component(laser, FaultKind::Panic, Ladder::first(Measure::SafeStop));
     let builder = Node::builder("module1").plan(plan).child(strings.spec("laser"));
     let mut node = TestNode::start(builder).await;
 
