@@ -57,11 +57,13 @@ pub use serde;
 pub use topic::Publisher;
 
 pub use blastema_contract::detector::FaultEvent;
+pub use blastema_contract::supervisor::Branch;
 pub use blastema_core::Instant;
 pub use blastema_core::dead_letters::DeadReason;
 pub use blastema_core::detection::{
     CheckFailed, Freshness, Invariant, Opinion, Range, Rate, Record, Row, Turn,
 };
+pub use blastema_core::net::Route;
 pub use blastema_core::{Event, Fault, FaultKind, Lifecycle, Place, Request, Severity};
 
 /// Everything that an application usually needs.

@@ -130,6 +130,9 @@ impl<C: Component> ActorRef<C> {
     }
 }
 
+/// How often it is looked whether an object that is asked has begun a life: well within any deadline.
+const BETWEEN_LIVES: Duration = Duration::from_millis(10);
+
 /// Passes the monitor's questions to the control lane of the present life.
 struct Inquiries<C: Component> {
     anchor: Arc<Anchor<C>>,
@@ -143,15 +146,18 @@ impl<C: Component> Handler<AreYouAlive> for Inquiries<C> {
     type Result = ResponseFuture<Alive>;
 
     fn handle(&mut self, question: AreYouAlive, _: &mut Self::Context) -> Self::Result {
-        let control = self.anchor.control();
+        let anchor = self.anchor.clone();
         Box::pin(async move {
-            if let Some(host) = control
-                && let Ok(alive) = host.send(question).await
-            {
-                return alive;
+            loop {
+                if let Some(host) = anchor.control()
+                    && let Ok(alive) = host.send(question).await
+                {
+                    return alive;
+                }
+                // Nobody is there: the next life answers. Until then silence is the answer, which the
+                // monitor judges by its own deadline; it asks no second time meanwhile.
+                tokio::time::sleep(BETWEEN_LIVES).await;
             }
-            // Nobody is there to answer, and silence is the answer: the monitor's own deadline ends it.
-            std::future::pending().await
         })
     }
 }

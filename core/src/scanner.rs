@@ -53,7 +53,16 @@ pub struct Judged {
     /// How long its handler may await something.
     pub max_wait: Duration,
     /// How long it may give no sign of life, if it is expected to.
-    pub max_silence: Option<Duration>,
+    pub max_silence: Option<MaxSilence>,
+}
+
+/// How long a component may give no sign of life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MaxSilence {
+    /// From being at work to a life's first sign.
+    pub first: Duration,
+    /// From then on, between two of them.
+    pub between: Duration,
 }
 
 /// What an arbiter says about itself.
@@ -174,6 +183,8 @@ struct Component {
     alive_since: Instant,
     /// This turn has been reported.
     waits: bool,
+    /// This life has given a sign.
+    heard: bool,
     silent: bool,
 }
 
@@ -214,6 +225,7 @@ impl Scanner {
             turn_since,
             alive_since,
             waits: false,
+            heard: false,
             silent: false,
         });
     }
@@ -375,7 +387,7 @@ impl Component {
         let before = self.reading.replace(reading);
         if before.is_none_or(|before| before.incarnation != reading.incarnation) {
             (self.turn_since, self.alive_since) = (now, now);
-            (self.waits, self.silent) = (false, false);
+            (self.waits, self.heard, self.silent) = (false, false, false);
             return;
         }
         let before = before.unwrap_or(reading);
@@ -386,6 +398,7 @@ impl Component {
         let object = &self.judged.object;
         if before.alive != reading.alive || !reading.speaks {
             self.alive_since = now;
+            self.heard |= before.alive != reading.alive;
             if self.silent && before.alive != reading.alive {
                 self.silent = false;
                 let (object, incarnation) = (object.clone(), reading.incarnation);
@@ -404,7 +417,9 @@ impl Component {
             outputs.push_back(Sighting::Waits { slot, object, incarnation, age });
         }
         let silent_for = now - self.alive_since;
-        if let Some(limit) = self.judged.max_silence
+        let limit = self.judged.max_silence;
+        let limit = limit.map(|limit| if self.heard { limit.between } else { limit.first });
+        if let Some(limit) = limit
             && !self.silent
             && silent_for >= limit.max(reading.allowance)
         {
@@ -454,7 +469,7 @@ mod tests {
             arbiter: HOME,
             max_block: ms(500),
             max_wait: ms(1000),
-            max_silence: Some(ms(300)),
+            max_silence: Some(MaxSilence { first: ms(600), between: ms(300) }),
         }
     }
 
@@ -649,9 +664,9 @@ mod tests {
         let mut world = World::new();
         assert_eq!(world.pass(1000, true), []);
         world.stamps[0].speaks = true;
-        assert_eq!(world.pass(290, true), []);
+        assert_eq!(world.pass(590, true), []);
         world.stamps[0].allowance = ms(1000);
-        assert_eq!(world.pass(700, true), [], "a long operation was declared");
+        assert_eq!(world.pass(400, true), [], "a long operation was declared");
         let mut quiet = judged("quiet");
         quiet.max_silence = None;
         world.scanner.handle_enter(0, quiet, at(world.now));
@@ -666,7 +681,7 @@ mod tests {
         assert_eq!(world.pass(1000, true).len(), 2, "silent and waiting");
 
         world.stamps[0].incarnation = Incarnation(2);
-        assert_eq!(world.pass(290, true), []);
+        assert_eq!(world.pass(590, true), [], "its first sign may take longer");
         assert_eq!(world.pass(100, true).len(), 1, "silent again");
     }
 

@@ -68,8 +68,9 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut faults = node.fault_events();
 
     println!("count {}", counter.ask(Count).await?);
-    map.tell(Search { exists: false })?;
-    let waiting = counter.ask_within(Count, Duration::from_secs(5));
+    map.tell(Search { exists: false })?; // it will not come back from there
+    counter.tell(Count)?; // and these two stand still behind it
+    counter.tell(Count)?;
 
     while let Some(event) = faults.next().await {
         match event.turn {
@@ -79,7 +80,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     println!("found again: {}", map.ask(Search { exists: true }).await?);
-    println!("count {}", waiting.await?); // it had to begin anew, and has lost nothing that waited
+    // The counter began anew on another thread, and what waited for it came along.
+    println!("count {}", counter.ask_within(Count, Duration::from_secs(5)).await?);
     println!("threads given up: {}", node.abandoned_threads());
     Ok(())
 }

@@ -1,7 +1,8 @@
 //! Runs every example as its reader would, and checks what it prints.
 
+use std::fs;
 use std::io::Read;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::mpsc::sync_channel;
 use std::thread;
@@ -14,7 +15,15 @@ const PATIENCE: Duration = Duration::from_secs(60);
 fn program(name: &str) -> PathBuf {
     let test = std::env::current_exe().expect("a running program has a path");
     let profile = test.ancestors().nth(2).expect("a test lies in a folder of its profile");
-    profile.join("examples").join(format!("{name}{}", std::env::consts::EXE_SUFFIX))
+    let program = profile.join("examples").join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
+    // `cargo test --test run` builds no examples.
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(format!("{name}.rs"));
+    let changed = |path: &Path| fs::metadata(path).and_then(|file| file.modified()).ok();
+    assert!(
+        changed(&program) >= changed(&source),
+        "{name} is not built, or has changed since: run `cargo test -p blastema-examples`"
+    );
+    program
 }
 
 /// What the example prints until it ends, which it must do in time and well.
@@ -23,9 +32,7 @@ fn output(name: &str) -> String {
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .spawn()
-        .unwrap_or_else(|error| {
-            panic!("{name}: {error}; build it with `cargo build -p blastema-examples --examples`")
-        });
+        .unwrap_or_else(|error| panic!("{name}: {error}"));
     let mut stdout = child.stdout.take().expect("it was asked for");
     let (done, printed) = sync_channel(1);
     thread::spawn(move || {
@@ -143,6 +150,26 @@ fn flood_loses_only_what_its_queue_says() {
             "careful: a reading came back: the receiver's queue is full",
             "careful: it was taken when there was room",
             "newest: removed with 0 waiting",
+        ],
+    );
+}
+
+#[test]
+fn hang_replaces_the_culprit_and_moves_its_neighbour_with_what_waited() {
+    check(
+        "hang",
+        &["count 1", "hang of module1:map", "found again: true", "count 3", "threads given up: 1"],
+    );
+}
+
+#[test]
+fn two_nodes_lose_nothing_when_a_cable_is_cut() {
+    check(
+        "two_nodes",
+        &[
+            "300 requests answered, one after the other",
+            "link down: module1 -ethernet- module2",
+            "300 events heard, once and in order",
         ],
     );
 }

@@ -6,6 +6,7 @@
 
 use super::life::{Action, Rhythm, Task, TimerId};
 use crate::component::Component;
+use crate::platform;
 use futures_util::stream::{FuturesUnordered, Stream};
 use std::collections::VecDeque;
 use std::future::Future;
@@ -79,6 +80,11 @@ impl<C: Component> Default for Chores<C> {
     }
 }
 
+/// The instant that lies so far ahead.
+fn after(span: Duration) -> Instant {
+    platform::timer_at(platform::now() + span)
+}
+
 fn ticker(first: Instant, interval: Duration) -> Interval {
     // A timer of no interval would keep the arbiter for itself.
     let mut ticker = tokio::time::interval_at(first, interval.max(Duration::from_micros(1)));
@@ -123,7 +129,7 @@ impl<C: Component> Chores<C> {
     fn start_rounds(&mut self) {
         if let (true, false, Some(interval)) = (self.active, self.ticking, self.interval) {
             self.ticking = true;
-            self.push(tick(Chore::Execute, ticker(Instant::now(), interval)));
+            self.push(tick(Chore::Execute, ticker(after(Duration::ZERO), interval)));
         }
     }
 
@@ -148,17 +154,17 @@ impl<C: Component> Chores<C> {
             });
         }
         for (id, rhythm, action) in timers {
-            let now = Instant::now();
             let repeats = match rhythm {
                 Rhythm::Once(delay) => {
+                    let until = after(delay);
                     self.push(async move {
-                        tokio::time::sleep_until(now + delay).await;
+                        tokio::time::sleep_until(until).await;
                         Woken::Due(Chore::Timer(id))
                     });
                     false
                 }
                 Rhythm::Every(interval) => {
-                    self.push(tick(Chore::Timer(id), ticker(now + interval, interval)));
+                    self.push(tick(Chore::Timer(id), ticker(after(interval), interval)));
                     true
                 }
             };
@@ -169,7 +175,7 @@ impl<C: Component> Chores<C> {
 
     /// Sets one of the two limits; for the first time only.
     pub(crate) fn limit(&mut self, limit: Chore, within: Duration) {
-        let until = Instant::now() + within;
+        let until = after(within);
         self.push(async move {
             tokio::time::sleep_until(until).await;
             Woken::Due(limit)

@@ -11,11 +11,11 @@ use super::stamp::Stamp;
 use crate::platform;
 use actix::Recipient;
 use blastema_contract::reports::{Alive, Sighted};
-use blastema_core::detection::Watch;
+use blastema_core::detection::{Current, QueueSeen, Row, Watch};
 use blastema_core::scanner::{
-    Judged, PulseReading, Scanner, ScannerConfig, Sighting, StampReading,
+    Judged, MaxSilence, PulseReading, Scanner, ScannerConfig, Sighting, StampReading,
 };
-use blastema_core::{Incarnation, Instant, Machine, ObjectName};
+use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName, Place};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -36,13 +36,11 @@ pub(crate) trait Glimpsed: Send + Sync {
 }
 
 /// What a component is doing, also if it is stuck.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Glance {
-    pub(crate) object: ObjectName,
+struct Glance {
     /// As it would answer itself.
-    pub(crate) alive: Alive,
+    alive: Alive,
     /// The contract or hook in service, and since when, at least.
-    pub(crate) current: Option<(&'static str, Duration)>,
+    current: Option<Current>,
 }
 
 /// One component as the watch sees it.
@@ -58,7 +56,10 @@ impl Watched {
     fn judged(&self) -> Judged {
         let max_silence = match self.limits.watch {
             // Half an interval of lateness is not another lost sign.
-            Watch::Push(push) => Some(push.interval * push.tolerance + push.interval / 2),
+            Watch::Push(push) => Some(MaxSilence {
+                first: push.start_up,
+                between: push.interval * push.tolerance + push.interval / 2,
+            }),
             _ => None,
         };
         Judged {
@@ -95,7 +96,7 @@ impl WatchList {
     }
 
     /// What every component is doing now.
-    pub(crate) fn glances(&self) -> Vec<Glance> {
+    fn glances(&self) -> BTreeMap<ObjectName, Glance> {
         let now = platform::now();
         let busy = self.0.busy.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let glance = |(slot, watched): (&u32, &Watched)| {
@@ -104,13 +105,29 @@ impl WatchList {
             let since = since.filter(|(_, turn, _)| *turn == reading.turn);
             let age = since.map_or(Duration::ZERO, |(_, _, since)| now - since);
             let is_busy = reading.turn % 2 == 1;
-            Some(Glance {
-                object: watched.object.clone(),
-                alive: watched.inside.upgrade()?.glimpse(),
-                current: is_busy.then(|| (label::name(reading.during), age)),
-            })
+            let during = label::name(reading.during);
+            let alive = watched.inside.upgrade()?.glimpse();
+            let current = is_busy.then_some(Current { during, age });
+            Some((watched.object.clone(), Glance { alive, current }))
         };
         self.lock().iter().filter_map(glance).collect()
+    }
+
+    /// Completes the rows of this node's components by what they are doing now, also if they are stuck.
+    pub(crate) fn show_in(&self, node: &NodeName, rows: &mut [Row]) {
+        let glances = self.glances();
+        for row in rows {
+            let Place::Object(address) = &row.place else { continue };
+            let Some(glance) = glances.get(&address.object).filter(|_| address.node == *node)
+            else {
+                continue;
+            };
+            let Alive { incarnation, queued, oldest, .. } = glance.alive;
+            if row.incarnation == incarnation {
+                row.queue = Some(QueueSeen { queued, oldest, age: Duration::ZERO });
+                row.current = glance.current;
+            }
+        }
     }
 
     pub(crate) fn leave(&self, slot: u32) {

@@ -86,6 +86,17 @@ impl Gate {
         }
     }
 
+    /// Completes when a session is open.
+    async fn opened(&self) {
+        loop {
+            let changed = self.changed.notified();
+            if self.has_session() {
+                return;
+            }
+            changed.await;
+        }
+    }
+
     async fn room(&self) {
         loop {
             let changed = self.changed.notified();
@@ -106,6 +117,11 @@ impl Doors {
 
     fn lock(&self) -> MutexGuard<'_, BTreeMap<NodeName, Arc<Gate>>> {
         self.gates.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Completes when a session with this node is open.
+    pub(super) async fn opened(&self, node: &NodeName) {
+        self.gate(node).opened().await;
     }
 
     /// As many as nodes that this program has named, or met.

@@ -13,10 +13,12 @@ use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
 use blastema_contract::recoverer::Recover;
+use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::{BeginAnew, Leave, Say, SessionReported};
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Call, Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::naming::Naming;
+use blastema_core::net::segment::Stream;
 use blastema_core::{
     ContractIdentity, MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, Why,
 };
@@ -107,8 +109,7 @@ pub(super) struct Gateway {
     wiring: Wiring,
     exchange: Exchange,
     naming: Naming,
-    /// Peers by number, and their gates.
-    peers: BTreeMap<NodeId, (NodeName, Arc<Gate>)>,
+    peers: BTreeMap<NodeId, Peer>,
     /// Where replies go, by our number of the request.
     replies: BTreeMap<u64, (NodeName, ReplyTo)>,
     /// What peers have bound here.
@@ -121,6 +122,13 @@ pub(super) struct Gateway {
     lost: u64,
     /// The node ends; the sessions follow once nothing waits here.
     leaving: bool,
+}
+
+struct Peer {
+    node: NodeName,
+    gate: Arc<Gate>,
+    /// The number of the session that was opened last.
+    session: u32,
 }
 
 struct Forwarded {
@@ -179,13 +187,18 @@ impl Gateway {
         }
     }
 
+    fn say(&self, peer: NodeId, stream: Stream, message: Bytes) {
+        let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
+        self.wiring.sessions.do_send(Say { peer, session, stream, message });
+    }
+
     fn leave(&mut self) {
         if std::mem::take(&mut self.leaving) {
             self.exchange.handle_leave();
             while let Some(ExchangeOutput::Send { peer, stream, message }) =
                 self.exchange.poll_output()
             {
-                self.wiring.sessions.do_send(Say { peer, stream, message });
+                self.say(peer, stream, message);
             }
             self.wiring.sessions.do_send(Leave);
         }
@@ -194,7 +207,7 @@ impl Gateway {
     fn carry_out(&mut self, output: ExchangeOutput, context: &mut Context<Self>) {
         match output {
             ExchangeOutput::Send { peer, stream, message } => {
-                self.wiring.sessions.do_send(Say { peer, stream, message });
+                self.say(peer, stream, message);
             }
             ExchangeOutput::Bind { peer, epoch, binding, object, identity } => {
                 self.bind(peer, epoch, binding, &object, &identity);
@@ -219,7 +232,7 @@ impl Gateway {
             ExchangeOutput::Room { peer } => self.set(peer, Condition::Open),
             ExchangeOutput::Differs { peer, difference } => {
                 let node =
-                    self.peers.get(&peer).map_or(String::new(), |(node, _)| node.to_string());
+                    self.peers.get(&peer).map_or(String::new(), |peer| peer.node.to_string());
                 error!(node, "a contract differs: {difference}");
             }
             ExchangeOutput::Subscribe { peer, subscription, topic, identity } => {
@@ -311,8 +324,8 @@ impl Gateway {
             self.exchange.handle_subscribe_refused(peer, subscription, why);
             return;
         }
-        let Some((_, gate)) = self.peers.get(&peer) else { return };
-        let (gate, gateway) = (gate.clone(), context.address());
+        let Some(known) = self.peers.get(&peer) else { return };
+        let (gate, gateway) = (known.gate.clone(), context.address());
         let waiting = Arc::new(AtomicUsize::new(0));
         let under_way = waiting.clone();
         let forward: Forward = Arc::new(move |event: &Bytes| {
@@ -381,13 +394,14 @@ impl Gateway {
     fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<Gate>) {
         let peer = NodeId::of(node);
         let gate = self.wiring.doors.gate(node);
-        self.peers.insert(peer, (node.clone(), gate.clone()));
+        let known = Peer { node: node.clone(), gate: gate.clone(), session: 0 };
+        self.peers.entry(peer).or_insert(known);
         (peer, gate)
     }
 
     fn set(&self, peer: NodeId, condition: Condition) {
-        if let Some((_, gate)) = self.peers.get(&peer) {
-            gate.set(condition);
+        if let Some(peer) = self.peers.get(&peer) {
+            peer.gate.set(condition);
         }
     }
 
@@ -431,9 +445,9 @@ impl Supervised for Gateway {
         forwards.into_iter().for_each(|key| self.end_forward(key));
         self.doorways.clear();
         self.notices.clear();
-        self.exchange = Exchange::default();
+        self.exchange = self.exchange.reborn();
         self.naming = Naming::default();
-        self.peers.values().for_each(|(_, gate)| gate.set(Condition::Opening));
+        self.peers.values().for_each(|peer| peer.gate.set(Condition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();
         peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer, true));
         self.wiring.sessions.do_send(BeginAnew);
@@ -460,8 +474,9 @@ impl Handler<SessionReported> for Gateway {
                     gate.set(Condition::Unreachable);
                 }
             }
-            SessionReported::Opened { node, incarnation } => {
+            SessionReported::Opened { node, incarnation, session } => {
                 let (peer, gate) = self.meet(&node);
+                self.peers.entry(peer).and_modify(|peer| peer.session = session);
                 self.exchange.handle_opened(peer);
                 for announcement in self.naming.handle_opened(node, incarnation) {
                     self.exchange.handle_own_names(Some(peer), announcement);
@@ -599,5 +614,13 @@ impl Handler<ReadNames> for Gateway {
             NodeRow { node: node.clone(), incarnation, objects }
         });
         MessageResult(rows.collect())
+    }
+}
+
+impl Handler<PanicOnPurpose> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+        panic!("the gateway panics on purpose");
     }
 }

@@ -7,6 +7,7 @@ use crate::platform;
 use actix::prelude::*;
 use blastema_contract::link::{Arrived, Carry, LinkChanged, LinkRow, Load, ReadLinks, ReportLinks};
 use blastema_contract::monitor::LinkReported;
+use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{
     Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
@@ -42,6 +43,8 @@ pub(super) struct Links {
     wake: Wake,
     /// The largest frame; `None` while the medium is closed.
     mtu: Option<usize>,
+    /// What the router was told last: it must be taken back when the links begin anew.
+    told: BTreeMap<LinkNumber, LinkStatus>,
     strangers: u64,
 }
 
@@ -55,6 +58,7 @@ impl Links {
             crowd: Crowd::default(),
             wake: Wake::default(),
             mtu: None,
+            told: BTreeMap::new(),
             strangers: 0,
         };
         links.build(platform::now());
@@ -80,7 +84,7 @@ impl Links {
         self.wiring.transport.attach.do_send(Attach { frames, reports });
     }
 
-    fn tell_router(&self, number: LinkNumber) {
+    fn tell_router(&mut self, number: LinkNumber) {
         let Some(link) = self.crowd.get(number) else { return };
         let Some(neighbour) = link.neighbour().cloned() else { return };
         let cost = self.specs.get(&number).map_or(1, |spec| spec.cost);
@@ -92,7 +96,13 @@ impl Links {
             _ => Health::Down,
         };
         let status = LinkStatus { neighbour, health, cost, mtu: self.mtu.unwrap_or(0) };
+        self.told.insert(number, status.clone());
         self.wiring.router_changes.do_send(LinkChanged { link: number, status });
+    }
+
+    fn tell_router_all(&mut self) {
+        let numbers: Vec<_> = self.specs.keys().copied().collect();
+        numbers.into_iter().for_each(|number| self.tell_router(number));
     }
 
     fn tell_monitor(&self, number: LinkNumber, condition: LinkCondition) {
@@ -105,7 +115,7 @@ impl Links {
         monitor.do_send(LinkReported { node, link, neighbour, condition });
     }
 
-    fn changed(&self, number: LinkNumber, state: LinkState, reason: &'static str) {
+    fn changed(&mut self, number: LinkNumber, state: LinkState, reason: &'static str) {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         info!(network = %self.wiring.network, %link, %state, reason, "link");
         self.tell_router(number);
@@ -119,7 +129,7 @@ impl Links {
         }
     }
 
-    fn quality(&self, number: LinkNumber, quality: Quality) {
+    fn quality(&mut self, number: LinkNumber, quality: Quality) {
         self.tell_router(number);
         let Quality { round_trip, loss_permille, degraded, .. } = quality;
         let condition = if degraded {
@@ -153,6 +163,10 @@ impl Actor for Links {
 
 impl Supervised for Links {
     fn restarting(&mut self, context: &mut Context<Self>) {
+        for (link, status) in std::mem::take(&mut self.told) {
+            let status = LinkStatus { health: Health::Down, ..status };
+            self.wiring.router_changes.do_send(LinkChanged { link, status });
+        }
         self.build(platform::now());
         self.attach(context);
         self.drive(context);
@@ -216,7 +230,7 @@ impl Handler<TransportReport> for Links {
             TransportReport::Opened { local, mtu } => {
                 info!(network = %self.wiring.network, %local, mtu, "open");
                 self.mtu = Some(mtu);
-                self.specs.keys().for_each(|number| self.tell_router(*number));
+                self.tell_router_all();
             }
             TransportReport::Closed { reason } => {
                 error!(network = %self.wiring.network, "{reason}");
@@ -256,7 +270,7 @@ impl Handler<ReportLinks> for Links {
     type Result = ();
 
     fn handle(&mut self, _: ReportLinks, _: &mut Context<Self>) {
-        self.specs.keys().for_each(|number| self.tell_router(*number));
+        self.tell_router_all();
     }
 }
 
@@ -276,5 +290,13 @@ impl Handler<ReadLinks> for Links {
             })
         };
         MessageResult(self.crowd.iter().filter_map(row).collect())
+    }
+}
+
+impl Handler<PanicOnPurpose> for Links {
+    type Result = ();
+
+    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+        panic!("the links panic on purpose");
     }
 }

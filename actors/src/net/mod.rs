@@ -239,6 +239,11 @@ impl NetHandle {
         self.doors.clone()
     }
 
+    /// Completes when messages can be sent to this node.
+    pub(crate) async fn connected(&self, node: &NodeName) {
+        self.doors.opened(node).await;
+    }
+
     /// All links, in the order of the configuration.
     pub(crate) async fn read_links(&self) -> Vec<LinkRow> {
         let mut rows = Vec::new();
@@ -267,6 +272,16 @@ impl NetHandle {
     /// Takes [`PanicOnPurpose`], for the demonstration and tests.
     pub(crate) fn router(&self) -> Recipient<PanicOnPurpose> {
         self.router.clone().recipient()
+    }
+
+    /// Every actor of the network, to see what becomes of a panic in it.
+    #[cfg(test)]
+    pub(crate) fn victims(&self) -> Vec<Recipient<PanicOnPurpose>> {
+        let (router, sessions) = (self.router.clone(), self.sessions.clone());
+        let mut all =
+            vec![router.recipient(), sessions.recipient(), self.gateway.clone().recipient()];
+        all.extend(self.networks.iter().map(|(_, links)| links.clone().recipient()));
+        all
     }
 
     /// Where the network's own actors answer the monitor.

@@ -4,7 +4,7 @@ use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
-use blastema_contract::router::{PathReported, SegmentArrived, SendSegment};
+use blastema_contract::router::{PanicOnPurpose, PathReported, SegmentArrived, SendSegment};
 use blastema_contract::session::{
     AddGateway, BeginAnew, Leave, ReadSessions, Say, SayNewest, SessionReported, SessionRow,
 };
@@ -85,6 +85,11 @@ impl Sessions {
         }
     }
 
+    /// The machine of this peer, if that session is the present one.
+    fn present(&mut self, peer: NodeId, number: u32) -> Option<&mut Session> {
+        self.crowd.get_mut(peer).filter(|session| session.number() == number)
+    }
+
     fn report(&self, report: SessionReported) {
         if let Some(gateway) = &self.gateway {
             gateway.do_send(report);
@@ -159,7 +164,8 @@ impl Body for Sessions {
                 let Some(known) = self.peers.get(&peer) else { return };
                 let node = known.node.clone();
                 info!(%node, %incarnation, "session open");
-                self.report(SessionReported::Opened { node, incarnation });
+                let session = self.crowd.get(peer).map_or(0, Session::number);
+                self.report(SessionReported::Opened { node, incarnation, session });
             }
             SessionOutput::Message { message, .. } | SessionOutput::Newest { message, .. } => {
                 self.report(SessionReported::Message { peer, message });
@@ -246,8 +252,8 @@ impl Handler<Say> for Sessions {
     type Result = ();
 
     fn handle(&mut self, say: Say, context: &mut Context<Self>) {
-        let Say { peer, stream, message } = say;
-        let sent = match self.crowd.get_mut(peer) {
+        let Say { peer, session, stream, message } = say;
+        let sent = match self.present(peer, session) {
             Some(session) => session.handle_send(stream, message, platform::now()),
             None => Err((self.unreachable(peer), message)),
         };
@@ -260,8 +266,8 @@ impl Handler<SayNewest> for Sessions {
     type Result = ();
 
     fn handle(&mut self, say: SayNewest, context: &mut Context<Self>) {
-        let SayNewest { peer, channel, message } = say;
-        let sent = match self.crowd.get_mut(peer) {
+        let SayNewest { peer, session, channel, message } = say;
+        let sent = match self.present(peer, session) {
             Some(session) => session.handle_send_newest(channel, message, platform::now()),
             None => Err((self.unreachable(peer), message)),
         };
@@ -312,5 +318,13 @@ impl Handler<ReadSessions> for Sessions {
             })
         };
         MessageResult(self.crowd.iter().filter_map(row).collect())
+    }
+}
+
+impl Handler<PanicOnPurpose> for Sessions {
+    type Result = ();
+
+    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+        panic!("the sessions panic on purpose");
     }
 }

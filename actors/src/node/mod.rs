@@ -47,6 +47,7 @@ use std::any::Any;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 use tokio::sync::watch;
 
 /// A running node. Clones refer to the same one; it runs until [`shutdown`](Node::shutdown), or until
@@ -170,7 +171,10 @@ impl Node {
     /// Everything that is watched, each row with its age and incarnation. It can be read at any time,
     /// also while components are stuck.
     pub async fn table(&self) -> Vec<Row> {
-        self.0.chain.table.send(ReadTable).await.unwrap_or_default()
+        let mut rows = self.0.chain.table.send(ReadTable).await.unwrap_or_default();
+        // What a component is doing right now is read from outside, so that it need not answer.
+        self.0.environment.watch_list.show_in(&self.0.name, &mut rows);
+        rows
     }
 
     /// The record of faults: roots in the order in which they were found, each followed by its symptoms.
@@ -186,6 +190,15 @@ impl Node {
     /// The supervision tree as it stands now; `None` once the node has ended.
     pub async fn tree(&self) -> Option<Branch> {
         self.0.root.tree.send(ReadTree).await.ok()
+    }
+
+    /// Waits until messages can be sent to the node of this name, and says whether that came to be
+    /// within the time. A link needs a few hellos to come up, also after both nodes have started.
+    pub async fn connected(&self, node: &str, within: Duration) -> bool {
+        let (Some(networks), Ok(node)) = (&self.0.networks, NodeName::new(node)) else {
+            return false;
+        };
+        tokio::time::timeout(within, networks.handle.connected(&node)).await.is_ok()
     }
 
     /// All links, in the order in which they were described; none without a network.

@@ -19,6 +19,8 @@ use std::time::Duration;
 pub struct Say {
     /// Whom.
     pub peer: NodeId,
+    /// In which session: what was meant for one is never said in the next.
+    pub session: u32,
     /// In which stream.
     pub stream: Stream,
     /// What.
@@ -31,6 +33,8 @@ pub struct Say {
 pub struct SayNewest {
     /// Whom.
     pub peer: NodeId,
+    /// In which session.
+    pub session: u32,
     /// On which channel.
     pub channel: u32,
     /// What.
@@ -57,6 +61,8 @@ pub enum SessionReported {
         node: NodeName,
         /// In which of its lives.
         incarnation: Incarnation,
+        /// The session's number on this node.
+        session: u32,
     },
     /// A message has arrived.
     Message {

@@ -37,6 +37,8 @@ pub struct Exchange {
     /// What is listened to here.
     interests: BTreeMap<TopicContract, Interest>,
     next_subscription: u32,
+    next_binding: u32,
+    next_call: u64,
     epochs: u64,
     refusals: Refusals,
     outputs: VecDeque<ExchangeOutput>,
@@ -53,18 +55,22 @@ struct Interest {
 struct Peer {
     reachable: bool,
     session: Option<Session>,
+    /// What the bindings of the session before were, for messages that come back late.
+    past: Numbers,
 }
+
+/// A binding: the object, the contract's name and fingerprint.
+type Bound = (ObjectName, &'static str, u64);
+/// Which binding has which number. Numbers are not used again in the next session.
+type Numbers = BTreeMap<u32, Bound>;
 
 #[derive(Debug)]
 struct Session {
     epoch: Epoch,
-    bindings: BTreeMap<(ObjectName, &'static str, u64), Binding>,
-    /// Which binding has which number.
-    numbers: BTreeMap<u32, (ObjectName, &'static str, u64)>,
-    next_binding: u32,
+    bindings: BTreeMap<Bound, Binding>,
+    numbers: Numbers,
     /// Our requests that are not answered, by their number on the wire, and the callers' numbers.
     calls: BTreeMap<u64, u64>,
-    next_call: u64,
     notices: BTreeSet<u64>,
     /// How many bindings and subscriptions the peer has here.
     taken: usize,
@@ -86,6 +92,18 @@ struct Waiting {
 }
 
 impl Exchange {
+    /// An exchange in the place of one that failed. No number of the old one's is used again.
+    pub fn reborn(&self) -> Self {
+        Exchange {
+            next_subscription: self.next_subscription,
+            next_binding: self.next_binding,
+            next_call: self.next_call,
+            epochs: self.epochs,
+            refusals: self.refusals,
+            ..Exchange::default()
+        }
+    }
+
     /// The next thing to do, in order.
     pub fn poll_output(&mut self) -> Option<ExchangeOutput> {
         self.outputs.pop_front()
@@ -113,9 +131,7 @@ impl Exchange {
             epoch: Epoch(self.epochs),
             bindings: BTreeMap::new(),
             numbers: BTreeMap::new(),
-            next_binding: 0,
             calls: BTreeMap::new(),
-            next_call: 0,
             notices: BTreeSet::new(),
             taken: 0,
         };
@@ -128,9 +144,9 @@ impl Exchange {
 
     /// The session with this peer is over: everything that is under way with it is resolved.
     pub fn handle_ended(&mut self, peer: NodeId, why: &Why) {
-        let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.take()) else {
-            return;
-        };
+        let Some(state) = self.peers.get_mut(&peer) else { return };
+        let Some(mut session) = state.session.take() else { return };
+        state.past = std::mem::take(&mut session.numbers);
         for reply_as in session.calls.into_values() {
             self.outputs.push_back(ExchangeOutput::Resolve { reply_as, result: Err(why.clone()) });
         }
@@ -163,7 +179,8 @@ impl Exchange {
         match session.bindings.get_mut(&key) {
             Some(Binding { waiting: None, number, .. }) => {
                 let number = *number;
-                self.outputs.push_back(session.send(peer, number, waiting));
+                let sent = session.send(peer, number, waiting, &mut self.next_call);
+                self.outputs.push_back(sent);
             }
             Some(Binding { waiting: Some(queue), .. }) => {
                 if queue.len() == WAITING {
@@ -177,8 +194,8 @@ impl Exchange {
                 }
             }
             None => {
-                session.next_binding += 1;
-                let number = session.next_binding;
+                self.next_binding = self.next_binding.wrapping_add(1);
+                let number = self.next_binding;
                 let identity = contract.full().encode().into();
                 let object = key.0.clone();
                 session.numbers.insert(number, key.clone());
@@ -332,8 +349,11 @@ impl Exchange {
                 }
             }
             Message::Tell { binding, .. } => {
-                let key = session.and_then(|session| session.numbers.get(&binding));
-                let to = key.map(|(object, contract, _)| (object.clone(), *contract));
+                let past = self.peers.get(&peer).and_then(|peer| {
+                    let present = peer.session.as_ref().map(|session| &session.numbers);
+                    present.and_then(|numbers| numbers.get(&binding)).or(peer.past.get(&binding))
+                });
+                let to = past.map(|(object, contract, _)| (object.clone(), *contract));
                 self.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
             }
             Message::Event { .. } => {
@@ -360,7 +380,7 @@ impl Exchange {
                 self.handle_bind(peer, binding, object, &identity);
             }
             Message::Bound { binding } => {
-                let sent = session.bound(peer, binding);
+                let sent = session.bound(peer, binding, &mut self.next_call);
                 self.refusals.unexpected += u64::from(sent.is_none());
                 self.outputs.extend(sent.into_iter().flatten());
             }
@@ -501,13 +521,19 @@ impl Exchange {
 }
 
 impl Session {
-    fn send(&mut self, peer: NodeId, binding: u32, waiting: Waiting) -> ExchangeOutput {
+    fn send(
+        &mut self,
+        peer: NodeId,
+        binding: u32,
+        waiting: Waiting,
+        next_call: &mut u64,
+    ) -> ExchangeOutput {
         let Waiting { id, payload, reply_as } = waiting;
         let message = match reply_as {
             None => Message::Tell { binding, id, payload },
             Some(reply_as) => {
-                self.next_call += 1;
-                let call = self.next_call;
+                *next_call += 1;
+                let call = *next_call;
                 self.calls.insert(call, reply_as);
                 Message::Request { binding, call, id, payload }
             }
@@ -516,11 +542,16 @@ impl Session {
     }
 
     /// The peer has agreed: what waited goes out. `None` if nothing was asked.
-    fn bound(&mut self, peer: NodeId, number: u32) -> Option<Vec<ExchangeOutput>> {
+    fn bound(
+        &mut self,
+        peer: NodeId,
+        number: u32,
+        next_call: &mut u64,
+    ) -> Option<Vec<ExchangeOutput>> {
         let key = self.numbers.get(&number)?;
         let waiting = self.bindings.get_mut(key)?.waiting.take()?;
         let room = (waiting.len() > WAITING).then_some(ExchangeOutput::Room { peer });
-        let sent = waiting.into_iter().map(|waiting| self.send(peer, number, waiting));
+        let sent = waiting.into_iter().map(|waiting| self.send(peer, number, waiting, next_call));
         // Room first: the session may find itself full, and must have the last word.
         Some(room.into_iter().chain(sent).collect())
     }

@@ -168,7 +168,8 @@ pub(crate) fn paper_figure(fault: &str) -> Option<&'static str> {
 /// How the figures were taken: ours and the paper's.
 pub(crate) const NOTES: [&str; 5] = [
     "All times in milliseconds. Our clock starts when the fault is there; \"recovered\" is when the \
-     object answers again, or when messages sent after the fault arrive.",
+     object answers again, or when messages sent after the fault arrive; a guard that restarts an object \
+     on the spot is quicker than the report of its fault. A cut is silent: no medium tells of it.",
     "a  Baek and Park 2008, table 2: a dead object among 100, sign of life every 100 ms, from its \
      detection, not from the fault, to its re-creation; mean of 1000.",
     "b  Ibid.: a cable pulled, signs of life every 3 s, from its detection to the first answer over the \

@@ -11,6 +11,7 @@ use super::protocol::{Event, FaultNote, Sabotage};
 use super::report::{NOTES, Report, Row};
 use super::robot::{CABLES, Module};
 use super::trial::{Deed, Patience, Trial};
+use blastema::core::Place;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
@@ -158,6 +159,12 @@ impl Story {
                 trial.handle_event(from, event, &mut self.known, now);
             }
             (Scene::Pausing { .. }, Event::Found(note)) => self.judge_between(from, note),
+            // Until all have found each other, cables and nodes are rightly missed; objects are not.
+            (Scene::Assembling { .. }, Event::Found(note))
+                if matches!(note.place, Place::Object(_)) =>
+            {
+                self.judge_between(from, note);
+            }
             _ => {}
         }
         self.advance();

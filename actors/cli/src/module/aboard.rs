@@ -125,6 +125,7 @@ fn passive<C: Component>(
     factory: impl Fn() -> C + Send + Sync + 'static,
 ) -> ChildSpec<C> {
     active(name, rate_hz, factory)
+        .queue(PASSIVE_QUEUE, WhenFull::Refuse)
         .watch(Watch::Pull(Pull { patience: PATIENCE, ..Pull::default() }))
 }
 

@@ -9,8 +9,9 @@ use crate::{
 };
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::Sighted;
-use blastema_core::detection::Watch;
+use blastema_core::detection::{Current, ObjectKind, Row, Watch};
 use blastema_core::scanner::ScannerConfig;
+use blastema_core::{NodeName, ObjectAddress, Place};
 use blastema_doubles::{Probe, advance, paused};
 use std::sync::mpsc;
 use std::sync::{Arc, Mutex};
@@ -157,11 +158,14 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
         assert_eq!((culprit, life, during), (name("blocker"), Incarnation(1), "Block"));
         assert_eq!(victims, [name("neighbour")]);
         blocker.tell(Said(5)).unwrap();
-        let glances = site.stage.environment.watch_list.glances();
-        let stuck = glances.iter().find(|glance| glance.object == name("blocker")).unwrap();
-        let (during, age) = stuck.current.unwrap();
-        assert!(during == "Block" && age > Duration::from_millis(50), "{stuck:?}");
-        assert_eq!((stuck.alive.queued, stuck.alive.incarnation), (1, Incarnation(1)));
+        let here = NodeName::new("here").unwrap();
+        let place = Place::Object(ObjectAddress::new(here.clone(), name("blocker")));
+        let mut row = Row::blank(place, ObjectKind::Component);
+        row.incarnation = Incarnation(1);
+        site.stage.environment.watch_list.show_in(&here, std::slice::from_mut(&mut row));
+        let Current { during, age } = row.current.unwrap();
+        assert!(during == "Block" && age > Duration::from_millis(50), "{row:?}");
+        assert_eq!(row.queue.unwrap().queued, 1);
 
         child.abandon();
         let died = hung.await.unwrap().unwrap_err().why;
