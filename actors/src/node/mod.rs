@@ -36,6 +36,7 @@ use assembly::{Chain, Networks};
 use blastema_contract::detector::{FaultEvent, ReadRecord, Subscribe};
 use blastema_contract::link::LinkRow;
 use blastema_contract::monitor::ReadTable;
+use blastema_contract::naming::NodeRow;
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::SessionRow;
 use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
@@ -225,6 +226,14 @@ impl Node {
         }
     }
 
+    /// Every other node that a session is open with, and its objects.
+    pub async fn neighbourhood(&self) -> Vec<NodeRow> {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_names().await,
+            None => Vec::new(),
+        }
+    }
+
     /// The cable of a network that was described [`with_faults`](Network::with_faults).
     pub fn cable(&self, network: &str) -> Option<Cable> {
         self.0.networks.as_ref()?.cables.get(network).cloned()
@@ -292,7 +301,7 @@ impl Node {
         // A keeper that does not answer has ended already.
         let _ = self.0.shutdown.send(Shutdown).await;
         if let Some(networks) = &self.0.networks {
-            networks.handle.leave();
+            networks.leave().await;
         }
         self.0.stop_threads();
     }
