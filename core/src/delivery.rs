@@ -13,8 +13,7 @@ pub enum Why {
     /// The receiver is between two lives. Try again shortly.
     #[error("the receiver is restarting")]
     Restarting,
-    /// The receiver was stopped in order: for good, or until its supervisor starts it again with its
-    /// group.
+    /// The receiver was stopped, or has ended for good.
     #[error("the receiver is stopped")]
     Stopped,
     /// The answer did not come in time. Whether the request took effect is not known.

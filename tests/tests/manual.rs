@@ -3,7 +3,7 @@
 use blastema::core::codec::SIZE_LIMIT;
 use blastema::core::dead_letters::DeadLetterLimits;
 use blastema::core::detection::{DetectorLimits, MonitorLimits, NotifierLimits};
-use blastema::core::net::{LinkConfig, RouterConfig, SessionConfig};
+use blastema::core::net::{RouterConfig, SessionConfig};
 use blastema::core::quarantine::QuarantineConfig;
 use blastema::core::recovery::{Plan, RecovererLimits, Step, SupervisorRules};
 use blastema::{DEFAULT_DEADLINE, FaultKind, Incarnation, NodeName, Place};
@@ -56,7 +56,7 @@ fn the_limits_are_those_of_the_code() {
     let thousands = |n: usize| format!("{},{:03}", n / 1000, n % 1000);
     let life = Incarnation::FIRST;
     let session = SessionConfig::new(node(), life, node());
-    let (router, link) = (RouterConfig::new(node(), life), LinkConfig::new(node(), life));
+    let router = RouterConfig::new(node(), life);
     let (rules, notifier) = (SupervisorRules::default(), NotifierLimits::default());
 
     check(&page, "wait for a reply", format!("{} s", DEFAULT_DEADLINE.as_secs()));
@@ -70,7 +70,11 @@ fn the_limits_are_those_of_the_code() {
     check(&page, "faults on record", DetectorLimits::default().record.to_string());
     let (local, remote) = (notifier.local.per_second, notifier.remote.per_second);
     check(&page, "faults handed to the recoverer", format!("{local} a second, {remote} to other"));
-    check(&page, "places that are treated at one time", RecovererLimits::default().cases.to_string());
+    check(
+        &page,
+        "places that are treated at one time",
+        RecovererLimits::default().cases.to_string(),
+    );
     let letters = DeadLetterLimits::default();
     let says = format!("{} counts, the latest {}", letters.counts, letters.latest);
     check(&page, "dead letters", says);
@@ -78,5 +82,4 @@ fn the_limits_are_those_of_the_code() {
     check(&page, "hops", router.hops.to_string());
     let says = format!("{}, or {}", session.buffer_messages, mebibytes(session.buffer_bytes));
     check(&page, "messages that wait for one peer", says);
-    check(&page, "hello interval", format!("{} ms", link.hello_interval.as_millis()));
 }

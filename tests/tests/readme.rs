@@ -50,7 +50,8 @@ fn the_documentation_of_the_facade_begins_with_the_same_program() {
         .map(|line| line.strip_prefix(' ').unwrap_or(line))
         .collect();
     let docs = docs.join("\n");
-    let program = docs.split("\n```\n").nth(1).expect("a program in the documentation of the facade");
+    let program =
+        docs.split("\n```\n").nth(1).expect("a program in the documentation of the facade");
     assert_same(
         program,
         &code_of("examples/examples/hello.rs"),
