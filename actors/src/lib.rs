@@ -34,6 +34,7 @@ compile_error!(
 pub use chain::strategy::{RecoveryStrategy, Tools};
 
 pub use blastema_contract::link::LinkRow;
+pub use blastema_contract::naming::NodeRow;
 pub use blastema_contract::session::SessionRow;
 pub use blastema_core as core;
 pub use blastema_core::{Contract, Described};

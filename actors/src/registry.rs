@@ -8,9 +8,10 @@ use crate::death_watch::{Down, Ending, Mortal, Mourner};
 use crate::host::anchor::Anchor;
 use crate::reply::{Answer, Reply};
 use crate::sender::{Inlet, RequestError, SendError, Sender};
+use blastema_contract::reports::FaultDeclared;
 use blastema_core::{
-    Contract, ContractIdentity, Incarnation, MessageId, NodeName, ObjectAddress, ObjectName, Why,
-    codec,
+    Contract, ContractIdentity, FaultKind, Incarnation, MessageId, NodeName, ObjectAddress,
+    ObjectName, Why, codec,
 };
 use bytes::Bytes;
 use std::any::Any;
@@ -33,6 +34,9 @@ pub(crate) trait Doorway: Send + Sync {
         id: Option<MessageId>,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), Why>;
+
+    /// Reports a fault that was found at the door, such as a caller with another contract.
+    fn declare(&self, kind: FaultKind, detail: String);
 }
 
 /// The ways to objects of other nodes, provided by the network.
@@ -133,6 +137,14 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
             }
         }
     }
+
+    fn declare(&self, kind: FaultKind, detail: String) {
+        let record = &self.anchor.record;
+        if let Some(faults) = &record.environment.reports.faults {
+            let (object, incarnation) = (record.name.clone(), record.incarnation());
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        }
+    }
 }
 
 /// Messages of one contract to an object of another node.
@@ -207,6 +219,8 @@ struct Entry {
 struct Inner {
     /// As many as the node has objects.
     objects: BTreeMap<ObjectName, Entry>,
+    /// Rises whenever a name is given or taken away.
+    revision: u64,
     node: Option<NodeName>,
     remote: Option<Arc<dyn RemoteDoors>>,
 }
@@ -239,12 +253,16 @@ impl Registry {
             return Err(NameTaken { name: name.clone() });
         }
         inner.objects.insert(name.clone(), Entry { ports, mortal });
+        inner.revision += 1;
         Ok(())
     }
 
     /// Takes the name away.
     pub(crate) fn release(&self, name: &ObjectName) {
-        let released = self.lock().objects.remove(name);
+        let mut inner = self.lock();
+        let released = inner.objects.remove(name);
+        inner.revision += 1;
+        drop(inner);
         drop(released);
     }
 
@@ -283,6 +301,11 @@ impl Registry {
         let port = inner.objects.get(object).and_then(|entry| entry.ports.get(contract));
         let port = port.ok_or_else(|| Why::Unknown { name: object.to_string() })?;
         Ok((port.identity.clone(), port.doorway.clone()))
+    }
+
+    /// Tells by a greater number that names were given or taken away.
+    pub(crate) fn revision(&self) -> u64 {
+        self.lock().revision
     }
 
     /// All objects of this node, and the contracts that they take.

@@ -20,7 +20,7 @@ use blastema_core::net::exchange::{Call, Epoch, Exchange, ExchangeOutput, TopicC
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
 use blastema_core::{
-    ContractIdentity, MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, Why,
+    ContractIdentity, FaultKind, MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, Why,
 };
 use bytes::Bytes;
 use std::collections::BTreeMap;
@@ -122,6 +122,8 @@ pub(super) struct Gateway {
     lost: u64,
     /// The node ends; the sessions follow once nothing waits here.
     leaving: bool,
+    /// As of which revision of the registry the peers know our names.
+    revision: Option<u64>,
 }
 
 struct Peer {
@@ -158,6 +160,7 @@ impl Gateway {
             next: 0,
             lost: 0,
             leaving: false,
+            revision: None,
         }
     }
 
@@ -283,6 +286,7 @@ impl Gateway {
                 Err(difference) => {
                     let difference = difference.to_string();
                     error!(%object, "a peer's contract differs: {difference}");
+                    doorway.declare(FaultKind::ContractMismatch, difference.clone());
                     Err((Why::ContractDiffers { difference }, Some(known)))
                 }
             },
@@ -406,6 +410,10 @@ impl Gateway {
     }
 
     fn look_for_names(&mut self, context: &mut Context<Self>) {
+        let revision = Some(self.wiring.registry.revision());
+        if std::mem::replace(&mut self.revision, revision) == revision {
+            return;
+        }
         let objects = self.wiring.registry.objects().into_iter().map(|(name, _)| name).collect();
         for announcement in self.naming.handle_own(objects) {
             self.exchange.handle_own_names(None, announcement);
@@ -447,6 +455,7 @@ impl Supervised for Gateway {
         self.notices.clear();
         self.exchange = self.exchange.reborn();
         self.naming = Naming::default();
+        self.revision = None;
         self.peers.values().for_each(|peer| peer.gate.set(Condition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();
         peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer, true));

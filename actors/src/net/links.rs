@@ -105,6 +105,20 @@ impl Links {
         numbers.into_iter().for_each(|number| self.tell_router(number));
     }
 
+    /// The medium is closed. A link that was not up never was, for want of it: that is told, too.
+    fn lose_all(&mut self, reason: &str, now: Instant) {
+        let numbers: Vec<_> = self.specs.keys().copied().collect();
+        for number in numbers {
+            let Some(link) = self.crowd.get_mut(number) else { continue };
+            match link.state() {
+                LinkState::Up | LinkState::Suspect => link.handle_loss(now),
+                LinkState::Connecting | LinkState::Down => {
+                    self.tell_monitor(number, LinkCondition::Down { reason: reason.to_owned() });
+                }
+            }
+        }
+    }
+
     fn tell_monitor(&self, number: LinkNumber, condition: LinkCondition) {
         let (Some(monitor), Some(spec)) = (&self.wiring.monitor, self.specs.get(&number)) else {
             return;
@@ -235,11 +249,7 @@ impl Handler<TransportReport> for Links {
             TransportReport::Closed { reason } => {
                 error!(network = %self.wiring.network, "{reason}");
                 self.mtu = None;
-                for number in self.specs.keys() {
-                    if let Some(link) = self.crowd.get_mut(*number) {
-                        link.handle_loss(now);
-                    }
-                }
+                self.lose_all(&reason, now);
             }
             TransportReport::PeerLost { peer } => {
                 let number = self.by_remote.get(&peer);

@@ -74,6 +74,7 @@ pub(crate) struct LinkSpec {
 
 impl LinkSpec {
     /// The usual link to this address.
+    #[cfg(test)]
     pub(crate) fn new(name: &str, remote: MediumAddress) -> Self {
         LinkSpec {
             name: name.into(),
@@ -232,11 +233,6 @@ impl NetHandle {
         let name = named(&format!("port/{node}"));
         let make = move |_: &mut Context<notice::Port>| notice::Port::new(peer, gateway);
         self.guardian.start(name, self.arbiter.as_ref(), make).recipient()
-    }
-
-    /// The ways to objects of other nodes.
-    pub(crate) fn doors(&self) -> Arc<dyn RemoteDoors> {
-        self.doors.clone()
     }
 
     /// Completes when messages can be sent to this node.

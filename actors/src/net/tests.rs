@@ -13,7 +13,7 @@ use blastema_contract::Confirmed;
 use blastema_contract::child::{Child, ChildEvent, ChildReport};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::recoverer::Recover;
-use blastema_contract::reports::Exited;
+use blastema_contract::reports::{Exited, FaultDeclared};
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{Close, Cut, Direction, MediumAddress, Restore, Transport};
 use blastema_core::detection::{LinkCondition, NodeCondition};
@@ -119,12 +119,15 @@ struct Module {
     links: Probe<LinkReported>,
     nodes: Probe<NodeReported>,
     faults: Probe<Recover>,
+    declared: Probe<FaultDeclared>,
 }
 
 impl Robot {
     /// A node with a component `acc`, and a cable for each network and neighbour.
     async fn module(&mut self, name: &str, life: u64, networks: &[(&str, &[&str])]) -> Module {
-        let host = HostEnvironment::new(Arbiters::here(), Reports::default());
+        let declared = Probe::start();
+        let reports = Reports { faults: Some(declared.recipient()), ..Reports::default() };
+        let host = HostEnvironment::new(Arbiters::here(), reports);
         let exits = Probe::start();
         let (links, nodes) = (Probe::start(), Probe::start());
         let faults = Probe::replying(|_: &Recover| Confirmed);
@@ -160,7 +163,8 @@ impl Robot {
         };
         let net = start(environment, specs).unwrap();
         let log = Log::default();
-        let mut module = Module { host, net, log, child: None, exits, links, nodes, faults };
+        let mut module =
+            Module { host, net, log, child: None, exits, links, nodes, faults, declared };
         module.give_birth().await;
         module
     }
@@ -315,13 +319,16 @@ fn a_node_between_two_others_passes_their_messages_on() {
 #[test]
 fn a_contract_that_differs_is_refused_and_the_difference_shown() {
     paused(async {
-        let (_robot, left, _right) = pair().await;
+        let (_robot, left, right) = pair().await;
         let sender = left.host.registry.sender::<other::Add>("right:acc").unwrap();
 
         let error = sender.ask(other::Add { summand: 1.0 }).await.unwrap_err();
 
         let Why::ContractDiffers { difference } = error.why else { panic!("{error:?}") };
         assert!(difference.contains("here") && difference.contains("there"), "{difference}");
+        let declared = right.declared.expect().await;
+        assert_eq!(declared.kind, FaultKind::ContractMismatch);
+        assert_eq!(declared.object.as_str(), "acc");
     });
 }
 
@@ -572,6 +579,23 @@ fn a_node_that_leaves_in_order_delivers_first() {
         assert_eq!(right.log.take(), (0..10).collect::<Vec<_>>());
         let why = right.sender::<Add>("left:acc").ask(Add(1)).await.unwrap_err().why;
         assert_eq!(why, Why::Restarting);
+    });
+}
+
+#[test]
+fn a_medium_that_cannot_be_opened_is_told_as_its_links_being_down() {
+    paused(async {
+        let (mut robot, left, _right) = pair().await;
+        left.links.drain();
+
+        // Its end of the medium is taken.
+        let usurper = robot.module("left", 2, &[("ethernet", &["right"])]).await;
+        advance(10 * MS).await;
+
+        let told = usurper.links.expect().await;
+        let LinkCondition::Down { reason } = told.condition else { panic!("{told:?}") };
+        assert!(reason.contains("ethernet/left"), "{reason}");
+        assert_eq!(left.links.drain(), []);
     });
 }
 

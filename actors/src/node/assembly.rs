@@ -107,7 +107,9 @@ fn enrolment(
         depends_on.iter().map(address).collect::<Result<_, _>>()?;
     // A component's own signs of life are stamps, which the lookout reads: no message is sent for them.
     let watch = if matches!(watch, Watch::Push(_)) { Watch::Guard } else { watch };
-    let enrolment = Enrolment::new(name.clone()).watch(watch).depends_on(depends_on);
+    let unborn = Incarnation::default();
+    let enrolment =
+        Enrolment::new(name.clone()).incarnation(unborn).watch(watch).depends_on(depends_on);
     Ok(Enrol { enrolment, inquiries: Some(inquiries) })
 }
 
@@ -321,6 +323,8 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         faults: Some(parts.monitor.clone().recipient()),
     };
     let registry = parts.registry.clone();
+    // Its own objects may be named in full, with or without a network.
+    registry.connect(node.clone(), None);
     let environment = HostEnvironment { registry, ..HostEnvironment::new(arbiters, reports) };
     let (networks, network_enrolments) = if builder.networks.is_empty() {
         (None, Vec::new())

@@ -35,6 +35,7 @@ use actix::Recipient;
 use assembly::{Chain, Networks};
 use blastema_contract::detector::{FaultEvent, ReadRecord, Subscribe};
 use blastema_contract::link::LinkRow;
+use blastema_contract::naming::NodeRow;
 use blastema_contract::monitor::ReadTable;
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::SessionRow;
@@ -221,6 +222,14 @@ impl Node {
     pub async fn sessions(&self) -> Vec<SessionRow> {
         match &self.0.networks {
             Some(networks) => networks.handle.read_sessions().await,
+            None => Vec::new(),
+        }
+    }
+
+    /// Every other node that a session is open with, and its objects.
+    pub async fn neighbourhood(&self) -> Vec<NodeRow> {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_names().await,
             None => Vec::new(),
         }
     }

@@ -89,7 +89,7 @@ impl SupervisorSpec {
     }
 
     /// This one's end is the node's safe rest.
-    pub(super) fn as_root(mut self) -> Self {
+    pub(super) fn rooted(mut self) -> Self {
         self.rules.root = true;
         self
     }
@@ -206,6 +206,7 @@ impl SupervisorSpec {
             children,
             monitor: ground.monitor.clone().recipient(),
             states: ground.monitor.clone().recipient(),
+            isolation: ground.monitor.clone().recipient(),
             directory: ground.directory.clone(),
         };
         let supervisor = Supervisor::start(ground.guardian, ground.arbiter, setup);

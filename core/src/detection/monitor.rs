@@ -379,7 +379,8 @@ impl Monitor {
             Watch::Pull(pull) => self.inquiry.enrol(object, pull, entry.incarnation, now),
             Watch::Guard => {}
         }
-        if entry.end.is_some() {
+        // Whoever has not begun yet may have to wait for others that are started before it.
+        if entry.end.is_some() || entry.incarnation == Incarnation::default() {
             self.watchdog.handle_end(object, entry.incarnation);
             self.inquiry.handle_end(object, entry.incarnation, now);
         }

@@ -172,7 +172,7 @@ async fn safe_stop_applies_the_safe_outputs_even_if_they_panic() {
 }
 
 #[blastema_testkit::test]
-async fn a_second_fault_of_an_object_in_treatment_joins_its_case() {
+async fn what_is_sent_while_an_object_is_replaced_waits_for_its_next_life() {
     let strings = Strings::default();
     let ladder = Ladder::first(Measure::Restart);
     let group = SupervisorSpec::new("group", Strategy::RestForOne).child(strings.spec("joint"));
@@ -184,7 +184,8 @@ async fn a_second_fault_of_an_object_in_treatment_joins_its_case() {
     strings.pull("joint", "on_deactivated", Pull::Wait(Duration::from_millis(300)));
 
     declare(&node).await;
-    ask(&node, "joint", Deed::Check(7.5)).await.expect("not yet stopped");
+    let behind = ask(&node, "joint", Deed::Nothing).await;
+    assert_eq!(behind.expect("it waits for the next life"), 2);
     node.await_recovered(oil(), "joint").await;
     node.advance(Duration::from_secs(1)).await;
 

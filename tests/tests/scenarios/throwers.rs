@@ -126,8 +126,9 @@ async fn messages_whose_drop_panics_are_counted_when_their_receiver_ends() {
     let node = TestNode::start(builder).await;
     let bombs = node.sender("depot").unwrap();
 
-    (0..5).for_each(|n| bombs.tell(Bomb { armed: n > 0 }).unwrap());
+    bombs.tell(Bomb { armed: false }).unwrap();
     node.settle().await;
+    (0..5).for_each(|_| bombs.tell(Bomb { armed: true }).unwrap());
     node.remove_child("depot").await.unwrap();
 
     let name = "depot".parse().unwrap();

@@ -213,7 +213,8 @@ impl Detector {
     /// Somebody who stands still does so behind a hang, or because of what else is wrong with itself,
     /// or because of what it depends on.
     fn cause_of_standstill(&self, object: &ObjectName, scene: &Scene) -> Cause {
-        let hang = self.behind.get(object).copied().filter(|&id| self.chronicle.stands(id));
+        // Also where the culprit has been replaced elsewhere: its victims stand until they are freed.
+        let hang = self.behind.get(object).copied();
         let own = || {
             let here = self.chronicle.standing_at(&scene.place);
             here.filter(|fault| is_down(fault) && fault.kind != FaultKind::Silence)

@@ -517,6 +517,18 @@ fn a_victim_that_is_lost_is_a_symptom_also_when_the_culprit_was_replaced_long_ag
 }
 
 #[test]
+fn a_victim_that_is_silent_is_a_symptom_also_when_the_culprit_was_replaced_before() {
+    let mut bench = Bench::new();
+    bench.depend("map", &[]);
+    bench.see("laser", ONE, hangs(&["map"]));
+    bench.detector.handle_outcome(FaultId(1), at(5), Outcome::Recovered);
+
+    bench.see("map", ONE, silent());
+
+    assert_eq!(bench.fault(2).symptom_of, Some(FaultId(1)));
+}
+
+#[test]
 fn the_recoverer_s_word_is_recorded_and_told() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
