@@ -236,7 +236,25 @@ pub(super) struct Networks {
     arbiter: Option<ArbiterHandle>,
 }
 
+/// How long a node that ends waits until its peers have what was sent to them. One that is gone must
+/// not keep it.
+const FAREWELL: Duration = Duration::from_secs(1);
+/// How often it looks whether they have.
+const FAREWELL_LOOK: Duration = Duration::from_millis(5);
+
 impl Networks {
+    /// Delivers what was sent, and ends every session.
+    pub(super) async fn leave(&self) {
+        self.handle.leave();
+        let gone = async {
+            while self.handle.read_sessions().await.iter().any(|row| row.incarnation.is_some()) {
+                tokio::time::sleep(FAREWELL_LOOK).await;
+            }
+        };
+        // Whatever is left after that is lost with the peers.
+        let _ = tokio::time::timeout(FAREWELL, gone).await;
+    }
+
     pub(super) fn stop(&self) {
         if let Some(arbiter) = &self.arbiter {
             arbiter.stop();
