@@ -80,7 +80,7 @@ impl NodeBuilder {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         NodeBuilder {
             name: name.to_owned(),
-            root: SupervisorSpec::new("root", Strategy::OneForOne).as_root(),
+            root: SupervisorSpec::new("root", Strategy::OneForOne).rooted(),
             plan: Plan::default(),
             own_kinds: Vec::new(),
             strategies: StrategyTable::default(),
