@@ -666,7 +666,7 @@ mod tests {
         world.stamps[0].speaks = true;
         assert_eq!(world.pass(590, true), []);
         world.stamps[0].allowance = ms(1000);
-        assert_eq!(world.pass(700, true), [], "a long operation was declared");
+        assert_eq!(world.pass(400, true), [], "a long operation was declared");
         let mut quiet = judged("quiet");
         quiet.max_silence = None;
         world.scanner.handle_enter(0, quiet, at(world.now));

@@ -110,7 +110,7 @@ impl World {
                     }
                     self.lives.insert(child, (incarnation, Life::Starting));
                 }
-                SupervisorAction::Stop { child } => {
+                SupervisorAction::Stop { child, .. } => {
                     assert!(!self.orders.contains(&child), "{child} stops under a standing order");
                     if let Some((_, life)) = self.lives.get_mut(&child) {
                         *life = Life::Stopping;
@@ -384,7 +384,7 @@ proptest! {
         let (mut stops, mut starts) = (Vec::new(), Vec::new());
         while let Some(action) = world.machine.poll_output() {
             match action {
-                SupervisorAction::Stop { child } => {
+                SupervisorAction::Stop { child, .. } => {
                     stops.push(world.place(&child));
                     world.machine.handle_stopped(&child, Incarnation::FIRST, world.now);
                 }

@@ -5,6 +5,7 @@ use super::supervisor::{Supervisor, SupervisorChild, SupervisorSetup};
 use crate::guardian::Guardian;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
+use blastema_contract::monitor::IsolationReported;
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 use blastema_core::recovery::{ChildRules, SupervisorRules};
 use blastema_core::{Fault, FaultId, FaultKind, Incarnation, Instant, ObjectName, Place};
@@ -142,6 +143,7 @@ pub(crate) struct Bench {
     pub(crate) deaths: Probe<Exited>,
     pub(crate) faults: Probe<FaultDeclared>,
     pub(crate) states: Probe<StateReported>,
+    pub(crate) isolation: Probe<IsolationReported>,
     /// In the node's place, above the root.
     pub(crate) above: Probe<ChildReport>,
 }
@@ -156,6 +158,7 @@ impl Bench {
             deaths,
             faults: Probe::start(),
             states: Probe::start(),
+            isolation: Probe::start(),
             above: Probe::start(),
         }
     }
@@ -172,6 +175,7 @@ impl Bench {
             children,
             monitor: self.faults.recipient(),
             states: self.states.recipient(),
+            isolation: self.isolation.recipient(),
             directory: self.directory.clone(),
         };
         Supervisor::start(&self.guardian, None, setup)

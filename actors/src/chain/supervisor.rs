@@ -2,11 +2,12 @@
 
 use super::directory::{Directory, SupervisorPorts};
 use crate::drive::{Body, Wake};
-use crate::guardian::{Guardian, answers_the_monitor};
+use crate::guardian::{self, Guardian};
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
-use blastema_contract::reports::{AreYouAlive, Exit, Exited, FaultDeclared, StateReported};
+use blastema_contract::monitor::IsolationReported;
+use blastema_contract::reports::{Alive, AreYouAlive, Exit, Exited, FaultDeclared, StateReported};
 use blastema_contract::supervisor::{
     AddChild, Begin, Branch, End, Forsake, GaveUp, IsolateAll, IsolateChild, Leaf, ReadTree,
     Recovered, RemoveChild, ResetChild, RestartChild, SafeStop,
@@ -37,6 +38,8 @@ pub(crate) struct SupervisorSetup {
     pub(crate) monitor: Recipient<FaultDeclared>,
     /// Is told when it is at work, and when it has ended.
     pub(crate) states: Recipient<StateReported>,
+    /// Is told who may not send and receive.
+    pub(crate) isolation: Recipient<IsolationReported>,
     /// Where strategies find who keeps an object.
     pub(crate) directory: Directory,
 }
@@ -53,7 +56,10 @@ pub(crate) struct Supervisor {
     parent: Option<Recipient<ChildReport>>,
     monitor: Recipient<FaultDeclared>,
     states: Recipient<StateReported>,
+    isolation: Recipient<IsolationReported>,
     directory: Directory,
+    /// It was told to end because it is to begin anew.
+    again: bool,
 }
 
 impl Supervisor {
@@ -74,7 +80,8 @@ impl Supervisor {
     }
 
     fn new(setup: SupervisorSetup) -> Self {
-        let SupervisorSetup { name, rules, children: given, monitor, states, directory } = setup;
+        let SupervisorSetup { name, rules, children: given, .. } = setup;
+        let SupervisorSetup { monitor, states, isolation, directory, .. } = setup;
         let mut supervisor = Supervisor {
             name,
             machine: Supervision::new(rules),
@@ -85,7 +92,9 @@ impl Supervisor {
             parent: None,
             monitor,
             states,
+            isolation,
             directory,
+            again: false,
         };
         for (child, rules) in given {
             let name = child.name().clone();
@@ -151,6 +160,12 @@ impl Supervisor {
         self.monitor.do_send(FaultDeclared { object, incarnation, kind, detail });
     }
 
+    /// No life follows for any child: what waits for one is given back, also where none was left that
+    /// could have been stopped.
+    fn retire_all(&mut self) {
+        self.children.values_mut().for_each(|child| child.retire());
+    }
+
     fn child(&mut self, name: &ObjectName) -> Option<&mut Box<dyn Child>> {
         self.children.get_mut(name)
     }
@@ -194,9 +209,12 @@ impl Body for Supervisor {
                     child.start(incarnation, report);
                 }
             }
-            SupervisorAction::Stop { child } => {
-                if let Some(child) = self.child(&child) {
-                    child.stop();
+            SupervisorAction::Stop { child, again } => {
+                let again = again || self.again;
+                match self.child(&child) {
+                    Some(child) if again => child.make_way(),
+                    Some(child) => child.stop(),
+                    None => {}
                 }
             }
             SupervisorAction::Abandon { child } => {
@@ -211,7 +229,9 @@ impl Body for Supervisor {
             }
             SupervisorAction::Isolate { child, isolated } => {
                 if let Some(child) = self.child(&child) {
+                    let object = child.name().clone();
                     child.isolate(isolated);
+                    self.isolation.do_send(IsolationReported { object, isolated });
                 }
             }
             SupervisorAction::StandingOrder { child, order } => {
@@ -237,6 +257,9 @@ impl Body for Supervisor {
                 error!(supervisor = %self.name, reason, "restarts are not worth it any more");
                 let (name, incarnation) = (self.name.clone(), self.machine.incarnation());
                 self.declare(name, incarnation, FaultKind::RestartStorm, reason.clone());
+                if self.machine.rules().root {
+                    self.retire_all();
+                }
                 self.tell_parent(ChildEvent::Escalated { reason });
             }
             SupervisorAction::AllStarted => {
@@ -246,6 +269,9 @@ impl Body for Supervisor {
                 self.tell_parent(ChildEvent::Started);
             }
             SupervisorAction::AllStopped => {
+                if !self.again {
+                    self.retire_all();
+                }
                 self.report_state(Lifecycle::Finalized);
                 self.tell_parent(ChildEvent::Stopped);
             }
@@ -253,7 +279,15 @@ impl Body for Supervisor {
     }
 }
 
-answers_the_monitor!(Supervisor);
+/// It answers for the supervisor that it plays, whose lives its parent counts.
+impl Handler<AreYouAlive> for Supervisor {
+    type Result = Alive;
+
+    fn handle(&mut self, _: AreYouAlive, _: &mut Context<Self>) -> Alive {
+        let incarnation = self.machine.incarnation().max(Incarnation::FIRST);
+        Alive { incarnation, ..guardian::alive() }
+    }
+}
 
 impl Actor for Supervisor {
     type Context = Context<Self>;
@@ -280,6 +314,7 @@ impl Handler<Begin> for Supervisor {
     fn handle(&mut self, message: Begin, context: &mut Context<Self>) {
         let Begin { incarnation, report } = message;
         self.parent = Some(report);
+        self.again = false;
         self.machine.handle_begin(incarnation, platform::now());
         self.drive(context);
     }
@@ -288,7 +323,9 @@ impl Handler<Begin> for Supervisor {
 impl Handler<End> for Supervisor {
     type Result = ();
 
-    fn handle(&mut self, _: End, context: &mut Context<Self>) {
+    fn handle(&mut self, message: End, context: &mut Context<Self>) {
+        let End { again } = message;
+        self.again = again;
         self.machine.handle_end(platform::now());
         self.drive(context);
     }
@@ -493,7 +530,15 @@ impl Child for SupervisorChild {
     }
 
     fn stop(&mut self) {
-        self.address.do_send(End);
+        self.address.do_send(End { again: false });
+    }
+
+    fn make_way(&mut self) {
+        self.address.do_send(End { again: true });
+    }
+
+    fn retire(&mut self) {
+        self.address.do_send(End { again: false });
     }
 
     fn abandon(&mut self) {

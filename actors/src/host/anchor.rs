@@ -15,6 +15,7 @@ use crate::component::{Component, Handle};
 use crate::death_watch::Mourners;
 use crate::lane::{Lane, WhenFull};
 use crate::letter::{Mail, pack, posting_time};
+use crate::panics::Guarded;
 use crate::platform;
 use crate::reply::{Answer, Reply, Revocable};
 use crate::sender::{Inlet, RequestError, SendError};
@@ -234,8 +235,8 @@ impl<C: Component> Anchor<C> {
     }
 
     /// Closes the queue until the next life; what was in it is returned or counted.
-    pub(crate) fn close(&self) {
-        self.lane.stop().into_iter().for_each(|mail| self.return_mail(mail, Why::Stopped));
+    pub(crate) fn close(&self, why: &Why) {
+        self.lane.stop().into_iter().for_each(|mail| self.return_mail(mail, why.clone()));
     }
 
     /// The same, by the life that ends; without effect when it was given up and another has begun.
@@ -248,6 +249,7 @@ impl<C: Component> Anchor<C> {
     pub(crate) fn return_mail(&self, mut mail: Mail<C>, why: Why) {
         self.record.bury(mail.brief().name, &why);
         // What is dropped here is the user's; its `Drop` may panic, but not into the host.
+        let _guarded = Guarded::enter();
         let _ = catch_unwind(AssertUnwindSafe(move || {
             mail.give_back(why);
             drop(mail);

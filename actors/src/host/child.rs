@@ -92,6 +92,17 @@ impl<C: Component> Child for HostedChild<C> {
         self.tell(self.anchor.record.incarnation(), ChildEvent::Stopped);
     }
 
+    fn make_way(&mut self) {
+        if self.is_alive() {
+            return self.order(Control::MakeWay);
+        }
+        self.tell(self.anchor.record.incarnation(), ChildEvent::Stopped);
+    }
+
+    fn retire(&mut self) {
+        self.anchor.end();
+    }
+
     fn abandon(&mut self) {
         let record = &self.anchor.record;
         let Some(incarnation) = self.anchor.lane.owner() else { return };
@@ -127,6 +138,10 @@ impl<C: Component> Child for HostedChild<C> {
 
     fn isolate(&mut self, isolated: bool) {
         self.anchor.isolate(isolated);
+        if isolated && !self.is_alive() {
+            // Nobody is there to whom it could be kept.
+            self.anchor.close(&Why::Isolated);
+        }
     }
 
     fn standing_order(&mut self, order: Option<StandingOrder>) {
@@ -146,7 +161,7 @@ impl<C: Component> Drop for HostedChild<C> {
 impl<C: Component> Anchor<C> {
     /// Nobody starts the component again for now: its queue and its subscriptions end.
     pub(crate) fn end(&self) {
-        self.close();
+        self.close(&Why::Stopped);
         self.subscriptions().iter().for_each(|subscription| subscription.end());
     }
 

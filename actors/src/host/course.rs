@@ -66,6 +66,8 @@ impl Hook {
 pub(crate) enum End {
     /// It was told to.
     Stopped,
+    /// It was told to, and another life follows.
+    Replaced,
     /// It ended itself.
     Returned,
     /// It could not go on.
@@ -129,6 +131,11 @@ impl Course {
     #[inline]
     pub(crate) fn is_serving(&self) -> bool {
         self.state == Lifecycle::Active && self.hooks.is_empty() && self.end.is_none()
+    }
+
+    /// Another life follows this one.
+    pub(crate) fn makes_way(&self) -> bool {
+        self.end == Some(End::Replaced)
     }
 
     pub(crate) fn is_ending(&self) -> bool {
@@ -236,7 +243,7 @@ impl Course {
     pub(crate) fn handle_stop(&mut self, end: End) {
         if self.end.is_some() {
             // Who asks to be told that it stopped is told so, whatever it ends of.
-            if end == End::Stopped {
+            if end == End::Stopped || (end == End::Replaced && self.end != Some(End::Stopped)) {
                 self.end = Some(end);
             }
             return;

@@ -42,6 +42,7 @@ use crate::component::Component;
 use actix::fut::{ActorFutureExt, wrap_future};
 use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Message};
 use blastema_contract::reports::{Alive, AreYouAlive};
+use course::End;
 use pump::{Pump, SharedPump};
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -58,6 +59,8 @@ pub(crate) struct Host<C: Component> {
 pub(crate) enum Control {
     /// End in order.
     Stop,
+    /// End in order, because another life follows.
+    MakeWay,
     /// Recover from an error.
     Reset,
     /// Return to work, or leave it.
@@ -93,7 +96,8 @@ impl<C: Component> Handler<Control> for Host<C> {
     fn handle(&mut self, control: Control, _: &mut Self::Context) {
         let mut pump = self.pump.borrow_mut();
         match control {
-            Control::Stop => pump.stop(),
+            Control::Stop => pump.stop(End::Stopped),
+            Control::MakeWay => pump.stop(End::Replaced),
             Control::Reset => pump.reset(),
             Control::Activate(active) => pump.activate(active),
             // Whatever arrives here, the pump is polled next.

@@ -107,7 +107,9 @@ fn enrolment(
         depends_on.iter().map(address).collect::<Result<_, _>>()?;
     // A component's own signs of life are stamps, which the lookout reads: no message is sent for them.
     let watch = if matches!(watch, Watch::Push(_)) { Watch::Guard } else { watch };
-    let enrolment = Enrolment::new(name.clone()).watch(watch).depends_on(depends_on);
+    let unborn = Incarnation::default();
+    let enrolment =
+        Enrolment::new(name.clone()).incarnation(unborn).watch(watch).depends_on(depends_on);
     Ok(Enrol { enrolment, inquiries: Some(inquiries) })
 }
 
@@ -234,7 +236,25 @@ pub(super) struct Networks {
     arbiter: Option<ArbiterHandle>,
 }
 
+/// How long a node that ends waits until its peers have what was sent to them. One that is gone must
+/// not keep it.
+const FAREWELL: Duration = Duration::from_secs(1);
+/// How often it looks whether they have.
+const FAREWELL_LOOK: Duration = Duration::from_millis(5);
+
 impl Networks {
+    /// Delivers what was sent, and ends every session.
+    pub(super) async fn leave(&self) {
+        self.handle.leave();
+        let gone = async {
+            while self.handle.read_sessions().await.iter().any(|row| row.incarnation.is_some()) {
+                tokio::time::sleep(FAREWELL_LOOK).await;
+            }
+        };
+        // Whatever is left after that is lost with the peers.
+        let _ = tokio::time::timeout(FAREWELL, gone).await;
+    }
+
     pub(super) fn stop(&self) {
         if let Some(arbiter) = &self.arbiter {
             arbiter.stop();
@@ -321,6 +341,8 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         faults: Some(parts.monitor.clone().recipient()),
     };
     let registry = parts.registry.clone();
+    // Its own objects may be named in full, with or without a network.
+    registry.connect(node.clone(), None);
     let environment = HostEnvironment { registry, ..HostEnvironment::new(arbiters, reports) };
     let (networks, network_enrolments) = if builder.networks.is_empty() {
         (None, Vec::new())

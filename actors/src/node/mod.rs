@@ -35,8 +35,8 @@ use actix::Recipient;
 use assembly::{Chain, Networks};
 use blastema_contract::detector::{FaultEvent, ReadRecord, Subscribe};
 use blastema_contract::link::LinkRow;
-use blastema_contract::naming::NodeRow;
 use blastema_contract::monitor::ReadTable;
+use blastema_contract::naming::NodeRow;
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::SessionRow;
 use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
@@ -301,7 +301,7 @@ impl Node {
         // A keeper that does not answer has ended already.
         let _ = self.0.shutdown.send(Shutdown).await;
         if let Some(networks) = &self.0.networks {
-            networks.handle.leave();
+            networks.leave().await;
         }
         self.0.stop_threads();
     }

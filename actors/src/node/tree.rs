@@ -206,6 +206,7 @@ impl SupervisorSpec {
             children,
             monitor: ground.monitor.clone().recipient(),
             states: ground.monitor.clone().recipient(),
+            isolation: ground.monitor.clone().recipient(),
             directory: ground.directory.clone(),
         };
         let supervisor = Supervisor::start(ground.guardian, ground.arbiter, setup);

@@ -22,6 +22,16 @@ pub trait Child: Send {
     /// alive answers at once.
     fn stop(&mut self);
 
+    /// Asks the present life to end in order because another is to follow: what waits for the child
+    /// goes on waiting. Answer: [`ChildEvent::Stopped`].
+    fn make_way(&mut self) {
+        self.stop();
+    }
+
+    /// The child has no life, and none is to follow: what waits for it is given back. No answer. The
+    /// next [`start`](Child::start) takes it up again.
+    fn retire(&mut self) {}
+
     /// Gives the present life up without asking it: its queue is taken away, what it still says goes
     /// nowhere. No answer. The next [`start`](Child::start) finds another place for the child if the
     /// old one is stuck.

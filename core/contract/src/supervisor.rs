@@ -107,7 +107,10 @@ pub struct Begin {
 /// From the parent: stop all children in reverse order. `Stopped` is reported when all have ended.
 #[derive(Clone, Copy, Debug, Message)]
 #[rtype(result = "()")]
-pub struct End;
+pub struct End {
+    /// The supervisor is to begin anew, so that what waits for its children goes on waiting.
+    pub again: bool,
+}
 
 /// From the parent: give all children up at once. Nothing is reported.
 #[derive(Clone, Copy, Debug, Message)]

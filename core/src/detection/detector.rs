@@ -426,7 +426,8 @@ impl Detector {
     /// Somebody who stands still does so behind a hang, or because of what else is wrong with itself,
     /// or because of what it depends on.
     fn cause_of_standstill(&self, object: &ObjectName, scene: &Scene) -> Cause {
-        let hang = self.behind.get(object).copied().filter(|&id| self.chronicle.stands(id));
+        // Also where the culprit has been replaced elsewhere: its victims stand until they are freed.
+        let hang = self.behind.get(object).copied();
         let own = || {
             let here = self.chronicle.standing_at(&scene.place);
             here.filter(|fault| is_down(fault) && fault.kind != FaultKind::Silence)
@@ -1144,6 +1145,18 @@ mod tests {
         bench.detector.handle_outcome(FaultId(1), at(5), Outcome::Recovered);
 
         bench.see("map", ONE, Finding::Lost { culprit: object("laser") });
+
+        assert_eq!(bench.fault(2).symptom_of, Some(FaultId(1)));
+    }
+
+    #[test]
+    fn a_victim_that_is_silent_is_a_symptom_also_when_the_culprit_was_replaced_before() {
+        let mut bench = Bench::new();
+        bench.depend("map", &[]);
+        bench.see("laser", ONE, hangs(&["map"]));
+        bench.detector.handle_outcome(FaultId(1), at(5), Outcome::Recovered);
+
+        bench.see("map", ONE, silent());
 
         assert_eq!(bench.fault(2).symptom_of, Some(FaultId(1)));
     }

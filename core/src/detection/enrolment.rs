@@ -24,7 +24,8 @@ pub struct Enrolment {
     pub object: ObjectName,
     /// What kind of object it is.
     pub kind: ObjectKind,
-    /// Which of its lives is about to begin, or lives already.
+    /// Which of its lives is about to begin, or lives already. Zero: its guard will report when its
+    /// first life begins, and nothing is expected of it before.
     pub incarnation: Incarnation,
     /// How its signs of life come.
     pub watch: Watch,

@@ -59,7 +59,8 @@ impl Entry {
     /// Empties the history: what was known was known of another life. Isolation outlives a restart.
     pub(super) fn begin(&mut self, incarnation: Incarnation) {
         let Entry { kind, watch, guarded, isolated, restarts, .. } = *self;
-        let restarts = restarts.saturating_add(1);
+        let first = self.incarnation == Incarnation::default();
+        let restarts = restarts.saturating_add(u32::from(!first));
         *self = Entry { watch, guarded, isolated, restarts, ..Entry::new(kind, incarnation) };
     }
 

@@ -470,7 +470,8 @@ impl Monitor {
             Watch::Pull(pull) => self.inquiry.enrol(object, pull, entry.incarnation, now),
             Watch::Guard => {}
         }
-        if entry.end.is_some() {
+        // Whoever has not begun yet may have to wait for others that are started before it.
+        if entry.end.is_some() || entry.incarnation == Incarnation::default() {
             self.watchdog.handle_end(object, entry.incarnation);
             self.inquiry.handle_end(object, entry.incarnation, now);
         }
@@ -722,6 +723,25 @@ mod tests {
 
     fn panicked() -> Exit {
         Exit::Panicked { text: "boom".into(), at: "laser.rs:1".into(), during: "Scan" }
+    }
+
+    #[test]
+    fn nothing_is_expected_of_an_object_before_its_first_life_is_reported() {
+        let pull = Watch::pull(Duration::from_millis(100), Duration::from_millis(100));
+        for watch in [pull, Watch::push(Duration::from_millis(100), 3)] {
+            let mut monitor = Monitor::new("m".parse().unwrap(), MonitorLimits::default(), at(0));
+            let laser = object("laser");
+            let enrolment = Enrolment::new(laser.clone()).incarnation(Incarnation::default());
+            monitor.enrol(enrolment.watch(watch), at(0)).unwrap();
+            while monitor.poll_output().is_some() {}
+
+            monitor.handle_timeout(at(60_000));
+            monitor.handle_state(&laser, ONE, Lifecycle::Created, None, at(60_000));
+
+            let row = row(&monitor, "m:laser", 60_000);
+            assert_eq!((row.incarnation, row.restarts, row.suspicions), (ONE, 0, 0), "{watch:?}");
+            assert!(monitor.poll_timeout().is_some(), "from now on it is watched");
+        }
     }
 
     #[test]

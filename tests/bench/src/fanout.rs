@@ -101,7 +101,7 @@ async fn measure(burst: u64, expected: u64, mut publish: impl FnMut(&Reading)) -
     EVENTS as f64 / start.elapsed().as_secs_f64()
 }
 
-pub async fn run(rounds: usize) {
+pub(crate) async fn run(rounds: usize) {
     let mut builder = Node::builder("fanout").on_this_thread();
     for number in 0..LISTENERS {
         builder = builder

@@ -1,5 +1,6 @@
 //! Benchmarks of the middleware beside what it is built on, as ratios within one run.
 //!
+//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [monitored]`; without
 //! arguments, all of them. `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
@@ -7,11 +8,12 @@ mod fanout;
 mod measure;
 mod messages;
 mod monitored;
+mod remote;
 mod restart;
 
 use std::process::ExitCode;
 
-const PARTS: [&str; 4] = ["messages", "restart", "fanout", "monitored"];
+const PARTS: [&str; 5] = ["messages", "restart", "fanout", "remote", "monitored"];
 
 fn main() -> ExitCode {
     let mut arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -34,6 +36,9 @@ fn main() -> ExitCode {
     if wanted("fanout") {
         blastema::run(fanout::run(rounds));
     }
+    if wanted("remote") {
+        remote::run(rounds);
+    }
     if wanted("monitored") {
         monitored::run(rounds.min(3));
     }
@@ -43,6 +48,7 @@ fn main() -> ExitCode {
 /// A part of a benchmark that needs a process of its own.
 fn child(arguments: &[String]) -> ExitCode {
     match arguments.first().map(String::as_str) {
+        Some("remote") => remote::child(&arguments[1..]),
         Some("monitored") => monitored::child(&arguments[1..]),
         _ => return ExitCode::from(2),
     }

@@ -1,21 +1,13 @@
 //! Rows that are run in turn within one process, so that their ratios hold while the machine drifts.
 
 /// The median of some figures.
-pub fn median(mut figures: Vec<f64>) -> f64 {
+pub(crate) fn median(mut figures: Vec<f64>) -> f64 {
     figures.sort_by(f64::total_cmp);
     figures.get(figures.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
-/// The value below which `percent` of the figures lie.
-pub fn percentile(figures: &[f64], percent: f64) -> f64 {
-    let mut sorted = figures.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let at = (sorted.len() as f64 * percent / 100.0) as usize;
-    sorted.get(at.min(sorted.len().saturating_sub(1))).copied().unwrap_or(f64::NAN)
-}
-
 /// A table whose rows are measured in turn, round by round.
-pub struct Table {
+pub(crate) struct Table {
     title: String,
     unit: &'static str,
     rows: Vec<(String, Vec<f64>)>,
@@ -23,12 +15,12 @@ pub struct Table {
 
 impl Table {
     /// An empty table.
-    pub fn new(title: impl Into<String>, unit: &'static str) -> Self {
+    pub(crate) fn new(title: impl Into<String>, unit: &'static str) -> Self {
         Table { title: title.into(), unit, rows: Vec::new() }
     }
 
     /// Adds one round's figure to the row of that name.
-    pub fn add(&mut self, row: &str, figure: f64) {
+    pub(crate) fn add(&mut self, row: &str, figure: f64) {
         match self.rows.iter_mut().find(|(name, _)| name == row) {
             Some((_, figures)) => figures.push(figure),
             None => self.rows.push((row.into(), vec![figure])),
@@ -36,7 +28,7 @@ impl Table {
     }
 
     /// The median of the per-round ratios of one row to the first.
-    pub fn ratio(&self, row: &str) -> f64 {
+    pub(crate) fn ratio(&self, row: &str) -> f64 {
         let Some((_, first)) = self.rows.first() else { return f64::NAN };
         let Some((_, figures)) = self.rows.iter().find(|(name, _)| name == row) else {
             return f64::NAN;
@@ -45,7 +37,7 @@ impl Table {
     }
 
     /// Prints the table.
-    pub fn print(&self) {
+    pub(crate) fn print(&self) {
         let rounds = self.rows.first().map_or(0, |(_, figures)| figures.len());
         println!("\n## {} ({})", self.title, self.unit);
         println!("median of {rounds} rounds in turn [lowest..highest], ratio to the first row");

@@ -132,7 +132,7 @@ async fn ask_bare_in_time(bare: &Addr<Bare>) -> f64 {
     each(start, ASKS)
 }
 
-pub async fn run(rounds: usize) {
+pub(crate) async fn run(rounds: usize) {
     let near = Node::builder("near")
         .on_this_thread()
         .child(ChildSpec::new("ours", || Ours(0)).queue(512, WhenFull::Refuse))

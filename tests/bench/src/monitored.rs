@@ -14,14 +14,12 @@ fn cpu_seconds() -> f64 {
 }
 
 /// In a process of its own: prints the percentage of one core that so many components take.
-pub fn child(arguments: &[String]) {
+pub(crate) fn child(arguments: &[String]) {
     let count: usize = arguments.first().and_then(|text| text.parse().ok()).unwrap_or(0);
     let percent = blastema::run(async move {
         let mut builder = Node::builder("watched");
         for number in 0..count {
-            let spec = ChildSpec::new(&format!("idle/{number}"), || Idle);
-            builder =
-                builder.child(spec.watch(Watch::push(Duration::from_millis(100), 3)).rate_hz(1.0));
+            builder = builder.child(ChildSpec::new(&format!("idle/{number}"), || Idle));
         }
         let node = builder.start().await.expect("a node of idle components starts");
         tokio::time::sleep(Duration::from_secs(1)).await;
@@ -43,7 +41,7 @@ fn fresh(count: usize) -> f64 {
     String::from_utf8_lossy(&output.stdout).trim().parse().unwrap_or(f64::NAN)
 }
 
-pub fn run(rounds: usize) {
+pub(crate) fn run(rounds: usize) {
     let mut table = Table::new("components watched every 100 ms", "% of one core");
     for _ in 0..rounds {
         for count in [0, 100, 10_000] {

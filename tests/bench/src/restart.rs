@@ -93,7 +93,7 @@ async fn recorded(node: &Node) -> u64 {
     record.dropped + record.entries.len() as u64
 }
 
-pub async fn run(rounds: usize) {
+pub(crate) async fn run(rounds: usize) {
     // The reports of a hundred thousand panics a second are not what this measures.
     std::panic::set_hook(Box::new(|_| {}));
     let mut builder = Node::builder("siblings")

@@ -2,7 +2,7 @@
 
 use crate::puppet::{Deed, Pull, Strings, ask, life, strike};
 use blastema::core::detection::{End, Turn};
-use blastema::core::recovery::{Done, Failed, Order};
+use blastema::core::recovery::{ChildState, Done, Failed, Order};
 use blastema::prelude::*;
 use blastema::{RecoveryStrategy, Severity, Tools};
 use blastema_testkit::TestNode;
@@ -54,19 +54,21 @@ async fn a_storm_of_one_fault_is_one_fault_one_report_and_a_count() {
 }
 
 #[blastema_testkit::test]
-async fn a_storm_of_panics_ends_in_safe_rest_with_few_words() {
+async fn a_storm_of_panics_ends_in_the_objects_safe_rest_with_few_words() {
     let strings = Strings::default();
     let group = SupervisorSpec::new("group", Strategy::OneForOne).child(strings.spec("mad"));
     let node = TestNode::start(Node::builder("module1").supervisor(group)).await;
     (0..1000).for_each(|_| strings.pull("mad", "on_activated", Pull::Panic("mad")));
 
     strike(&node, "mad").await;
-    let state = tokio::time::timeout(Duration::from_secs(60), node.ended()).await;
+    node.advance(Duration::from_secs(60)).await;
 
-    assert!(matches!(state, Ok(NodeState::AtRest { .. })), "{state:?}: {:?}", node.faults().await);
+    let group = node.tree().await.unwrap().children[0].below.clone().unwrap();
+    assert_eq!(group.children[0].state, ChildState::Resting);
     let record = node.faults().await;
-    assert!(record.entries.len() <= 40, "{} entries", record.entries.len());
-    assert!(strings.lines("on_activated").len() <= 17, "four times four lives, and one");
+    assert!(record.entries.len() <= 10, "{record:?}");
+    assert!(strings.lines("on_activated").len() <= 10);
+    assert_eq!(node.state(), NodeState::Running, "the others go on");
 }
 
 /// A fault of the application's own, and its cure.
@@ -164,8 +166,7 @@ async fn an_error_of_a_victim_passes_with_its_root_or_is_treated_then() {
     assert!(took > Duration::from_secs(2), "{took:?}");
     assert_eq!(life(&node, "planner").await, 1, "a reset has helped");
     let record = node.faults().await;
-    let ended = |entry: &blastema::core::detection::Entry| {
-        matches!(entry.ended, Some((_, End::Recovered)))
-    };
+    let ended =
+        |entry: &blastema::core::detection::Entry| matches!(entry.ended, Some((_, End::Recovered)));
     assert!(record.entries.iter().all(ended), "{record:?}");
 }

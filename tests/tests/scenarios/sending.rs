@@ -106,7 +106,7 @@ async fn who_takes_no_such_contract_or_another_one_says_so() {
 
     assert!(matches!(unknown, Why::Unknown { .. }), "{unknown}");
     let Why::ContractDiffers { difference } = differs else { panic!("{differs}") };
-    assert!(difference.contains("text"), "{difference}");
+    assert!(difference.contains("test/note"), "{difference}");
     assert!(OtherNote { text: String::new() }.text.is_empty());
 }
 

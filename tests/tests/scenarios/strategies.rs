@@ -96,7 +96,12 @@ async fn a_strategy_whose_drop_panics_harms_nobody() {
 #[blastema_testkit::test]
 async fn attempts_wait_for_each_other_as_the_back_off_says() {
     let strings = Strings::default();
-    let backoff = Backoff { first: Duration::from_secs(1), factor: 2, jitter_percent: 0, ..Backoff::default() };
+    let backoff = Backoff {
+        first: Duration::from_secs(1),
+        factor: 2,
+        jitter_percent: 0,
+        ..Backoff::default()
+    };
     let ladder = Ladder::first(Measure::Custom("oil".into())).times(3).backoff(backoff);
     let builder = robot(&strings, ladder.then(Measure::Restart));
     let mut node = TestNode::start(builder.recovery("oil", || Useless::Fails)).await;
@@ -139,7 +144,10 @@ async fn an_isolated_object_neither_sends_nor_receives_but_lives() {
     assert!(reason.contains("isolate"), "{reason}");
     let refused = notes.tell(Note(1)).expect_err("nothing gets in");
     assert_eq!((refused.why, refused.message), (Why::Isolated, Note(1)));
-    node.publisher::<crate::puppet::News>("test/news").unwrap().publish(crate::puppet::News(1)).unwrap();
+    node.publisher::<crate::puppet::News>("test/news")
+        .unwrap()
+        .publish(crate::puppet::News(1))
+        .unwrap();
     node.settle().await;
     assert_eq!(strings.lines("news"), ["ear#1 news 1"], "nor an event");
     assert!(node.row("joint").await.isolated);
@@ -164,7 +172,7 @@ async fn safe_stop_applies_the_safe_outputs_even_if_they_panic() {
 }
 
 #[blastema_testkit::test]
-async fn a_second_fault_of_an_object_in_treatment_joins_its_case() {
+async fn what_is_sent_while_an_object_is_replaced_waits_for_its_next_life() {
     let strings = Strings::default();
     let ladder = Ladder::first(Measure::Restart);
     let group = SupervisorSpec::new("group", Strategy::RestForOne).child(strings.spec("joint"));
@@ -176,7 +184,8 @@ async fn a_second_fault_of_an_object_in_treatment_joins_its_case() {
     strings.pull("joint", "on_deactivated", Pull::Wait(Duration::from_millis(300)));
 
     declare(&node).await;
-    ask(&node, "joint", Deed::Check(7.5)).await.expect("not yet stopped");
+    let behind = ask(&node, "joint", Deed::Nothing).await;
+    assert_eq!(behind.expect("it waits for the next life"), 2);
     node.await_recovered(oil(), "joint").await;
     node.advance(Duration::from_secs(1)).await;
 

@@ -38,7 +38,8 @@ async fn a_component_whose_drop_panics_while_it_is_restarted_is_replaced_all_the
 async fn a_component_that_panics_while_it_stops_is_stopped() {
     for hook in ["on_deactivated", "on_shutdown", "on_finalize", "drop"] {
         let strings = Strings::default();
-        let builder = Node::builder("module1").child(strings.spec("arm")).child(strings.spec("hand"));
+        let builder =
+            Node::builder("module1").child(strings.spec("arm")).child(strings.spec("hand"));
         let node = TestNode::start(builder).await;
         strings.pull("hand", hook, Pull::Panic("while stopping"));
 
@@ -125,8 +126,9 @@ async fn messages_whose_drop_panics_are_counted_when_their_receiver_ends() {
     let node = TestNode::start(builder).await;
     let bombs = node.sender("depot").unwrap();
 
-    (0..5).for_each(|n| bombs.tell(Bomb { armed: n > 0 }).unwrap());
+    bombs.tell(Bomb { armed: false }).unwrap();
     node.settle().await;
+    (0..5).for_each(|_| bombs.tell(Bomb { armed: true }).unwrap());
     node.remove_child("depot").await.unwrap();
 
     let name = "depot".parse().unwrap();

@@ -124,6 +124,10 @@ impl<C: Component> Pump<C> {
                 self.anchor.end_by(incarnation);
                 Exit::Stopped
             }
+            End::Replaced => {
+                self.anchor.lane.leave(incarnation);
+                Exit::Stopped
+            }
             End::Returned | End::Fatal => {
                 self.anchor.lane.leave(incarnation);
                 Exit::Returned

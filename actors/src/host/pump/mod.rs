@@ -200,8 +200,8 @@ impl<C: Component> Pump<C> {
     }
 
     /// The supervisor asks for an end in order.
-    pub(crate) fn stop(&mut self) {
-        self.course.handle_stop(End::Stopped);
+    pub(crate) fn stop(&mut self, end: End) {
+        self.course.handle_stop(end);
         self.chores.limit(Chore::StopLimit, self.anchor.record.limits.shutdown_within);
     }
 
@@ -503,7 +503,7 @@ impl<C: Component> Pump<C> {
         }
         if self.chores.take_limit(Chore::StopLimit) && self.course.is_ending() {
             self.drop_service();
-            self.end(End::Stopped);
+            self.end(if self.course.makes_way() { End::Replaced } else { End::Stopped });
         }
     }
 

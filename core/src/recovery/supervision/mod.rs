@@ -109,6 +109,8 @@ pub enum SupervisorAction {
     Stop {
         /// The child.
         child: ObjectName,
+        /// Another life is to follow, so that what waits for the child goes on waiting.
+        again: bool,
     },
     /// Give the child's life up without asking it.
     Abandon {

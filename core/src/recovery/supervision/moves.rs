@@ -256,9 +256,17 @@ impl Supervision {
             return;
         }
         let (name, due) = (child.name.clone(), now + child.rules.shutdown_within);
+        let wanted = child.goal == Goal::Run;
+        let again = wanted
+            && match &self.phase {
+                Phase::Starting | Phase::Serving => true,
+                // The parent begins it anew, unless there is none.
+                Phase::Ending { escalation: Some(_) } => !self.rules.root,
+                Phase::Ending { escalation: None } | Phase::Idle | Phase::Escalated { .. } => false,
+            };
         self.withdraw(key);
         self.set_state(key, State::Stopping { due });
-        self.outputs.push_back(SupervisorAction::Stop { child: name });
+        self.outputs.push_back(SupervisorAction::Stop { child: name, again });
     }
 
     pub(super) fn abandon(&mut self, key: Key) {

@@ -56,7 +56,7 @@ impl Rig {
                 SupervisorAction::Start { child, incarnation } => {
                     format!("start {child} {incarnation}")
                 }
-                SupervisorAction::Stop { child } => format!("stop {child}"),
+                SupervisorAction::Stop { child, .. } => format!("stop {child}"),
                 SupervisorAction::Abandon { child } => format!("abandon {child}"),
                 SupervisorAction::Reset { child } => format!("reset {child}"),
                 SupervisorAction::Isolate { child, isolated: true } => format!("isolate {child}"),

@@ -1,0 +1,175 @@
+//! A request of 64 bytes and its reply between processes, beside a bare UDP ping-pong.
+//!
+//! This process is pinned to the first core and every other to the second, bare or not.
+
+use crate::measure::{Table, median};
+use blastema::prelude::*;
+use blastema::{Link, Network};
+use rustix::thread::{CpuSet, sched_setaffinity};
+use std::io::{BufRead, BufReader, Write};
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+const WARM_UP: usize = 200;
+const ASKS: usize = 3_000;
+
+/// 64 bytes there and back.
+#[derive(Clone, Debug, Request)]
+#[contract(reply = Vec<u8>)]
+struct Echo(Vec<u8>);
+
+struct Mirror;
+impl Component for Mirror {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Echo>();
+    }
+}
+impl Handle<Echo> for Mirror {
+    async fn handle(&mut self, message: Echo, _: &mut Context<Self>) -> Vec<u8> {
+        message.0
+    }
+}
+
+fn pin(core: usize) {
+    let mut set = CpuSet::new();
+    set.set(core);
+    // Where there is no second core, or no right to choose, both sides are unpinned alike.
+    let _ = sched_setaffinity(None, &set);
+}
+
+/// Addresses that were free a moment ago.
+fn addresses<const N: usize>() -> [SocketAddr; N] {
+    let sockets = [(); N].map(|()| UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port"));
+    sockets.map(|socket| socket.local_addr().expect("a bound socket has an address"))
+}
+
+/// Another process of this program, which ends with its standard input.
+struct Peer(Child);
+
+impl Peer {
+    fn start(arguments: &[String]) -> Self {
+        let program = std::env::current_exe().expect("a running program has a file");
+        let mut child = Command::new(program)
+            .args(["--child", "remote"])
+            .args(arguments)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("this program starts");
+        let mut ready = String::new();
+        let output = child.stdout.as_mut().expect("it was piped");
+        BufReader::new(output).read_line(&mut ready).expect("it says when it is ready");
+        Peer(child)
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        drop(self.0.stdin.take());
+        let _ = self.0.wait();
+    }
+}
+
+/// Says that this process is ready, and waits until nobody needs it any more.
+fn serve_until_told() {
+    println!("ready");
+    let _ = std::io::stdout().flush();
+    let _ = std::io::stdin().read_line(&mut String::new());
+}
+
+/// Another process: `bare ADDRESS`, or `node NAME (OWN NEIGHBOUR ADDRESS)...`.
+pub(crate) fn child(arguments: &[String]) {
+    pin(1);
+    match arguments {
+        [kind, address] if kind == "bare" => {
+            let address: SocketAddr = address.parse().expect("the parent writes an address");
+            std::thread::spawn(move || blastema::run(bare_echo(address)));
+            serve_until_told();
+        }
+        [kind, name, links @ ..] if kind == "node" => blastema::run(async {
+            let mut builder = Node::builder(name).child(ChildSpec::new("mirror", || Mirror));
+            for (number, link) in links.chunks(3).enumerate() {
+                builder = builder.network(network(number, link));
+            }
+            let node = builder.start().await.expect("the node starts");
+            let told = tokio::task::spawn_blocking(serve_until_told);
+            let _ = told.await;
+            node.shutdown().await;
+        }),
+        _ => println!("the parent names a kind"),
+    }
+}
+
+fn network(number: usize, link: &[String]) -> Network {
+    let parse = |text: &String| text.parse().expect("the parent writes addresses");
+    let far = Link::new(&link[1], parse(&link[2]));
+    Network::udp(&format!("net{number}"), parse(&link[0])).link(far)
+}
+
+async fn bare_echo(address: SocketAddr) {
+    let socket = tokio::net::UdpSocket::bind(address).await.expect("the address is free");
+    let mut buffer = [0; 2048];
+    while let Ok((length, from)) = socket.recv_from(&mut buffer).await {
+        let _ = socket.send_to(&buffer[..length], from).await;
+    }
+}
+
+async fn bare(far: SocketAddr) -> f64 {
+    let socket = tokio::net::UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a free port");
+    let mut buffer = [0; 2048];
+    let mut figures = Vec::new();
+    for _ in 0..WARM_UP + ASKS {
+        let start = Instant::now();
+        socket.send_to(&[7; 64], far).await.expect("loopback takes it");
+        socket.recv_from(&mut buffer).await.expect("the echo comes");
+        figures.push(start.elapsed().as_nanos() as f64 / 1e3);
+    }
+    median(figures.split_off(WARM_UP))
+}
+
+async fn asked(mirror: &Sender<Echo>) -> f64 {
+    let mut figures = Vec::new();
+    for _ in 0..WARM_UP + ASKS {
+        let start = Instant::now();
+        mirror.ask(Echo(vec![7; 64])).await.expect("the mirror answers");
+        figures.push(start.elapsed().as_nanos() as f64 / 1e3);
+    }
+    median(figures.split_off(WARM_UP))
+}
+
+async fn reached(node: &Node, name: &str) -> Sender<Echo> {
+    let mirror: Sender<Echo> = node.sender(name).expect("the name parses");
+    while mirror.ask(Echo(Vec::new())).await.is_err() {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    mirror
+}
+
+pub(crate) fn run(rounds: usize) {
+    pin(0);
+    let [echo, near, left, right, far] = addresses();
+    let text = |parts: &[&str]| parts.iter().map(|part| (*part).to_owned()).collect::<Vec<_>>();
+    let (near_at, left_at) = (near.to_string(), left.to_string());
+    let (right_at, far_at) = (right.to_string(), far.to_string());
+    let _echo = Peer::start(&text(&["bare", &echo.to_string()]));
+    let middle = ["node", "middle", &left_at, "near", &near_at, &right_at, "far", &far_at];
+    let _middle = Peer::start(&text(&middle));
+    let _far = Peer::start(&text(&["node", "far", &far_at, "middle", &right_at]));
+    blastema::run(async {
+        let network = Network::udp("net0", near).link(Link::new("middle", left));
+        let node = Node::builder("near").network(network).start().await.expect("the node starts");
+        let one = reached(&node, "middle:mirror").await;
+        let two = reached(&node, "far:mirror").await;
+        let mut table = Table::new("request and reply of 64 B between processes, UDP", "us");
+        for _ in 0..rounds {
+            table.add("bare tokio UDP ping-pong", bare(echo).await);
+            table.add("Sender::ask, one hop", asked(&one).await);
+            table.add("Sender::ask, two hops", asked(&two).await);
+        }
+        table.print();
+        let (one, two) = ("Sender::ask, one hop", "Sender::ask, two hops");
+        println!("two hops take {:.2} times one", table.ratio(two) / table.ratio(one));
+        node.shutdown().await;
+    });
+}
