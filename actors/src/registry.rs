@@ -94,7 +94,11 @@ impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
         reply_to: Option<ReplyTo>,
     ) -> Result<(), Why> {
         match reply_to {
-            None => Inlet::tell(&*self.anchor, message).map_err(|error| error.why),
+            // Its sender is elsewhere, and has been told that it was sent.
+            None => Inlet::tell(&*self.anchor, message).map_err(|SendError { why, .. }| {
+                self.anchor.record.bury(M::NAME, &why);
+                why
+            }),
             Some(reply_to) => {
                 let answer = Answer::called_back(Box::new(move |result| {
                     reply_to(result.and_then(|reply| encoded_reply::<M>(&reply)));

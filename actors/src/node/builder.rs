@@ -7,7 +7,7 @@ use crate::chain::strategy::{RecoveryStrategy, SafeOutputs, StrategyTable};
 use crate::component::Component;
 use crate::host::spec::{ChildSpec, SpecError};
 use blastema_core::detection::EnrolError;
-use blastema_core::recovery::{Plan, PlanError, Strategy};
+use blastema_core::recovery::{Plan, PlanError, Restart, Strategy};
 use blastema_core::{Fault, FaultKind, NameError};
 use std::fmt;
 use std::io;
@@ -95,6 +95,12 @@ impl NodeBuilder {
     /// One more component under the root supervisor, started after those before it.
     pub fn child<C: Component>(mut self, spec: ChildSpec<C>) -> Self {
         self.root = self.root.child(spec);
+        self
+    }
+
+    /// One more component under the root supervisor of which not every end is followed by a restart.
+    pub fn child_with<C: Component>(mut self, spec: ChildSpec<C>, restart: Restart) -> Self {
+        self.root = self.root.child_with(spec, restart);
         self
     }
 

@@ -37,6 +37,9 @@ impl Arrivals {
     /// Chen et al. find 30 arrivals enough; more only makes it slower to follow a drifting clock.
     const WINDOW: usize = 32;
 
+    /// So many missing in a row are an outage, and say nothing about the loss before and after.
+    const OUTAGE: u32 = 8;
+
     pub(crate) fn new(interval: Duration, number: u32, now: Instant) -> Self {
         let mut arrivals = Arrivals {
             interval,
@@ -70,8 +73,12 @@ impl Arrivals {
             return Arrival::Old;
         }
         let step = step.unsigned_abs();
-        self.seen = self.seen.checked_shl(step).unwrap_or(0) | 1;
-        self.span = self.span.saturating_add(step).min(64);
+        if step > Self::OUTAGE {
+            (self.seen, self.span) = (1, 1);
+        } else {
+            self.seen = self.seen << step | 1;
+            self.span = (self.span + step).min(64);
+        }
         self.highest += u64::from(step);
         self.learn(now);
         Arrival::New
@@ -121,6 +128,15 @@ mod tests {
         arrivals.handle(101, Instant::from_millis(1014));
 
         assert_eq!(arrivals.expected(), Instant::from_millis(1022));
+    }
+
+    #[test]
+    fn an_outage_is_no_loss() {
+        let mut arrivals = Arrivals::new(INTERVAL, 0, Instant::ORIGIN);
+        for number in (1..=20).chain(60..=80) {
+            arrivals.handle(number, Instant::from_millis(10 * u64::from(number)));
+        }
+        assert_eq!(arrivals.loss_permille(), Some(0));
     }
 
     #[test]

@@ -34,7 +34,9 @@ pub struct LinkConfig {
     /// So many percent of an interval after its time, a missing hello makes the link suspect: traffic
     /// avoids it where it can. Lower fails over sooner, and more often for nothing.
     pub suspect_after_percent: u32,
-    /// So many percent of an interval after its time, a missing hello takes the link down.
+    /// So many percent of an interval after its time, a missing hello takes the link down. On a link
+    /// that loses hellos anyway, more must be missing, so that loss alone takes it down once in some
+    /// 100,000 hellos.
     pub down_after_percent: u32,
     /// So many hellos in a row bring a new link up; a link that was down needs twice as many for
     /// each time that it went down lately.
@@ -288,7 +290,7 @@ impl Link {
 
     /// We ourselves were not scheduled until `now`: every silence up to now is void.
     pub fn handle_stall(&mut self, now: Instant) {
-        let patience = self.config.down_after_percent;
+        let patience = self.down_after_percent();
         if let Some(heard) = &mut self.neighbour {
             heard.excused_until = now + percent(heard.arrivals.interval(), patience);
         }
@@ -449,6 +451,10 @@ impl Link {
         Some(silent.min(deaf).max(heard.excused_until))
     }
 
+    fn down_after_percent(&self) -> u32 {
+        self.config.down_after_percent + 100 * hellos_beyond_three(self.quality.loss_permille)
+    }
+
     fn go_down(&mut self, reason: &'static str, now: Instant) {
         if now - self.last_down > Self::FLAP_MEMORY {
             self.flaps = 0;
@@ -497,7 +503,7 @@ impl Link {
 
     fn judge_silence(&mut self, now: Instant) {
         let past = |due: Option<Instant>| due.is_some_and(|due| due <= now);
-        let down = past(self.due(self.config.down_after_percent));
+        let down = past(self.due(self.down_after_percent()));
         match self.state {
             LinkState::Up | LinkState::Suspect if down => {
                 self.go_down("the neighbour is not heard, or does not hear", now);
@@ -526,7 +532,7 @@ impl Machine for Link {
     fn poll_timeout(&self) -> Option<Instant> {
         let silence = match self.state {
             LinkState::Up => self.due(self.config.suspect_after_percent),
-            LinkState::Suspect => self.due(self.config.down_after_percent),
+            LinkState::Suspect => self.due(self.down_after_percent()),
             // Looked at with the next hello: nobody depends on a link that is not up.
             LinkState::Connecting | LinkState::Down => None,
         };
@@ -548,6 +554,19 @@ impl Machine for Link {
 
 fn percent(span: Duration, percent: u32) -> Duration {
     span * percent / 100
+}
+
+/// How many more than three hellos must be lost in a row until that is less likely than 1 in 100,000.
+fn hellos_beyond_three(loss_permille: u16) -> u32 {
+    match loss_permille {
+        0..=20 => 0,
+        21..=50 => 1,
+        51..=100 => 2,
+        101..=200 => 4,
+        201..=300 => 6,
+        // Beyond, the link is of little use, and it is not worth finding its end any later.
+        _ => 9,
+    }
 }
 
 /// RFC 6298's smoothing: an eighth of each new round trip, a quarter of each deviation.

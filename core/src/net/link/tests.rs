@@ -211,6 +211,27 @@ fn a_stranger_a_namesake_and_a_foreign_release_are_refused_and_told_once() {
 }
 
 #[test]
+fn loss_alone_hardly_ever_takes_a_link_down() {
+    let mut cable = running();
+    // Linear congruences (Numerical Recipes) decide over each frame: 15 % are lost.
+    let mut chance = 1u32;
+    for _ in 0..10_000 {
+        let mut lost = || {
+            chance = chance.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            chance >> 16 < 65_536 * 15 / 100
+        };
+        cable.cut = [lost(), lost()];
+        cable.run_until(cable.now + 10);
+    }
+
+    let down = |told: &&(u64, usize, LinkOutput)| {
+        matches!(told.2, LinkOutput::Changed { state: LinkState::Down, .. })
+    };
+    // Both ends together; with three and a half intervals it would be some sixty.
+    assert!(cable.told.iter().filter(down).count() <= 6);
+}
+
+#[test]
 fn a_link_that_loses_too_much_is_degraded_until_it_is_much_better() {
     let mut cable = running();
     let mut number = 0;
