@@ -1,4 +1,74 @@
 //! Fault-tolerant middleware for robots: typed actors that grow back.
+//!
+//! A robot is made of [components](Component), which send each other [messages](Contract) and live on
+//! [nodes](Node). When one of them panics, hangs, falls silent or cannot be reached, Blastema finds the
+//! fault, names it, and recovers from it in bounded time, or brings the robot to safe rest. The
+//! application says what its parts are and what depends on what.
+//!
+//! Here a request kills a laser scanner. The caller learns so, and the same sender reaches the scanner's
+//! next life:
+//!
+//! ```
+//! use blastema::prelude::*;
+//!
+//! /// Asks how near the nearest thing is.
+//! #[derive(Debug, Request)]
+//! #[contract(name = "laser/nearest", version = 1, reply = f32)]
+//! struct Nearest {
+//!     /// To either side of straight ahead.
+//!     #[contract(unit = "rad")]
+//!     within: f32,
+//! }
+//!
+//! /// A laser scanner.
+//! struct Laser {
+//!     ranges: Vec<f32>,
+//! }
+//!
+//! impl Component for Laser {
+//!     fn ports(ports: &mut Ports<Self>) {
+//!         ports.serve::<Nearest>();
+//!     }
+//! }
+//!
+//! impl Handle<Nearest> for Laser {
+//!     async fn handle(&mut self, request: Nearest, _: &mut Context<Self>) -> f32 {
+//!         assert!(request.within > 0.0, "nothing can be seen within {} rad", request.within);
+//!         self.ranges.iter().copied().fold(f32::INFINITY, f32::min)
+//!     }
+//! }
+//!
+//! #[blastema::main]
+//! async fn main() -> Result<(), Box<dyn std::error::Error>> {
+//!     let node = Node::builder("module1")
+//!         .child(ChildSpec::new("laser", || Laser { ranges: vec![2.5, 0.8] }))
+//!         .start()
+//!         .await?;
+//!     let laser: Sender<Nearest> = node.sender("laser")?;
+//!
+//!     if let Err(error) = laser.ask(Nearest { within: 0.0 }).await {
+//!         println!("{error}"); // … the receiver died in its life 1 while it served this message
+//!     }
+//!     println!("{} m", laser.ask(Nearest { within: 0.1 }).await?);
+//!     Ok(())
+//! }
+//! ```
+//!
+//! The [manual] begins with [getting started](manual::start); it has a page on every subject, with all
+//! [guarantees](manual::guarantees) and all [limits](manual::limits).
+//!
+//! | to | see |
+//! | --- | --- |
+//! | write a component | [`Component`], [`Handle`], [`Ports`], [`Context`], [`Failure`] |
+//! | describe messages | [`Event`](derive@Event), [`Request`](derive@Request), [`Structure`] |
+//! | run components | [`Node`], [`NodeBuilder`], [`ChildSpec`], [`SupervisorSpec`] |
+//! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`Why`] |
+//! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`Row`] |
+//! | recover | [`core::recovery::Plan`], [`RecoveryStrategy`] |
+//! | connect nodes | [`Network`], [`Link`] |
+//!
+//! The [prelude] has what an application usually needs. Tests are written with the crate
+//! `blastema-testkit`.
 
 // The derives write `::blastema`, also where they are used within it.
 #[cfg(test)]
@@ -13,6 +83,7 @@ mod guardian;
 mod host;
 mod lane;
 mod letter;
+pub mod manual;
 mod net;
 mod node;
 mod panics;

@@ -98,9 +98,13 @@ impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
         age: Duration,
     ) -> Result<(), Why> {
         match reply_to {
+            // Its sender is elsewhere, and has been told that it was sent.
             None => {
                 let posted_at = arrived_posting_time::<M>(age);
-                self.anchor.tell_at(message, posted_at).map_err(|error| error.why)
+                self.anchor.tell_at(message, posted_at).map_err(|SendError { why, .. }| {
+                    self.anchor.record.bury(M::NAME, &why);
+                    why
+                })
             }
             Some(reply_to) => {
                 let answer = Answer::called_back(Box::new(move |result| {

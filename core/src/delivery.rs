@@ -13,7 +13,7 @@ pub enum Why {
     /// The receiver is between two lives. Try again shortly.
     #[error("the receiver is restarting")]
     Restarting,
-    /// The receiver was stopped, and nobody will start it again.
+    /// The receiver was stopped, or has ended for good.
     #[error("the receiver is stopped")]
     Stopped,
     /// The answer did not come in time. Whether the request took effect is not known.
@@ -40,8 +40,8 @@ pub enum Why {
     /// The sender itself was given up and replaced; nothing it says gets out any more.
     #[error("the sender has been fenced off")]
     Fenced,
-    /// The receiver's sending and receiving is forbidden.
-    #[error("the receiver is isolated")]
+    /// The receiver may neither send nor receive, or the sender may not.
+    #[error("the receiver, or the sender, is isolated")]
     Isolated,
     /// The message was older than its contract allows.
     #[error("the message is older than its contract allows")]

@@ -20,11 +20,19 @@ impl Random {
 
     /// The next number, from the whole range.
     pub const fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut mixed = self.0;
-        mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        mixed ^ (mixed >> 31)
+        self.0 = self.0.wrapping_add(STEP);
+        mixed(self.0)
+    }
+
+    /// The number that comes `n`-th from here, counted from 1, without those before it.
+    pub const fn nth(&self, n: u32) -> u64 {
+        mixed(self.0.wrapping_add(STEP.wrapping_mul(n as u64)))
+    }
+
+    /// The next number, at least 0 and below `limit`, which is not 0. Small limits are what it is for:
+    /// a bias of `limit` in 2^64 is accepted.
+    pub const fn below(&mut self, limit: u64) -> u64 {
+        self.next() % limit
     }
 
     /// The next number, at least 0 and below 1.
@@ -39,9 +47,28 @@ impl Random {
     }
 }
 
+/// The odd number nearest to the golden ratio's part of 2^64.
+const STEP: u64 = 0x9E37_79B9_7F4A_7C15;
+
+/// Every bit of the input changes half of the output's.
+const fn mixed(mut word: u64) -> u64 {
+    word = (word ^ (word >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    word = (word ^ (word >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    word ^ (word >> 31)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_nth_number_is_the_one_that_comes_after_those_before_it() {
+        let mut random = Random::new(7);
+
+        for n in 1..100 {
+            assert_eq!(Random::new(7).nth(n), random.next());
+        }
+    }
 
     #[test]
     fn the_sequence_is_the_published_one() {

@@ -8,6 +8,7 @@ use blastema_core::net::{
     Link, LinkNumber, NodeId, Router, RouterConfig, RouterOutput, Session, SessionConfig,
     SessionOutput,
 };
+use blastema_core::random::Random;
 use blastema_core::{Incarnation, Instant, Machine, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
 use std::collections::{BTreeMap, BTreeSet};
@@ -15,27 +16,6 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
-
-/// SplitMix64.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut word = self.0;
-        word = (word ^ (word >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        word = (word ^ (word >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        word ^ (word >> 31)
-    }
-
-    fn below(&mut self, limit: u64) -> u64 {
-        self.next() % limit
-    }
-
-    fn chance(&mut self, permille: u64) -> bool {
-        self.below(1000) < permille
-    }
-}
 
 #[derive(Clone, Copy)]
 struct Wire {
@@ -45,19 +25,18 @@ struct Wire {
     mtu: usize,
 }
 
-/// What wires do to frames.
+/// What wires do to frames, and how probably.
 #[derive(Clone, Copy)]
 struct Weather {
-    loss_permille: u64,
-    double_permille: u64,
+    loss: f64,
+    double: f64,
     delay: (Duration, Duration),
 }
 
-const CALM: Weather =
-    Weather { loss_permille: 0, double_permille: 0, delay: (Duration::from_micros(100), MS) };
+const CALM: Weather = Weather { loss: 0.0, double: 0.0, delay: (Duration::from_micros(100), MS) };
 const STORM: Weather = Weather {
-    loss_permille: 150,
-    double_permille: 100,
+    loss: 0.15,
+    double: 0.1,
     delay: (Duration::from_micros(100), Duration::from_millis(8)),
 };
 
@@ -111,7 +90,7 @@ impl World {
         let wires = wires.iter().map(wire).collect();
         let mut world = World {
             now: Instant::from_millis(1_000_000),
-            random: Random(seed),
+            random: Random::new(seed),
             weather,
             wires,
             nodes: (0..nodes).map(|_| None).collect(),
@@ -260,9 +239,9 @@ impl World {
         let Wire { cut, mtu, .. } = self.wires[wire];
         assert!(frame.len() <= mtu, "{} bytes for an mtu of {mtu}", frame.len());
         (self.now, wire, frame).hash(&mut self.trace);
-        let Weather { loss_permille, double_permille, delay: (least, most) } = self.weather;
-        for _ in 0..1 + u64::from(self.random.chance(double_permille)) {
-            let lost = self.random.chance(loss_permille);
+        let Weather { loss, double, delay: (least, most) } = self.weather;
+        for _ in 0..1 + u64::from(self.random.chance(double)) {
+            let lost = self.random.chance(loss);
             let spread = (most - least).as_nanos() as u64;
             let delay = least + Duration::from_nanos(self.random.below(spread + 1));
             if !lost && !cut {
@@ -437,7 +416,7 @@ fn nothing_is_lost_doubled_or_reordered_in_a_storm_while_cables_are_cut_one_afte
             for _ in 0..100 {
                 let from = world.random.below(3) as usize;
                 let to = (from + 1 + world.random.below(2) as usize) % 3;
-                let length = if world.random.chance(50) { 20_000 } else { 50 };
+                let length = if world.random.chance(0.05) { 20_000 } else { 50 };
                 world.send(from, to, length);
                 world.run(5 * MS);
             }

@@ -40,3 +40,46 @@ fn the_program_of_the_readme_is_the_example_hello() {
          \"A program\"",
     );
 }
+
+#[test]
+fn the_test_of_the_readme_is_one_of_the_test_kit() {
+    assert_same(
+        &shown("## A test"),
+        &code_of("actors/testkit/tests/readme.rs"),
+        "copy the code of actors/testkit/tests/readme.rs, from its first `use` on, into README.md below \
+         \"A test\"",
+    );
+}
+
+#[test]
+fn every_example_is_in_the_table_of_the_readme_and_run_by_a_test() {
+    let (readme, runs) = (file("README.md"), file("examples/tests/run.rs"));
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the folder of the workspace");
+    for entry in fs::read_dir(root.join("examples/examples")).expect("the folder of examples") {
+        let path = entry.expect("an entry of that folder").path();
+        let name = path.file_stem().and_then(|name| name.to_str()).expect("a name in UTF-8");
+        let row = format!("| [`{name}`](examples/examples/{name}.rs) |");
+        assert!(readme.contains(&row), "README.md has no row {row}: add it, with the lesson");
+        let run = format!("fn {name}_");
+        assert!(runs.contains(&run), "examples/tests/run.rs has no test {run}..: add one");
+    }
+}
+
+#[test]
+fn the_documentation_of_the_facade_begins_with_the_same_program() {
+    let facade = file("actors/src/lib.rs");
+    let docs: Vec<&str> = facade
+        .lines()
+        .filter_map(|line| line.strip_prefix("//!"))
+        .map(|line| line.strip_prefix(' ').unwrap_or(line))
+        .collect();
+    let docs = docs.join("\n");
+    let program =
+        docs.split("\n```\n").nth(1).expect("a program in the documentation of the facade");
+    assert_same(
+        program,
+        &code_of("examples/examples/hello.rs"),
+        "copy the code of examples/examples/hello.rs, from its first `use` on, into the documentation of \
+         actors/src/lib.rs",
+    );
+}

@@ -7,7 +7,7 @@ use crate::chain::strategy::{RecoveryStrategy, SafeOutputs, StrategyTable};
 use crate::component::Component;
 use crate::host::spec::{ChildSpec, SpecError};
 use blastema_core::detection::EnrolError;
-use blastema_core::recovery::{Plan, PlanError, Strategy};
+use blastema_core::recovery::{Plan, PlanError, Restart, Strategy};
 use blastema_core::{Fault, FaultKind, NameError};
 use std::fmt;
 use std::io;
@@ -80,7 +80,7 @@ impl NodeBuilder {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         NodeBuilder {
             name: name.to_owned(),
-            root: SupervisorSpec::new("root", Strategy::OneForOne).as_root(),
+            root: SupervisorSpec::new("root", Strategy::OneForOne).rooted(),
             plan: Plan::default(),
             own_kinds: Vec::new(),
             strategies: StrategyTable::default(),
@@ -95,6 +95,12 @@ impl NodeBuilder {
     /// One more component under the root supervisor, started after those before it.
     pub fn child<C: Component>(mut self, spec: ChildSpec<C>) -> Self {
         self.root = self.root.child(spec);
+        self
+    }
+
+    /// One more component under the root supervisor of which not every end is followed by a restart.
+    pub fn child_with<C: Component>(mut self, spec: ChildSpec<C>, restart: Restart) -> Self {
+        self.root = self.root.child_with(spec, restart);
         self
     }
 

@@ -89,7 +89,7 @@ impl SupervisorSpec {
     }
 
     /// This one's end is the node's safe rest.
-    pub(super) fn as_root(mut self) -> Self {
+    pub(super) fn rooted(mut self) -> Self {
         self.rules.root = true;
         self
     }

@@ -1,5 +1,6 @@
 //! How long to wait before the next attempt.
 
+use crate::random::Random;
 use std::time::Duration;
 
 /// Waiting times that grow from attempt to attempt and differ from case to case.
@@ -57,17 +58,9 @@ impl Backoff {
             .map_or(self.limit, |wait| wait.min(self.limit));
         let nanos = u64::try_from(base.as_nanos()).unwrap_or(u64::MAX / 4).min(u64::MAX / 4);
         let span = nanos / 100 * u64::from(self.jitter_percent.min(100));
-        let shift = if span == 0 { 0 } else { mix(seed, attempt) % (2 * span + 1) };
+        let shift = if span == 0 { 0 } else { Random::new(seed).nth(attempt) % (2 * span + 1) };
         Duration::from_nanos(nanos - span + shift)
     }
-}
-
-/// One well-mixed number of two (SplitMix64's finaliser).
-fn mix(seed: u64, attempt: u32) -> u64 {
-    let mut x = seed.wrapping_add(u64::from(attempt).wrapping_mul(0x9e37_79b9_7f4a_7c15));
-    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ (x >> 31)
 }
 
 #[cfg(test)]

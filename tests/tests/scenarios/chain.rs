@@ -2,6 +2,7 @@
 
 use crate::puppet::{Deed, Strings, ask, life, strike};
 use blastema::prelude::*;
+use blastema::{MemoryMedium, Network};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
@@ -50,4 +51,36 @@ async fn a_reader_that_never_reads_loses_events_and_is_told_how_many() {
     assert_eq!(life(&node, "laser").await, 601);
     let record = node.faults().await;
     assert!(record.entries.len() + usize::try_from(record.dropped).unwrap() == 600);
+}
+
+#[blastema_testkit::test]
+async fn safe_outputs_that_panic_do_not_keep_the_node_from_its_rest() {
+    let strings = Strings::default();
+    let builder = Node::builder("module1")
+        .intensity(1, Duration::from_secs(10))
+        .safe_outputs(|_| panic!("no brakes"))
+        .child(strings.spec("laser"));
+    let node = TestNode::start(builder).await;
+
+    strike(&node, "laser").await;
+    strike(&node, "laser").await;
+
+    assert!(matches!(node.ended().await, NodeState::AtRest { .. }));
+}
+
+#[blastema_testkit::test]
+async fn a_router_that_panics_is_recorded_and_lives_on() {
+    let medium = MemoryMedium::default();
+    let network = Network::memory("ethernet", &medium, "module1");
+    let mut node = TestNode::start(Node::builder("module1").network(network)).await;
+
+    for _ in 0..3 {
+        node.panic_router();
+        node.await_fault(FaultKind::Panic, "net/router").await;
+        node.await_recovered(FaultKind::Panic, "net/router").await;
+        node.advance(Duration::from_secs(10)).await;
+    }
+
+    node.expect_no_faults().await;
+    assert_eq!(node.row("net/router").await.restarts, 3);
 }

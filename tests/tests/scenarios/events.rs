@@ -100,3 +100,40 @@ async fn an_object_can_listen_to_itself() {
     assert_eq!(strings.lines("news"), ["ear#1 news 1"]);
     assert_eq!(life(&node, "ear").await, 1);
 }
+
+/// What `News` might be in another part of the program.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "test/news")]
+struct OtherNews {
+    text: String,
+}
+
+#[derive(Clone, Debug, Event)]
+struct Speak;
+
+/// Publishes what others know as something else.
+struct Stranger;
+
+impl Component for Stranger {}
+
+impl Handle<Speak> for Stranger {
+    async fn handle(&mut self, _: Speak, cx: &mut Context<Self>) {
+        cx.publish(OtherNews { text: "hello".into() });
+    }
+}
+
+#[blastema_testkit::test]
+async fn who_publishes_what_a_topic_does_not_carry_is_found_and_nobody_gets_it() {
+    let strings = Strings::default();
+    let node = TestNode::start(Node::builder("module1").child(strings.spec("ear"))).await;
+    let spec = ChildSpec::new("stranger", || Stranger);
+    let mut stranger = Harness::within(node, spec).await;
+
+    stranger.tell(Speak).unwrap();
+    let fault = stranger.await_fault(FaultKind::ContractMismatch, "stranger").await;
+
+    assert!(fault.detail.contains("test/news"), "{}", fault.detail);
+    assert_eq!(strings.lines("news"), [""; 0]);
+    assert!(stranger.publisher::<OtherNews>("test/news").is_err());
+    assert!(stranger.publisher::<OtherNews>("other/news").is_ok(), "another topic may carry it");
+}

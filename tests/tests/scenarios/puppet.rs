@@ -3,7 +3,7 @@
 use blastema::prelude::*;
 use blastema::{Down, Incarnation, RequestError};
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// What a hook does the next time that it is called.
@@ -39,8 +39,8 @@ pub(crate) enum Deed {
     Await(u64),
     /// The same, and says so before.
     AwaitAsAnnounced(u64),
-    /// Keeps the thread for so many milliseconds.
-    Block(u64),
+    /// Keeps the thread until the test lets it go; then it tells this puppet so, and everybody.
+    Block(String),
     /// Declares a fault of this code.
     Declare(String),
     /// Finds a value out of range.
@@ -49,6 +49,8 @@ pub(crate) enum Deed {
     Watch(String),
     /// Publishes this.
     Publish(u32),
+    /// Publishes this, a little later.
+    PublishSoon(u32),
     /// Asks another puppet to do nothing.
     Consult(String),
 }
@@ -70,17 +72,19 @@ pub(crate) struct News(pub(crate) u32);
 
 /// The test's end of all strings, and what the puppets wrote down.
 #[derive(Clone, Default)]
-pub(crate) struct Strings(Arc<Mutex<Inner>>);
+pub(crate) struct Strings(Arc<(Mutex<Inner>, Condvar)>);
 
 #[derive(Default)]
 struct Inner {
+    /// Those who block may go on.
+    released: bool,
     pulls: BTreeMap<String, VecDeque<Pull>>,
     diary: Vec<String>,
 }
 
 impl Strings {
     fn inner(&self) -> MutexGuard<'_, Inner> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// A puppet of this name.
@@ -106,6 +110,20 @@ impl Strings {
     /// The lines of the diary that hold this text.
     pub(crate) fn lines(&self, text: &str) -> Vec<String> {
         self.diary().into_iter().filter(|line| line.contains(text)).collect()
+    }
+
+    /// Keeps the thread, as a driver does that waits for a device.
+    fn block(&self) {
+        let mut inner = self.inner();
+        while !inner.released {
+            inner = self.0.1.wait(inner).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Lets all go that block.
+    pub(crate) fn release(&self) {
+        self.inner().released = true;
+        self.0.1.notify_all();
     }
 
     fn write(&self, line: String) {
@@ -217,7 +235,13 @@ impl Handle<Do> for Puppet {
                 let _announced = cx.long_operation(Duration::from_millis(2 * ms));
                 tokio::time::sleep(Duration::from_millis(ms)).await;
             }
-            Deed::Block(ms) => block(Duration::from_millis(ms)),
+            Deed::Block(ear) => {
+                self.strings.block();
+                cx.publish(News(99));
+                if let Ok(ear) = cx.sender::<Note>(&ear) {
+                    let _ = ear.tell(Note(99));
+                }
+            }
             Deed::Declare(code) => {
                 cx.declare_fault(FaultKind::Custom(code.as_str().into()), "as it was told");
             }
@@ -226,6 +250,9 @@ impl Handle<Do> for Puppet {
             }
             Deed::Watch(name) => cx.watch(&name).expect("a good name"),
             Deed::Publish(n) => cx.publish(News(n)),
+            Deed::PublishSoon(n) => {
+                cx.after(soon, move |_, cx| cx.publish(News(n)));
+            }
             Deed::Consult(name) => {
                 let other = cx.sender::<Do>(&name).expect("a puppet of this name");
                 let _ = other.ask(Do(Deed::Nothing)).await;
@@ -233,12 +260,6 @@ impl Handle<Do> for Puppet {
         }
         cx.incarnation().0
     }
-}
-
-/// Keeps the thread, as a driver that waits for a device does.
-fn block(span: Duration) {
-    let (_keep, never) = std::sync::mpsc::sync_channel::<()>(0);
-    let _ = never.recv_timeout(span);
 }
 
 impl Handle<Note> for Puppet {

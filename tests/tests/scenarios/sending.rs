@@ -3,7 +3,7 @@
 use crate::puppet::{Deed, Do, Note, Pull, Strings, ask, strike};
 use blastema::core::dead_letters::DeadReason;
 use blastema::prelude::*;
-use blastema_testkit::{TestNode, now};
+use blastema_testkit::{Harness, TestNode, now};
 use std::time::Duration;
 
 async fn node_of(strings: &Strings) -> TestNode {
@@ -137,4 +137,62 @@ async fn a_node_that_has_stopped_refuses_everything_and_says_so() {
     assert_eq!(deeds.ask(Do(Deed::Nothing)).await.expect_err("it is over").why, Why::Stopped);
     assert_eq!(notes.tell(Note(1)).expect_err("it is over").why, Why::Stopped);
     assert_eq!(notes.deliver(Note(1)).await.expect_err("it is over").why, Why::Stopped);
+}
+
+/// Hands out a sender that belongs to its present life.
+struct Lender(std::sync::mpsc::SyncSender<Sender<Note>>);
+
+impl Component for Lender {
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let arm = cx.sender::<Note>("arm").map_err(|why| why.to_string())?;
+        let _ = self.0.try_send(cx.detached(&arm));
+        Ok(())
+    }
+}
+
+#[derive(Clone, Debug, Event)]
+struct Die;
+
+impl Handle<Die> for Lender {
+    async fn handle(&mut self, _: Die, _: &mut Context<Self>) {
+        panic!("as it was told");
+    }
+}
+
+#[blastema_testkit::test]
+async fn what_a_thread_of_a_dead_life_still_says_goes_nowhere() {
+    let strings = Strings::default();
+    let (lend, lent) = std::sync::mpsc::sync_channel(8);
+    let spec = ChildSpec::new("lender", move || Lender(lend.clone()));
+    let lender = Harness::within(node_of(&strings).await, spec).await;
+    let first = lent.try_recv().expect("it lent one");
+    first.tell(Note(1)).expect("its life lasts");
+
+    lender.tell(Die).unwrap();
+    lender.settle().await;
+    let second = lent.try_recv().expect("its next life lent one");
+
+    let refused = first.tell(Note(2)).expect_err("that life is over");
+    assert_eq!((refused.why, refused.message), (Why::Fenced, Note(2)));
+    second.tell(Note(3)).expect("this one lasts");
+    lender.settle().await;
+    assert_eq!(strings.lines("note"), ["arm#1 note 1", "arm#1 note 3"]);
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_is_told_to_rest_serves_again_when_it_is_told_to_work() {
+    let strings = Strings::default();
+    let node = node_of(&strings).await;
+    let arm = node.actor::<crate::puppet::Puppet>("arm").unwrap();
+
+    arm.deactivate();
+    node.settle().await;
+    arm.tell(Note(1)).expect("it is queued");
+    node.advance(Duration::from_secs(60)).await;
+    assert_eq!((strings.lines("note"), arm.queued()), (vec![], 1));
+    arm.activate();
+    node.settle().await;
+
+    assert_eq!(strings.lines("note"), ["arm#1 note 1"]);
+    node.expect_no_faults().await;
 }

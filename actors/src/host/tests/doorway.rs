@@ -2,7 +2,7 @@
 
 use super::{Add, Boom, Note, Stage, acc, boom, logged, order};
 use crate::registry::{RemoteDoor, RemoteDoors, ReplyTo};
-use crate::{Incarnation, ObjectName, Request, SpecError, Why};
+use crate::{DeadReason, Incarnation, ObjectName, Request, SpecError, WhenFull, Why};
 use blastema_core::{Contract, ContractIdentity, MessageId, NodeName, ObjectAddress, codec};
 use blastema_doubles::{paused, settle};
 use bytes::Bytes;
@@ -88,6 +88,23 @@ fn bytes_that_are_no_message_are_refused_and_counted() {
         assert_eq!(stage.environment.dead_letters.total(), 1);
         assert!(registry.doorway(acc.name(), "no such contract").is_err());
         assert!(registry.doorway(&name("nobody"), Add::NAME).is_err());
+    });
+}
+
+#[test]
+fn a_message_from_outside_for_which_there_is_no_room_is_counted() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, log) = acc("acc");
+        let (_child, acc) = stage.start(spec.queue(1, WhenFull::Refuse)).await;
+        let (_, note) = stage.environment.registry.doorway(&name("acc"), Note::NAME).unwrap();
+
+        note.deliver(&encoded(&Note(1)), None, None, Duration::ZERO).unwrap();
+        let why = note.deliver(&encoded(&Note(2)), None, None, Duration::ZERO).unwrap_err();
+        settle().await;
+
+        assert_eq!((why, logged(&log)), (Why::Full, vec![1]));
+        assert_eq!(stage.environment.dead_letters.count(acc.name(), DeadReason::Full), 1);
     });
 }
 

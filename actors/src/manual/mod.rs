@@ -1,0 +1,61 @@
+//! The manual: what an application can rely on, and what it has to say.
+//!
+//! Each page is short and about one thing; its examples run as tests. Whole programs, one lesson a file,
+//! lie in the folder `examples` and run as `cargo run -p blastema-examples --example hello`.
+//!
+//! | page | answers |
+//! | --- | --- |
+//! | [start] | how a first component, a first node and a first fault come to be |
+//! | [contracts] | what may be sent, who understands it, and what is refused |
+//! | [components] | the life of a component: hooks, ports, timers, tasks, checks |
+//! | [sending] | tell, deliver, ask; what every error means and what to do |
+//! | [events] | publish and subscribe: conditions and topics |
+//! | [supervision] | who is restarted with whom, how often, and what follows then |
+//! | [faults] | the list of faults, the monitor's table, roots and symptoms |
+//! | [recovery] | which measure answers which fault; strategies of one's own |
+//! | [placement] | threads, handlers that hang, and what cannot be recovered |
+//! | [networks] | several nodes: links, routes, sessions, and cables that are cut |
+//! | [guarantees] | order, loss, restarts, and how soon what is found |
+//! | [limits] | every bound, its reason, and how to change it |
+//! | [testing] | components and whole nodes in virtual time |
+//!
+//! The words are those of the README's glossary, one for each concept.
+
+#[doc = include_str!("start.md")]
+pub mod start {}
+
+#[doc = include_str!("contracts.md")]
+pub mod contracts {}
+
+#[doc = include_str!("components.md")]
+pub mod components {}
+
+#[doc = include_str!("sending.md")]
+pub mod sending {}
+
+#[doc = include_str!("events.md")]
+pub mod events {}
+
+#[doc = include_str!("supervision.md")]
+pub mod supervision {}
+
+#[doc = include_str!("faults.md")]
+pub mod faults {}
+
+#[doc = include_str!("recovery.md")]
+pub mod recovery {}
+
+#[doc = include_str!("placement.md")]
+pub mod placement {}
+
+#[doc = include_str!("networks.md")]
+pub mod networks {}
+
+#[doc = include_str!("guarantees.md")]
+pub mod guarantees {}
+
+#[doc = include_str!("limits.md")]
+pub mod limits {}
+
+#[doc = include_str!("testing.md")]
+pub mod testing {}

@@ -1,0 +1,226 @@
+//! What each finding means: the detector's opinion of objects, links and nodes.
+
+use super::{Cause, Detector, Scene, Seen};
+use crate::detection::symptoms::is_down;
+use crate::detection::{End, Exit, Finding, LinkCondition, NodeCondition};
+use crate::{Fault, FaultKind, Incarnation, Lifecycle, ObjectName};
+use std::time::Duration;
+
+impl Detector {
+    pub(super) fn judge_object(&mut self, object: &ObjectName, scene: Scene, finding: Finding) {
+        if let Finding::Dismissed = finding {
+            self.objects.remove(object);
+            self.needs.forget(object);
+            self.behind.remove(object);
+            return self.end_all_at(&scene, |_| true, &End::Cleared);
+        }
+        let fresh = Seen::new(scene.incarnation);
+        let seen = self.objects.entry(object.clone()).or_insert(fresh);
+        if scene.incarnation < seen.incarnation {
+            self.stale += 1;
+            return;
+        }
+        if scene.incarnation > seen.incarnation {
+            *seen = fresh;
+            self.behind.remove(object);
+        }
+        match finding {
+            Finding::Enrolled { depends_on } => self.needs.declare(object, depends_on),
+            Finding::Exited { exit, restarted_as } => {
+                self.judge_exit(object, &scene, exit, restarted_as);
+            }
+            Finding::State { state, reason } => self.judge_state(object, &scene, state, reason),
+            Finding::Declared { kind, detail } => {
+                self.find(&scene, kind, detail, Cause::Above);
+            }
+            Finding::Silent { age } => {
+                let detail = format!("no sign of life for {} ms", age.as_millis());
+                let cause = self.cause_of_standstill(object, &scene);
+                self.find(&scene, FaultKind::Silence, detail, cause);
+            }
+            Finding::Spoke => self.end_kind(&scene, &FaultKind::Silence),
+            Finding::Hangs { during, age, victims } => {
+                self.judge_hang(object, &scene, during, age, &victims);
+            }
+            Finding::Waits { during, age } => {
+                let detail = format!("{during} has been waiting for {} ms", age.as_millis());
+                self.find(&scene, FaultKind::Hang, detail, Cause::Above);
+            }
+            Finding::Stuck { oldest, queued } => {
+                let detail = format!(
+                    "it answers, but has taken none of {queued} messages; the oldest is {} ms old",
+                    oldest.as_millis()
+                );
+                self.find(&scene, FaultKind::Hang, detail, Cause::Above);
+            }
+            Finding::Overloaded { oldest, queued } => {
+                self.end_kind(&scene, &FaultKind::Hang);
+                let oldest = oldest.as_millis();
+                let detail = format!("{queued} messages wait; the oldest is {oldest} ms old");
+                self.find(&scene, FaultKind::Overload, detail, Cause::Above);
+            }
+            Finding::Flows => {
+                self.end_kind(&scene, &FaultKind::Hang);
+                self.end_kind(&scene, &FaultKind::Overload);
+            }
+            Finding::Resumed => {
+                self.behind.remove(object);
+                self.end_kind(&scene, &FaultKind::Hang);
+            }
+            Finding::Lost { culprit } => {
+                let cause = self.behind.get(object).map_or(Cause::Above, |&id| Cause::Known(id));
+                let detail = format!("it stands still behind {culprit}, which does not return");
+                self.find(&scene, FaultKind::Hang, detail, cause);
+            }
+            Finding::Dismissed | Finding::Link(_) | Finding::Node(_) => {}
+        }
+    }
+
+    /// Whoever stands still behind a hang is remembered, so that its silence is known for a symptom.
+    fn judge_hang(
+        &mut self,
+        object: &ObjectName,
+        scene: &Scene,
+        during: &str,
+        age: Duration,
+        victims: &[ObjectName],
+    ) {
+        let others = victims.iter().filter(|&victim| victim != object);
+        let detail = format!(
+            "{during} has kept its arbiter for {} ms; {} others stand still behind it",
+            age.as_millis(),
+            others.clone().count()
+        );
+        let id = self.find(scene, FaultKind::Hang, detail, Cause::Itself);
+        for victim in others.filter(|&victim| self.objects.contains_key(victim)) {
+            self.behind.insert(victim.clone(), id);
+        }
+        self.explain_by(id, scene.at);
+    }
+
+    fn judge_exit(
+        &mut self,
+        object: &ObjectName,
+        scene: &Scene,
+        exit: Exit,
+        restarted_as: Option<Incarnation>,
+    ) {
+        let seen = self.objects.get_mut(object).expect("the caller has put it there");
+        let before = seen.state;
+        // A life that was already over ends in some way or other; that is no second fault.
+        let over = std::mem::replace(&mut seen.doomed, exit != Exit::Stopped);
+        seen.state = match exit {
+            Exit::Stopped => Lifecycle::Finalized,
+            _ => Lifecycle::Fatal,
+        };
+        let (kind, detail) = match exit {
+            Exit::Panicked { text, at, during } => {
+                (FaultKind::Panic, format!("{text}, at {at}, in {during}"))
+            }
+            Exit::Returned if !over => {
+                // A life that ends itself in order is finalized before its guard says how it ended.
+                (FaultKind::UnexpectedExit, "it ended itself, and nobody had told it to".into())
+            }
+            Exit::Aborted if !over && before != Lifecycle::Finalized => {
+                (FaultKind::UnexpectedExit, format!("its arbiter went away while it was {before}"))
+            }
+            Exit::Returned | Exit::Aborted | Exit::Stopped => return,
+        };
+        let Some(next) = restarted_as else {
+            self.find(scene, kind, detail, Cause::Itself);
+            return;
+        };
+        *seen = Seen::new(next);
+        let id = self.record(scene, kind, detail, Cause::Itself);
+        self.end(id, scene.at, End::Recovered);
+    }
+
+    fn judge_state(
+        &mut self,
+        object: &ObjectName,
+        scene: &Scene,
+        state: Lifecycle,
+        reason: Option<String>,
+    ) {
+        let seen = self.objects.get_mut(object).expect("the caller has put it there");
+        let before = std::mem::replace(&mut seen.state, state);
+        seen.doomed |= state == Lifecycle::Fatal;
+        if before == state {
+            return;
+        }
+        // A guard tells where a turn ended, not what was passed on the way.
+        if !before.may_reach(state) {
+            let detail = format!("it went from {before} to {state}, and no way leads there");
+            self.find(scene, FaultKind::CheckFailed, detail, Cause::Itself);
+        }
+        let reason = reason.unwrap_or_else(|| "it gave no reason".into());
+        match state {
+            Lifecycle::Error => {
+                self.find(scene, FaultKind::ErrorState, reason, Cause::Above);
+            }
+            Lifecycle::Fatal if before == Lifecycle::Created => {
+                self.find(scene, FaultKind::InitializationFailed, reason, Cause::Above);
+            }
+            Lifecycle::Fatal => {
+                self.find(scene, FaultKind::Fatal, reason, Cause::Above);
+            }
+            Lifecycle::Active => {
+                let life = scene.incarnation;
+                let is_over =
+                    |fault: &Fault| fault.incarnation < life || fault.kind == FaultKind::ErrorState;
+                self.end_all_at(scene, is_over, &End::Recovered);
+            }
+            Lifecycle::Created | Lifecycle::Initialized | Lifecycle::Finalized => {}
+        }
+    }
+
+    pub(super) fn judge_link(&mut self, scene: Scene, finding: Finding) {
+        let Finding::Link(condition) = finding else { return };
+        match condition {
+            LinkCondition::Up => {
+                self.end_kind(&scene, &FaultKind::LinkDown);
+                self.end_kind(&scene, &FaultKind::LinkDegraded);
+            }
+            LinkCondition::Degraded { reason } => {
+                self.end_kind(&scene, &FaultKind::LinkDown);
+                self.find(&scene, FaultKind::LinkDegraded, reason, Cause::Above);
+            }
+            LinkCondition::Down { reason } => {
+                self.end_kind(&scene, &FaultKind::LinkDegraded);
+                self.find(&scene, FaultKind::LinkDown, reason, Cause::Above);
+            }
+        }
+    }
+
+    pub(super) fn judge_node(&mut self, scene: Scene, finding: Finding) {
+        let Finding::Node(condition) = finding else { return };
+        match condition {
+            NodeCondition::Reachable => self.end_kind(&scene, &FaultKind::NodeLost),
+            NodeCondition::Lost { reason } => {
+                self.find(&scene, FaultKind::NodeLost, reason, Cause::Itself);
+            }
+            NodeCondition::Restarted => {
+                let known = self.chronicle.standing(&scene.place, &FaultKind::NodeLost);
+                let id = known.unwrap_or_else(|| {
+                    let detail = "its process died and began again".into();
+                    self.record(&scene, FaultKind::NodeLost, detail, Cause::Itself)
+                });
+                self.end_by_itself(id, scene.at, End::Recovered);
+            }
+        }
+    }
+
+    /// Somebody who stands still does so behind a hang, or because of what else is wrong with itself,
+    /// or because of what it depends on.
+    fn cause_of_standstill(&self, object: &ObjectName, scene: &Scene) -> Cause {
+        // Also where the culprit has been replaced elsewhere: its victims stand until they are freed.
+        let hang = self.behind.get(object).copied();
+        let own = || {
+            let here = self.chronicle.standing_at(&scene.place);
+            here.filter(|fault| is_down(fault) && fault.kind != FaultKind::Silence)
+                .map(|fault| fault.id)
+                .min()
+        };
+        hang.or_else(own).map_or(Cause::Above, Cause::Known)
+    }
+}

@@ -1,0 +1,477 @@
+//! A table of one or two objects, and every input in every state of theirs.
+
+use super::*;
+use crate::detection::Current;
+use proptest::prelude::*;
+use std::time::Duration;
+
+const ONE: Incarnation = Incarnation(1);
+const TWO: Incarnation = Incarnation(2);
+const THREE: Incarnation = Incarnation(3);
+const TENTH: Duration = Duration::from_millis(100);
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+fn object(name: &str) -> ObjectName {
+    ObjectName::new(name).expect("a name")
+}
+
+fn node(name: &str) -> NodeName {
+    NodeName::new(name).expect("a name")
+}
+
+fn monitor() -> Monitor {
+    Monitor::new(node("m"), MonitorLimits::default(), at(0))
+}
+
+fn watched(watch: Watch) -> Monitor {
+    let mut monitor = monitor();
+    let enrolment = Enrolment::new(object("laser")).watch(watch).incarnation(TWO);
+    monitor.enrol(enrolment, at(0)).expect("there is room");
+    seen(&mut monitor, 0);
+    monitor
+}
+
+/// The name of the finding's variant.
+fn name(finding: &Finding) -> String {
+    let text = format!("{finding:?}");
+    text.split([' ', '(', '{']).next().unwrap_or_default().into()
+}
+
+/// Everything that is now to be observed, confirmed at once; asks read "ask".
+fn seen(monitor: &mut Monitor, millis: u64) -> Vec<String> {
+    let mut seen = Vec::new();
+    while let Some(output) = monitor.poll_output() {
+        match output {
+            MonitorOutput::Observe { number, observation } => {
+                seen.push(format!("{} {}", observation.place, name(&observation.finding)));
+                monitor.handle_confirmed(number, at(millis));
+            }
+            MonitorOutput::Ask { object } => seen.push(format!("ask {object}")),
+            MonitorOutput::GivenUp { .. } => seen.push("given up".into()),
+        }
+    }
+    seen
+}
+
+/// Wakes the machine exactly when it wants, up to `until`.
+fn run(monitor: &mut Monitor, until: u64) -> Vec<(u64, String)> {
+    let mut told = Vec::new();
+    loop {
+        let now = monitor.poll_timeout().unwrap_or(at(until)).min(at(until));
+        monitor.handle_timeout(now);
+        let millis = now.as_nanos() / 1_000_000;
+        told.extend(seen(monitor, millis).into_iter().map(|text| (millis, text)));
+        if now == at(until) {
+            return told;
+        }
+    }
+}
+
+fn row(monitor: &Monitor, name: &str, now: u64) -> Row {
+    let is_it = |row: &Row| row.place.to_string() == name;
+    monitor.read_table(at(now)).into_iter().find(is_it).expect("it has a row")
+}
+
+fn panicked() -> Exit {
+    Exit::Panicked { text: "boom".into(), at: "laser.rs:1".into(), during: "Scan" }
+}
+
+#[test]
+fn nothing_is_expected_of_an_object_before_its_first_life_is_reported() {
+    let pull = Watch::pull(Duration::from_millis(100), Duration::from_millis(100));
+    for watch in [pull, Watch::push(Duration::from_millis(100), 3)] {
+        let mut monitor = Monitor::new("m".parse().unwrap(), MonitorLimits::default(), at(0));
+        let laser = object("laser");
+        let enrolment = Enrolment::new(laser.clone()).incarnation(Incarnation::default());
+        monitor.enrol(enrolment.watch(watch), at(0)).unwrap();
+        while monitor.poll_output().is_some() {}
+
+        monitor.handle_timeout(at(60_000));
+        monitor.handle_state(&laser, ONE, Lifecycle::Created, None, at(60_000));
+
+        let row = row(&monitor, "m:laser", 60_000);
+        assert_eq!((row.incarnation, row.restarts, row.suspicions), (ONE, 0, 0), "{watch:?}");
+        assert!(monitor.poll_timeout().is_some(), "from now on it is watched");
+    }
+}
+
+#[test]
+fn silence_is_observed_once_and_so_is_its_end() {
+    let mut monitor = watched(Watch::push(TENTH, 3));
+    monitor.handle_heartbeat(&object("laser"), TWO, at(10));
+
+    assert_eq!(run(&mut monitor, 3000), [(360, "m:laser Silent".to_string())]);
+    assert_eq!(row(&monitor, "m:laser", 3000).opinion, Opinion::Failed);
+
+    monitor.handle_heartbeat(&object("laser"), TWO, at(3000));
+    assert_eq!(seen(&mut monitor, 3000), ["m:laser Spoke"]);
+    assert_eq!(row(&monitor, "m:laser", 3001).opinion, Opinion::Trusted);
+}
+
+#[test]
+fn a_suspicion_is_counted_and_shown_and_nobody_else_is_told() {
+    let mut monitor = watched(Watch::push(TENTH, 3));
+    for beat in [0, 200, 400] {
+        assert_eq!(run(&mut monitor, beat), []);
+        monitor.handle_heartbeat(&object("laser"), TWO, at(beat));
+    }
+    run(&mut monitor, 560);
+
+    let row = row(&monitor, "m:laser", 560);
+    assert_eq!((row.opinion, row.suspicions), (Opinion::Suspect, 3));
+    assert_eq!(row.last_sign, Some(Duration::from_millis(160)));
+}
+
+#[test]
+fn an_object_that_is_asked_shows_its_queue_with_the_age_of_the_answer() {
+    let mut monitor = watched(Watch::pull(TENTH, TENTH));
+    assert_eq!(run(&mut monitor, 0), [(0, "ask laser".to_string())]);
+
+    let oldest = Duration::from_millis(7);
+    let state = Lifecycle::Active;
+    let answer = Progress { incarnation: TWO, state, queued: 3, oldest, long_operation: false };
+    monitor.handle_alive(&object("laser"), answer, at(20));
+
+    let row = row(&monitor, "m:laser", 50);
+    let queue = QueueSeen { queued: 3, oldest, age: Duration::from_millis(30) };
+    assert_eq!((row.queue, row.opinion), (Some(queue), Opinion::Trusted));
+    assert_eq!(row.state, Some(Lifecycle::Active));
+}
+
+#[test]
+fn answers_tell_the_state_of_an_object_only_while_no_guard_does() {
+    let mut monitor = watched(Watch::pull(TENTH, TENTH));
+    let oldest = Duration::ZERO;
+    let mut answer = |state, now| {
+        let answer = Progress { incarnation: TWO, state, queued: 0, oldest, long_operation: false };
+        monitor.handle_alive(&object("laser"), answer, at(now));
+        seen(&mut monitor, now)
+    };
+    assert_eq!(answer(Lifecycle::Active, 1), ["m:laser State"]);
+    assert_eq!(answer(Lifecycle::Active, 2), [""; 0]);
+    assert_eq!(answer(Lifecycle::Error, 3), ["m:laser State"]);
+
+    monitor.handle_state(&object("laser"), TWO, Lifecycle::Active, None, at(4));
+    seen(&mut monitor, 4);
+    let (state, queued) = (Lifecycle::Error, 0);
+    let late = Progress { incarnation: TWO, state, queued, oldest, long_operation: false };
+    monitor.handle_alive(&object("laser"), late, at(5));
+
+    assert_eq!(seen(&mut monitor, 5), [""; 0]);
+    assert_eq!(row(&monitor, "m:laser", 5).state, Some(Lifecycle::Active));
+}
+
+#[test]
+fn whoever_is_asked_and_answers_nothing_is_silent_and_its_work_is_another_matter() {
+    let mut monitor = watched(Watch::pull(TENTH, TENTH));
+    let mut told = Vec::new();
+    for turn in 0..=20 {
+        told.extend(run(&mut monitor, turn * 100));
+        let oldest = Duration::from_millis(turn * 100);
+        let state = Lifecycle::Active;
+        let answer = Progress { incarnation: TWO, state, queued: 3, oldest, long_operation: false };
+        monitor.handle_alive(&object("laser"), answer, at(turn * 100));
+        told.extend(run(&mut monitor, turn * 100));
+    }
+    told.extend(run(&mut monitor, 5000));
+    told.retain(|(_, text)| !text.starts_with("ask"));
+
+    let texts = ["m:laser State", "m:laser Stuck", "m:laser Silent"].map(String::from);
+    assert_eq!(told.iter().map(|(_, text)| text.clone()).collect::<Vec<_>>(), texts);
+}
+
+#[test]
+fn what_is_not_confirmed_is_repeated_and_given_up_loudly() {
+    let mut monitor = monitor();
+    monitor.handle_exited(&object("laser"), ONE, panicked(), None, at(0));
+
+    let (mut sent, mut given_up) = (0, 0);
+    while let Some(due) = monitor.poll_timeout() {
+        monitor.handle_timeout(due);
+        while let Some(output) = monitor.poll_output() {
+            match output {
+                MonitorOutput::Observe { .. } => sent += 1,
+                MonitorOutput::GivenUp { tries, .. } => given_up = tries,
+                MonitorOutput::Ask { .. } => panic!("nobody is asked"),
+            }
+        }
+    }
+
+    assert_eq!((sent, given_up), (8, 8));
+}
+
+/// In which state the second life of `laser` is when something comes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum State {
+    Going,
+    Finalized,
+    Stopped,
+    Died,
+}
+
+const INPUTS: [&str; 9] =
+    ["beat", "alive", "died", "stopped", "state", "declared", "waits", "silent", "resumed"];
+
+fn feed(monitor: &mut Monitor, input: &str, life: Incarnation, now: Instant) {
+    let laser = object("laser");
+    match input {
+        "beat" => monitor.handle_heartbeat(&laser, life, now),
+        "alive" => {
+            let (state, oldest) = (Lifecycle::Active, Duration::ZERO);
+            let answer =
+                Progress { incarnation: life, state, queued: 0, oldest, long_operation: false };
+            monitor.handle_alive(&laser, answer, now);
+        }
+        "died" => monitor.handle_exited(&laser, life, panicked(), None, now),
+        "stopped" => monitor.handle_exited(&laser, life, Exit::Stopped, None, now),
+        "state" => monitor.handle_state(&laser, life, Lifecycle::Active, None, now),
+        "declared" => {
+            monitor.handle_declared(&laser, life, FaultKind::CheckFailed, "1".into(), now);
+        }
+        "waits" => monitor.handle_waits(&laser, life, "Scan", TENTH, now),
+        "silent" => monitor.handle_silent(&laser, life, TENTH, now),
+        "resumed" => monitor.handle_resumed(&[laser], now),
+        other => panic!("no input is called {other}"),
+    }
+}
+
+fn in_state(state: State) -> Monitor {
+    let mut monitor = watched(Watch::Guard);
+    let laser = object("laser");
+    match state {
+        State::Going => {}
+        State::Finalized => {
+            monitor.handle_state(&laser, TWO, Lifecycle::Finalized, None, at(0));
+        }
+        State::Stopped => monitor.handle_exited(&laser, TWO, Exit::Stopped, None, at(0)),
+        State::Died => monitor.handle_exited(&laser, TWO, panicked(), None, at(0)),
+    }
+    seen(&mut monitor, 0);
+    monitor
+}
+
+#[test]
+fn every_input_in_every_state_says_what_it_should() {
+    let states = [State::Going, State::Finalized, State::Stopped, State::Died];
+    for state in states {
+        for input in INPUTS {
+            let mut monitor = in_state(state);
+
+            feed(&mut monitor, input, TWO, at(5));
+
+            let told = seen(&mut monitor, 5);
+            let over = state != State::Going;
+            let expected = match input {
+                "died" | "stopped" if matches!(state, State::Going | State::Finalized) => {
+                    Some("Exited")
+                }
+                "state" => Some("State"),
+                "alive" if !over => Some("State"),
+                "resumed" => Some("Resumed"),
+                "declared" if !over => Some("Declared"),
+                "waits" if !over => Some("Waits"),
+                "silent" if !over => Some("Silent"),
+                _ => None,
+            };
+            let expected: Vec<String> =
+                expected.iter().map(|text| format!("m:laser {text}")).collect();
+            assert_eq!(told, expected, "{input} while {state:?}");
+        }
+    }
+}
+
+#[test]
+fn nothing_that_an_older_life_still_says_changes_anything() {
+    for state in [State::Going, State::Finalized, State::Stopped, State::Died] {
+        // Who has resumed is told by the watch, which knows no lives.
+        for input in INPUTS.into_iter().filter(|&input| input != "resumed") {
+            let mut monitor = in_state(state);
+            let before = monitor.read_table(at(5));
+
+            feed(&mut monitor, input, ONE, at(5));
+
+            assert_eq!(seen(&mut monitor, 5), [""; 0], "{input} while {state:?}");
+            assert_eq!(monitor.read_table(at(5)), before, "{input} while {state:?}");
+            assert_eq!(monitor.stale(), 1, "{input} while {state:?}");
+        }
+    }
+}
+
+#[test]
+fn whatever_a_newer_life_says_begins_a_new_history() {
+    for state in [State::Going, State::Finalized, State::Stopped, State::Died] {
+        for input in INPUTS.into_iter().filter(|&input| input != "resumed") {
+            let mut monitor = in_state(state);
+
+            feed(&mut monitor, input, THREE, at(5));
+
+            let row = row(&monitor, "m:laser", 5);
+            assert_eq!((row.incarnation, row.restarts), (THREE, 1), "{input} while {state:?}");
+        }
+    }
+}
+
+#[test]
+fn a_death_that_the_guard_has_mended_leaves_the_next_life_in_the_table() {
+    let mut monitor = watched(Watch::push(TENTH, 3));
+    monitor.handle_heartbeat(&object("laser"), TWO, at(0));
+    run(&mut monitor, 200);
+
+    monitor.handle_exited(&object("laser"), TWO, panicked(), Some(THREE), at(210));
+
+    assert_eq!(seen(&mut monitor, 210), ["m:laser Exited"]);
+    let row = row(&monitor, "m:laser", 220);
+    assert_eq!((row.incarnation, row.restarts, row.suspicions), (THREE, 1, 0));
+    assert_eq!((row.opinion, row.last_sign, row.state), (Opinion::Unheard, None, None));
+    let told = run(&mut monitor, 9000);
+    assert_eq!(told, [(5210, "m:laser Silent".to_string())]);
+}
+
+#[test]
+fn a_life_that_is_over_is_not_shown_in_the_state_that_it_had_before() {
+    for (exit, state, opinion) in [
+        (panicked(), Lifecycle::Fatal, Opinion::Failed),
+        (Exit::Aborted, Lifecycle::Fatal, Opinion::Failed),
+        (Exit::Stopped, Lifecycle::Finalized, Opinion::AtRest),
+    ] {
+        let mut monitor = watched(Watch::Guard);
+        monitor.handle_state(&object("laser"), TWO, Lifecycle::Active, None, at(0));
+
+        monitor.handle_exited(&object("laser"), TWO, exit, None, at(1));
+
+        let row = row(&monitor, "m:laser", 1);
+        assert_eq!((row.state, row.opinion), (Some(state), opinion));
+    }
+}
+
+#[test]
+fn a_hang_makes_its_victims_suspect_and_is_observed_once() {
+    let mut monitor = watched(Watch::Guard);
+    monitor.enrol(Enrolment::new(object("map")), at(0)).expect("there is room");
+    seen(&mut monitor, 0);
+    let victims: Arc<[ObjectName]> = [object("laser"), object("map"), object("ghost")].into();
+
+    for now in [500, 600] {
+        let (laser, age) = (object("laser"), Duration::from_millis(now));
+        monitor.handle_hangs(&laser, TWO, "Scan", age, victims.clone(), at(now));
+    }
+    assert_eq!(seen(&mut monitor, 600), ["m:laser Hangs"]);
+    let current = Current { during: "Scan", age: Duration::from_millis(600) };
+    assert_eq!(row(&monitor, "m:laser", 600).current, Some(current));
+    assert_eq!(row(&monitor, "m:laser", 600).opinion, Opinion::Failed);
+    assert_eq!(row(&monitor, "m:map", 600).opinion, Opinion::Suspect);
+
+    monitor.handle_lost(&object("laser"), &victims, at(700));
+    assert_eq!(seen(&mut monitor, 700), ["m:map Lost"]);
+    assert_eq!(row(&monitor, "m:map", 700).opinion, Opinion::Failed);
+
+    monitor.handle_resumed(&victims, at(800));
+    assert_eq!(seen(&mut monitor, 800), ["m:laser Resumed", "m:map Resumed"]);
+    assert_eq!(row(&monitor, "m:map", 800).opinion, Opinion::Trusted);
+}
+
+#[test]
+fn a_stranger_that_dies_is_not_lost_and_one_that_was_stopped_is_no_news() {
+    let mut monitor = monitor();
+
+    monitor.handle_exited(&object("a"), ONE, panicked(), None, at(0));
+    monitor.handle_exited(&object("b"), ONE, Exit::Stopped, None, at(0));
+    monitor.handle_state(&object("c"), ONE, Lifecycle::Finalized, None, at(0));
+    monitor.handle_heartbeat(&object("d"), ONE, at(0));
+
+    assert_eq!(seen(&mut monitor, 0), ["m:a Exited"]);
+    assert_eq!(monitor.read_table(at(0)).len(), 1);
+}
+
+#[test]
+fn a_full_table_refuses_and_counts() {
+    let limits = MonitorLimits { rows: 1, ..MonitorLimits::default() };
+    let mut monitor = Monitor::new(node("m"), limits, at(0));
+    monitor.enrol(Enrolment::new(object("a")), at(0)).expect("there is room");
+
+    let refused = monitor.enrol(Enrolment::new(object("b")), at(0));
+    monitor.handle_exited(&object("c"), ONE, panicked(), None, at(0));
+    monitor.handle_link(node("m"), "eth".into(), None, LinkCondition::Up, at(0));
+    monitor.handle_node(node("n"), ONE, NodeCondition::Reachable, at(0));
+
+    let text = refused.unwrap_err().to_string();
+    assert_eq!(text, "b is not watched: the monitor's table already has 1 rows");
+    assert_eq!((monitor.refused(), monitor.read_table(at(0)).len()), (3, 1));
+    monitor.enrol(Enrolment::new(object("a")), at(0)).expect("it has its row already");
+}
+
+#[test]
+fn whoever_is_dismissed_is_forgotten() {
+    let mut monitor = watched(Watch::push(TENTH, 3));
+
+    monitor.dismiss(&object("laser"), at(10));
+    monitor.dismiss(&object("laser"), at(10));
+    monitor.handle_heartbeat(&object("laser"), TWO, at(20));
+
+    assert_eq!(seen(&mut monitor, 20), ["m:laser Dismissed"]);
+    assert_eq!(run(&mut monitor, 9000), []);
+    assert_eq!(monitor.read_table(at(20)), []);
+}
+
+#[test]
+fn isolation_is_shown_and_outlives_a_restart() {
+    let mut monitor = watched(Watch::Guard);
+
+    monitor.handle_isolation(&object("laser"), true);
+    monitor.handle_state(&object("laser"), THREE, Lifecycle::Created, None, at(0));
+
+    assert!(row(&monitor, "m:laser", 0).isolated);
+}
+
+#[test]
+fn a_stall_of_the_monitor_itself_condemns_nobody() {
+    let mut monitor = watched(Watch::push(TENTH, 3));
+    monitor.handle_heartbeat(&object("laser"), TWO, at(0));
+
+    monitor.handle_stall(Duration::from_secs(60), at(60_000));
+    monitor.handle_timeout(at(60_000));
+    monitor.handle_heartbeat(&object("laser"), TWO, at(60_010));
+
+    assert_eq!(run(&mut monitor, 60_300), []);
+}
+
+#[test]
+fn a_monitor_that_was_struck_keeps_its_table_and_sends_again_what_was_not_confirmed() {
+    let mut monitor = watched(Watch::pull(TENTH, TENTH));
+    run(&mut monitor, 0);
+    monitor.handle_exited(&object("map"), ONE, panicked(), None, at(10));
+    assert!(matches!(monitor.poll_output(), Some(MonitorOutput::Observe { .. })));
+
+    let mut monitor = monitor.reborn(at(20));
+
+    assert_eq!(monitor.read_table(at(20)).len(), 2);
+    monitor.handle_timeout(at(20));
+    assert_eq!(seen(&mut monitor, 20), ["ask laser", "m:map Exited"]);
+}
+
+proptest! {
+    /// Whatever else happens, in whatever order: an object whose beats come in time is never taken
+    /// for silent.
+    #[test]
+    fn nobody_is_silent_while_its_beats_come_in_time(
+        inputs in prop::collection::vec((0..INPUTS.len(), 1..4u64, 0..350u64), 0..100)
+    ) {
+        let mut monitor = watched(Watch::push(TENTH, 3));
+        let mut now = at(0);
+        for (input, life, wait) in inputs {
+            // An outsider's word that it is silent is believed; it is not what is tested here.
+            if INPUTS[input] != "silent" {
+                feed(&mut monitor, INPUTS[input], Incarnation(life), now);
+            }
+            let life = row(&monitor, "m:laser", 0).incarnation;
+            monitor.handle_heartbeat(&object("laser"), life, now);
+            now = now + Duration::from_millis(wait.min(349));
+            for told in run(&mut monitor, now.as_nanos() / 1_000_000) {
+                prop_assert_ne!(&told.1, "m:laser Silent");
+            }
+        }
+    }
+}

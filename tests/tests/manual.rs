@@ -1,0 +1,85 @@
+//! What the manual says in tables is what the code says.
+
+use blastema::core::codec::SIZE_LIMIT;
+use blastema::core::dead_letters::DeadLetterLimits;
+use blastema::core::detection::{DetectorLimits, MonitorLimits, NotifierLimits};
+use blastema::core::net::{RouterConfig, SessionConfig};
+use blastema::core::quarantine::QuarantineConfig;
+use blastema::core::recovery::{Plan, RecovererLimits, Step, SupervisorRules};
+use blastema::{DEFAULT_DEADLINE, FaultKind, Incarnation, NodeName, Place};
+use std::fs;
+use std::path::Path;
+
+fn page(name: &str) -> String {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../actors/src/manual");
+    fs::read_to_string(folder.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+}
+
+/// The cells of the row of a page's tables that begins with this one.
+fn row(page: &str, first: &str) -> Vec<String> {
+    let begin = format!("| {first} |");
+    let line = page.lines().find(|line| line.starts_with(&begin));
+    let line = line.unwrap_or_else(|| panic!("the page has no row {first:?}"));
+    line.trim_matches('|').split(" | ").map(|cell| cell.trim().to_owned()).collect()
+}
+
+fn node() -> NodeName {
+    NodeName::new("module1").expect("a name")
+}
+
+#[test]
+fn the_list_of_faults_is_that_of_the_code_with_the_measures_of_the_default_plan() {
+    let (page, plan) = (page("faults.md"), Plan::default());
+    let rung = |step: &Step| match step.attempts {
+        1 => step.measure.to_string(),
+        attempts => format!("{} ×{attempts}", step.measure),
+    };
+    for kind in &FaultKind::BUILT_IN {
+        let row = row(&page, &format!("`{}`", kind.code()));
+        let ladder = plan.answer(&node(), kind, &Place::Node(node()));
+        let measures: Vec<String> = ladder.steps().iter().map(rung).collect();
+
+        assert_eq!(row[1], kind.text());
+        assert_eq!(row[2], format!("{:?}", kind.severity()).to_lowercase());
+        assert_eq!(row[4], measures.join(", "), "{kind}");
+    }
+}
+
+#[test]
+fn the_limits_are_those_of_the_code() {
+    let page = page("limits.md");
+    #[track_caller]
+    fn check(page: &str, first: &str, says: impl Into<String>) {
+        let (row, says) = (row(page, first), says.into());
+        assert!(row[1].contains(&says), "{first}: the code says {says:?}, the page {:?}", row[1]);
+    }
+    let thousands = |n: usize| format!("{},{:03}", n / 1000, n % 1000);
+    let life = Incarnation::FIRST;
+    let session = SessionConfig::new(node(), life, node());
+    let router = RouterConfig::new(node(), life);
+    let (rules, notifier) = (SupervisorRules::default(), NotifierLimits::default());
+
+    check(&page, "wait for a reply", format!("{} s", DEFAULT_DEADLINE.as_secs()));
+    check(&page, "lives that one message may kill", QuarantineConfig::default().kills.to_string());
+    let restarts = format!("{} in {} s", rules.intensity, rules.period.as_secs());
+    check(&page, "restarts", restarts);
+    let mebibytes = |bytes: usize| format!("{} MiB", bytes >> 20);
+    check(&page, "bytes of one message in a session", mebibytes(session.message_max));
+    assert!(page.contains(&format!("`max_size`, up to {}", mebibytes(SIZE_LIMIT))));
+    check(&page, "rows of the monitor's table", thousands(MonitorLimits::default().rows));
+    check(&page, "faults on record", DetectorLimits::default().record.to_string());
+    let (local, remote) = (notifier.local.per_second, notifier.remote.per_second);
+    check(&page, "faults handed to the recoverer", format!("{local} a second, {remote} to other"));
+    check(
+        &page,
+        "places that are treated at one time",
+        RecovererLimits::default().cases.to_string(),
+    );
+    let letters = DeadLetterLimits::default();
+    let says = format!("{} counts, the latest {}", letters.counts, letters.latest);
+    check(&page, "dead letters", says);
+    check(&page, "nodes in one network; links of a node", router.nodes_max.to_string());
+    check(&page, "hops", router.hops.to_string());
+    let says = format!("{}, or {}", session.buffer_messages, mebibytes(session.buffer_bytes));
+    check(&page, "messages that wait for one peer", says);
+}

@@ -1,0 +1,124 @@
+//! A handler that keeps its thread: on real threads, since only there can it be given up.
+//!
+//! Nothing here measures time, and nobody sleeps: each test waits for what it says.
+
+use crate::puppet::{Deed, Do, Note, Strings, life};
+use blastema::core::detection::Opinion;
+use blastema::prelude::*;
+use blastema::{Incarnation, NodeBuilder};
+use blastema_testkit::TestNode;
+use std::time::Duration;
+
+/// As long as a test may take on a busy machine.
+const LONG: Duration = Duration::from_secs(30);
+
+/// An `arm` and a `leg` on one shared thread, and an `ear` on its own.
+fn robot(strings: &Strings) -> NodeBuilder {
+    Node::builder("module1")
+        .work_threads(1)
+        .child(strings.spec("arm").max_block(Duration::from_millis(150)))
+        .child(strings.spec("leg"))
+        .child(strings.spec("ear").on_own_thread())
+}
+
+async fn start(builder: NodeBuilder) -> TestNode {
+    TestNode::of(builder.start().await.expect("the node starts")).await
+}
+
+/// Asks, and waits as long as a busy machine needs.
+async fn patiently(node: &Node, name: &str) -> u64 {
+    let sender = node.sender::<Do>(name).expect("a puppet of this name");
+    sender.ask_within(Do(Deed::Nothing), LONG).await.expect("the puppet answers")
+}
+
+/// Waits until this holds.
+async fn until(what: &str, mut holds: impl FnMut() -> bool) {
+    let reached = async {
+        while !holds() {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    };
+    assert!(tokio::time::timeout(LONG, reached).await.is_ok(), "{what}: never");
+}
+
+#[test]
+fn a_hang_is_named_fenced_and_replaced_and_its_neighbours_resume() {
+    blastema::run(async {
+        let strings = Strings::default();
+        let mut node = start(robot(&strings).grace(LONG)).await;
+        let arm = node.sender::<Do>("arm").unwrap();
+        let (hung, leg) = (arm.clone(), node.sender::<Do>("leg").unwrap());
+        let hung = tokio::task::spawn_local(async move {
+            hung.ask_within(Do(Deed::Block("ear".into())), LONG).await
+        });
+
+        let fault = node.await_fault(FaultKind::Hang, "arm").await;
+        let waiting =
+            tokio::task::spawn_local(async move { leg.ask_within(Do(Deed::Nothing), LONG).await });
+        node.sender("arm").unwrap().tell(Note(1)).unwrap();
+        node.await_recovered(FaultKind::Hang, "arm").await;
+
+        assert!(fault.detail.contains("test/do"), "{}", fault.detail);
+        let error = hung.await.unwrap().expect_err("it was given up, though it still blocks");
+        assert_eq!(error.why, Why::PeerDied { incarnation: Incarnation(1) });
+        assert_eq!(patiently(&node, "arm").await, 2, "on another thread");
+        until("its queue came along", || strings.lines("note") == ["arm#2 note 1"]).await;
+        let leg = node.row("leg").await;
+        assert_eq!((leg.opinion, leg.incarnation), (Opinion::Suspect, Incarnation(1)), "{leg:?}");
+
+        strings.release();
+        assert_eq!(waiting.await.unwrap().unwrap(), 1, "the neighbour never moved");
+        assert_eq!(patiently(&node, "ear").await, 1);
+        assert_eq!(strings.lines("99"), [""; 0], "what the zombie said went nowhere");
+        assert_eq!(node.abandoned_threads(), 0);
+        node.expect_no_faults().await;
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn neighbours_of_a_hang_that_does_not_return_are_moved_with_their_queues() {
+    blastema::run(async {
+        let strings = Strings::default();
+        let mut node = start(robot(&strings).grace(Duration::from_millis(100))).await;
+        node.sender("arm").unwrap().tell(Do(Deed::Block("ear".into()))).unwrap();
+
+        let root = node.await_fault(FaultKind::Hang, "arm").await;
+        node.sender("leg").unwrap().tell(Note(1)).unwrap();
+        node.await_recovered(FaultKind::Hang, "arm").await;
+        let symptom = node.await_fault(FaultKind::Hang, "leg").await;
+        node.await_recovered(FaultKind::Hang, "leg").await;
+
+        assert_eq!(symptom.symptom_of, Some(root.id));
+        assert_eq!((patiently(&node, "arm").await, patiently(&node, "leg").await), (2, 2));
+        until("its queue came along", || strings.lines("note") == ["leg#2 note 1"]).await;
+        assert_eq!(node.abandoned_threads(), 1);
+        assert_eq!(life(&node, "ear").await, 1);
+        strings.release();
+        until("the thread comes back", || node.abandoned_threads() == 0).await;
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_node_that_has_given_up_four_threads_comes_to_safe_rest() {
+    blastema::run(async {
+        let strings = Strings::default();
+        let mut builder = Node::builder("module1").work_threads(1).grace(Duration::from_millis(50));
+        for name in ["a", "b", "c", "d"] {
+            let spec = strings.spec(name).on_own_thread().max_block(Duration::from_millis(100));
+            builder = builder.child(spec);
+        }
+        let node = start(builder).await;
+        for name in ["a", "b", "c", "d"] {
+            node.sender(name).unwrap().tell(Do(Deed::Block(String::new()))).unwrap();
+        }
+
+        let ended = tokio::time::timeout(LONG, node.ended()).await;
+
+        let Ok(NodeState::AtRest { reason }) = &ended else { panic!("{ended:?}") };
+        assert!(!reason.is_empty());
+        strings.release();
+        node.shutdown().await;
+    });
+}
