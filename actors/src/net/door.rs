@@ -1,8 +1,8 @@
 //! The ways out of this node: what stands behind a `Sender` of a remote object.
 
-use super::gateway::{Gateway, Ship};
+use super::gateway::Ship;
 use crate::registry::{RemoteDoor, RemoteDoors, ReplyTo};
-use actix::Addr;
+use actix::Recipient;
 use blastema_core::{ContractIdentity, MessageId, NodeName, ObjectAddress, Why};
 use bytes::Bytes;
 use std::collections::BTreeMap;
@@ -19,7 +19,7 @@ const UNDER_WAY_MAX: usize = 4096;
 /// Makes doors, and tells those behind them how their peer is.
 #[derive(Default)]
 pub(super) struct Doors {
-    gateway: OnceLock<Addr<Gateway>>,
+    gateway: OnceLock<Recipient<Ship>>,
     gates: Mutex<BTreeMap<NodeName, Arc<Gate>>>,
 }
 
@@ -110,7 +110,7 @@ impl Gate {
 }
 
 impl Doors {
-    pub(super) fn lead_to(&self, gateway: Addr<Gateway>) {
+    pub(super) fn lead_to(&self, gateway: Recipient<Ship>) {
         // Called once, when the network starts.
         let _ = self.gateway.set(gateway);
     }
@@ -152,7 +152,7 @@ struct Door {
     to: ObjectAddress,
     contract: ContractIdentity,
     gate: Arc<Gate>,
-    gateway: Option<Addr<Gateway>>,
+    gateway: Option<Recipient<Ship>>,
 }
 
 impl RemoteDoor for Door {

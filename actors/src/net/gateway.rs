@@ -1,9 +1,12 @@
 //! Between the objects of this node and those of all others.
 
+mod errand;
+
+pub(super) use errand::{Notify, Ship};
+
 use super::NetEnvironment;
 use super::door::{Condition, Doors, Gate};
 use super::notice;
-use super::sessions::Sessions;
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
@@ -19,10 +22,9 @@ use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Call, Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
-use blastema_core::{
-    ContractIdentity, FaultKind, MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, Why,
-};
+use blastema_core::{FaultKind, MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, Why};
 use bytes::Bytes;
+use errand::{Answered, Interested, Noticed, Published};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
@@ -37,71 +39,21 @@ const LEAVE_PATIENCE: Duration = Duration::from_millis(500);
 /// Events of one subscription that may wait in the gateway's mailbox; beyond, they are dropped.
 const EVENTS_MAX: usize = 1024;
 
-/// An object here sends a message to one of another node.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(super) struct Ship {
-    pub(super) to: ObjectAddress,
-    pub(super) contract: ContractIdentity,
-    pub(super) id: Option<MessageId>,
-    pub(super) payload: Bytes,
-    pub(super) reply_to: Option<ReplyTo>,
-    pub(super) gate: Arc<Gate>,
-}
-
-/// An object here has answered another node's request.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct Answered {
-    peer: NodeId,
-    epoch: Epoch,
-    call: u64,
-    result: Result<Bytes, Why>,
-}
-
-/// An event was published here that a peer listens to.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct Published {
-    peer: NodeId,
-    subscription: u32,
-    event: Bytes,
-}
-
-/// A topic got its first listener here, or lost its last.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct Interested {
-    key: TopicKey,
-    more: bool,
-}
-
-/// A fault is to be told to a peer's recoverer.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(super) struct Notify {
-    pub(super) peer: NodeId,
-    pub(super) payload: Bytes,
-    pub(super) confirm: oneshot::Sender<Confirmed>,
-}
-
-/// Our recoverer has taken a peer's fault.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct Noticed {
-    peer: NodeId,
-    epoch: Epoch,
-    number: u64,
-}
-
 /// What the gateway must know after a panic.
 struct Wiring {
     registry: Registry,
     topics: Topics,
     recoverer: Option<Recipient<Recover>>,
-    sessions: Addr<Sessions>,
+    sessions: SessionPorts,
     doors: Arc<Doors>,
     dead_letters: DeadLetterOffice,
+}
+
+/// What the gateway asks of the sessions.
+pub(super) struct SessionPorts {
+    pub(super) say: Recipient<Say>,
+    pub(super) leave: Recipient<Leave>,
+    pub(super) begin_anew: Recipient<BeginAnew>,
 }
 
 /// Speaks for the objects of this node.
@@ -144,7 +96,7 @@ struct Forwarded {
 impl Gateway {
     pub(super) fn maker(
         environment: &NetEnvironment,
-        sessions: Addr<Sessions>,
+        sessions: SessionPorts,
         doors: Arc<Doors>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let NetEnvironment { registry, topics, recoverer, dead_letters, .. } = environment.clone();
@@ -192,7 +144,7 @@ impl Gateway {
 
     fn say(&self, peer: NodeId, stream: Stream, message: Bytes) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
-        self.wiring.sessions.do_send(Say { peer, session, stream, message });
+        self.wiring.sessions.say.do_send(Say { peer, session, stream, message });
     }
 
     fn leave(&mut self) {
@@ -203,7 +155,7 @@ impl Gateway {
             {
                 self.say(peer, stream, message);
             }
-            self.wiring.sessions.do_send(Leave);
+            self.wiring.sessions.leave.do_send(Leave);
         }
     }
 
@@ -216,7 +168,8 @@ impl Gateway {
                 self.bind(peer, epoch, binding, &object, &identity);
             }
             ExchangeOutput::Serve { peer, epoch, binding, call, id, payload } => {
-                let reply_to = call.map(|call| reply_to(peer, epoch, call, context.address()));
+                let reply_to =
+                    call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
                 self.serve((peer, binding), id, &payload, reply_to);
             }
             ExchangeOutput::Resolve { reply_as, result } => {
@@ -427,7 +380,7 @@ fn topic(key: &TopicKey) -> TopicContract {
 }
 
 /// Brings an answer back to the gateway, whichever thread gives it.
-fn reply_to(peer: NodeId, epoch: Epoch, call: u64, gateway: Addr<Gateway>) -> ReplyTo {
+fn reply_to(peer: NodeId, epoch: Epoch, call: u64, gateway: Recipient<Answered>) -> ReplyTo {
     Box::new(move |result| gateway.do_send(Answered { peer, epoch, call, result }))
 }
 
@@ -459,7 +412,7 @@ impl Supervised for Gateway {
         self.peers.values().for_each(|peer| peer.gate.set(Condition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();
         peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer, true));
-        self.wiring.sessions.do_send(BeginAnew);
+        self.wiring.sessions.begin_anew.do_send(BeginAnew);
         self.started(context);
     }
 }

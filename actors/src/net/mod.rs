@@ -168,9 +168,14 @@ pub(crate) fn start(
     });
 
     let doors = Arc::new(door::Doors::default());
-    let make = gateway::Gateway::maker(&environment, sessions.clone(), doors.clone());
+    let to_sessions = gateway::SessionPorts {
+        say: sessions.clone().recipient(),
+        leave: sessions.clone().recipient(),
+        begin_anew: sessions.clone().recipient(),
+    };
+    let make = gateway::Gateway::maker(&environment, to_sessions, doors.clone());
     let gateway = guardian.start(named("gateway"), place, make);
-    doors.lead_to(gateway.clone());
+    doors.lead_to(gateway.clone().recipient());
     sessions.do_send(AddGateway(gateway.clone().recipient()));
     let remote: Arc<dyn RemoteDoors> = doors.clone();
     environment.registry.connect(node, Some(remote));
@@ -229,7 +234,7 @@ impl NetHandle {
     /// Takes faults for another node's recoverer. Its answer does not come, and the mailbox reports
     /// itself closed, when the session with that node ends first.
     pub(crate) fn recoverer_of(&self, node: &NodeName) -> Recipient<Recover> {
-        let (peer, gateway) = (NodeId::of(node), self.gateway.clone());
+        let (peer, gateway) = (NodeId::of(node), self.gateway.clone().recipient());
         let name = named(&format!("port/{node}"));
         let make = move |_: &mut Context<notice::Port>| notice::Port::new(peer, gateway);
         self.guardian.start(name, self.arbiter.as_ref(), make).recipient()

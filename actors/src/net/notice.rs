@@ -1,6 +1,6 @@
 //! Faults on their way to another node's recoverer.
 
-use super::gateway::{Gateway, Notify};
+use super::gateway::Notify;
 use crate::platform;
 use actix::dev::{MessageResponse, OneshotSender};
 use actix::prelude::*;
@@ -56,11 +56,11 @@ pub(super) fn decode(bytes: &[u8], now: Instant) -> Result<Fault, DecodeError> {
 /// Stands in for the recoverer of one other node.
 pub(super) struct Port {
     peer: NodeId,
-    gateway: Addr<Gateway>,
+    gateway: Recipient<Notify>,
 }
 
 impl Port {
-    pub(super) fn new(peer: NodeId, gateway: Addr<Gateway>) -> Self {
+    pub(super) fn new(peer: NodeId, gateway: Recipient<Notify>) -> Self {
         Port { peer, gateway }
     }
 }
