@@ -167,6 +167,14 @@ pub(crate) fn posting_time<M: Contract>() -> Instant {
     }
 }
 
+/// When a message was posted that took so long to arrive from another node.
+pub(crate) fn arrived_posting_time<M: Contract>(age: Duration) -> Instant {
+    match M::MAX_AGE {
+        Some(_) => Instant::ORIGIN + (platform::now() - Instant::ORIGIN).saturating_sub(age),
+        None => pulse::rough_now(),
+    }
+}
+
 /// Packs a message for a component.
 #[inline]
 #[expect(

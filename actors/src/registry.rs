@@ -6,6 +6,7 @@
 use crate::component::Handle;
 use crate::death_watch::{Down, Ending, Mortal, Mourner};
 use crate::host::anchor::Anchor;
+use crate::letter::arrived_posting_time;
 use crate::reply::{Answer, Reply};
 use crate::sender::{Inlet, RequestError, SendError, Sender};
 use blastema_contract::reports::FaultDeclared;
@@ -20,19 +21,21 @@ use std::future::Future;
 use std::marker::PhantomData;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 /// Gets the encoded reply, or the reason why there is none. Called once, on any thread.
 pub(crate) type ReplyTo = Box<dyn FnOnce(Result<Bytes, Why>) + Send>;
 
 /// The way into an object for messages that come from outside the process.
 pub(crate) trait Doorway: Send + Sync {
-    /// Decodes the message and hands it over. Where `reply_to` is given it is called in every case;
-    /// the error then repeats what it was told.
+    /// Decodes the message and hands it over; it has been on its way for `age`. Where `reply_to` is
+    /// given it is called in every case; the error then repeats what it was told.
     fn deliver(
         &self,
         message: &[u8],
         id: Option<MessageId>,
         reply_to: Option<ReplyTo>,
+        age: Duration,
     ) -> Result<(), Why>;
 
     /// Reports a fault that was found at the door, such as a caller with another contract.
@@ -92,13 +95,17 @@ impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
         message: M,
         id: Option<MessageId>,
         reply_to: Option<ReplyTo>,
+        age: Duration,
     ) -> Result<(), Why> {
         match reply_to {
             // Its sender is elsewhere, and has been told that it was sent.
-            None => Inlet::tell(&*self.anchor, message).map_err(|SendError { why, .. }| {
-                self.anchor.record.bury(M::NAME, &why);
-                why
-            }),
+            None => {
+                let posted_at = arrived_posting_time::<M>(age);
+                self.anchor.tell_at(message, posted_at).map_err(|SendError { why, .. }| {
+                    self.anchor.record.bury(M::NAME, &why);
+                    why
+                })
+            }
             Some(reply_to) => {
                 let answer = Answer::called_back(Box::new(move |result| {
                     reply_to(result.and_then(|reply| encoded_reply::<M>(&reply)));
@@ -128,9 +135,10 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
         message: &[u8],
         id: Option<MessageId>,
         reply_to: Option<ReplyTo>,
+        age: Duration,
     ) -> Result<(), Why> {
         match codec::decode::<M>(message) {
-            Ok(message) => self.hand_over(message, id, reply_to),
+            Ok(message) => self.hand_over(message, id, reply_to, age),
             Err(error) => {
                 let why = Why::Undecodable { reason: error.to_string() };
                 self.anchor.record.bury(M::NAME, &why);

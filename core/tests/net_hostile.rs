@@ -62,7 +62,7 @@ fn genuine() -> Vec<Bytes> {
         source: NodeId::of(&name("peer")),
         payload: Payload::Segment(segment.clone()),
     };
-    let names = Message::Names { complete: true, added: vec![], removed: vec![] };
+    let names = Message::Names { stamp_us: 0, complete: true, added: vec![], removed: vec![] };
     let datagram =
         Datagram { tag: 1, channel: 1, sequence: 1, piece: None, payload: payload.clone() };
     vec![
@@ -78,7 +78,7 @@ fn genuine() -> Vec<Bytes> {
         Segment::Acknowledge { tag: 1, control: None, data: Some(ack) }.encode(),
         Segment::Reset { tag: 1 }.encode(),
         Message::Request { binding: 1, call: 1, id: None, payload: payload.clone() }.encode(),
-        Message::Event { subscription: 1, payload }.encode(),
+        Message::Event { subscription: 1, stamp_us: 5, payload }.encode(),
         names.encode(),
     ]
 }
@@ -204,9 +204,9 @@ proptest! {
     fn no_messages_panic_an_exchange(messages in vec(hostile(), 0..30)) {
         let mut exchange = Exchange::default();
         let peer = NodeId(1);
-        exchange.handle_opened(peer);
+        exchange.handle_opened(peer, Instant::ORIGIN);
         for message in messages {
-            exchange.handle_message(peer, message);
+            exchange.handle_message(peer, message, Instant::ORIGIN);
             while let Some(output) = exchange.poll_output() {
                 let answers = matches!(output, ExchangeOutput::Resolve { .. });
                 prop_assert!(!answers, "nothing was asked");

@@ -306,31 +306,12 @@ impl<C: Component> Glimpsed for Anchor<C> {
 impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
     #[inline]
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
-        match self.offer(message) {
-            Err(SendError { why: why @ (Why::Full | Why::Restarting), message })
-                if self.lane.policy() == WhenFull::DropNewest =>
-            {
-                self.record.bury(M::NAME, &why);
-                drop(message);
-                Ok(())
-            }
-            other => other,
-        }
+        self.tell_at(message, posting_time::<M>())
     }
 
     #[inline]
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
-        if let Err(why) = self.admit(None) {
-            return Err(SendError { why, message });
-        }
-        match self.lane.push_with(message, |m| pack::<C, M>(m, None, None, posting_time::<M>())) {
-            Ok(None) => Ok(()),
-            Ok(Some(oldest)) => {
-                self.return_mail(oldest, Why::Full);
-                Ok(())
-            }
-            Err((message, why)) => Err(SendError { why, message }),
-        }
+        self.offer_at(message, posting_time::<M>())
     }
 
     fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
@@ -348,6 +329,50 @@ impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
 }
 
 impl<C: Component> Anchor<C> {
+    /// Tells the component what was posted then.
+    #[inline]
+    pub(crate) fn tell_at<M: Contract>(
+        &self,
+        message: M,
+        posted_at: blastema_core::Instant,
+    ) -> Result<(), SendError<M>>
+    where
+        C: Handle<M>,
+    {
+        match self.offer_at(message, posted_at) {
+            Err(SendError { why: why @ (Why::Full | Why::Restarting), message })
+                if self.lane.policy() == WhenFull::DropNewest =>
+            {
+                self.record.bury(M::NAME, &why);
+                drop(message);
+                Ok(())
+            }
+            other => other,
+        }
+    }
+
+    #[inline]
+    fn offer_at<M: Contract>(
+        &self,
+        message: M,
+        posted_at: blastema_core::Instant,
+    ) -> Result<(), SendError<M>>
+    where
+        C: Handle<M>,
+    {
+        if let Err(why) = self.admit(None) {
+            return Err(SendError { why, message });
+        }
+        match self.lane.push_with(message, |m| pack::<C, M>(m, None, None, posted_at)) {
+            Ok(None) => Ok(()),
+            Ok(Some(oldest)) => {
+                self.return_mail(oldest, Why::Full);
+                Ok(())
+            }
+            Err((message, why)) => Err(SendError { why, message }),
+        }
+    }
+
     /// Hands a request over, whoever waits for its answer. A refusal is told to the answer as well.
     #[inline]
     pub(crate) fn post<M: Contract>(

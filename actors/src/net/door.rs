@@ -1,6 +1,7 @@
 //! The ways out of this node: what stands behind a `Sender` of a remote object.
 
 use super::gateway::Ship;
+use crate::platform;
 use crate::registry::{RemoteDoor, RemoteDoors, ReplyTo};
 use actix::Recipient;
 use blastema_core::{ContractIdentity, MessageId, NodeName, ObjectAddress, Why};
@@ -169,6 +170,7 @@ impl RemoteDoor for Door {
             to: self.to.clone(),
             contract: self.contract.clone(),
             id,
+            sent: platform::now(),
             payload: message,
             reply_to,
             gate: self.gate.clone(),

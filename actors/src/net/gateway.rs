@@ -167,10 +167,10 @@ impl Gateway {
             ExchangeOutput::Bind { peer, epoch, binding, object, identity } => {
                 self.bind(peer, epoch, binding, &object, &identity);
             }
-            ExchangeOutput::Serve { peer, epoch, binding, call, id, payload } => {
+            ExchangeOutput::Serve { peer, epoch, binding, call, id, age, payload } => {
                 let reply_to =
                     call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
-                self.serve((peer, binding), id, &payload, reply_to);
+                self.serve((peer, binding), id, (&payload, age), reply_to);
             }
             ExchangeOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
@@ -197,9 +197,9 @@ impl Gateway {
             ExchangeOutput::Unsubscribe { peer, subscription } => {
                 self.end_forward((peer, subscription));
             }
-            ExchangeOutput::Event { topic, payload } => {
+            ExchangeOutput::Event { topic, age, payload } => {
                 let key = TopicKey::new(&topic.topic, &topic.contract);
-                if let Err(why) = self.wiring.topics.inject(&key, &payload) {
+                if let Err(why) = self.wiring.topics.inject(&key, &payload, age) {
                     self.lost += 1;
                     debug!(topic = %topic.topic, %why, "an event did not arrive");
                 }
@@ -251,13 +251,13 @@ impl Gateway {
         &mut self,
         binding: (NodeId, u32),
         id: Option<MessageId>,
-        payload: &[u8],
+        (payload, age): (&[u8], Duration),
         reply_to: Option<ReplyTo>,
     ) {
         match (self.doorways.get(&binding), reply_to) {
             (Some(doorway), reply_to) => {
                 // The object's own dead letters tell of what it did not take.
-                let _ = doorway.deliver(payload, id, reply_to);
+                let _ = doorway.deliver(payload, id, reply_to, age);
             }
             (None, Some(reply_to)) => reply_to(Err(Why::Unknown { name: "binding".into() })),
             (None, None) => self.lost += 1,
@@ -289,7 +289,8 @@ impl Gateway {
             // Publishing never waits: what a peer cannot take now is not sent.
             if gate.is_open() && under_way.load(Relaxed) < EVENTS_MAX {
                 under_way.fetch_add(1, Relaxed);
-                gateway.do_send(Published { peer, subscription, event: event.clone() });
+                let (event, sent) = (event.clone(), platform::now());
+                gateway.do_send(Published { peer, subscription, event, sent });
             }
         });
         self.end_forward((peer, subscription));
@@ -369,7 +370,7 @@ impl Gateway {
         }
         let objects = self.wiring.registry.objects().into_iter().map(|(name, _)| name).collect();
         for announcement in self.naming.handle_own(objects) {
-            self.exchange.handle_own_names(None, announcement);
+            self.exchange.handle_own_names(None, &announcement, platform::now());
         }
         self.drive(context);
     }
@@ -439,14 +440,15 @@ impl Handler<SessionReported> for Gateway {
             SessionReported::Opened { node, incarnation, session } => {
                 let (peer, gate) = self.meet(&node);
                 self.peers.entry(peer).and_modify(|peer| peer.session = session);
-                self.exchange.handle_opened(peer);
+                self.exchange.handle_opened(peer, platform::now());
                 for announcement in self.naming.handle_opened(node, incarnation) {
-                    self.exchange.handle_own_names(Some(peer), announcement);
+                    let now = platform::now();
+                    self.exchange.handle_own_names(Some(peer), &announcement, now);
                 }
                 gate.set(Condition::Open);
             }
             SessionReported::Message { peer, message } => {
-                self.exchange.handle_message(peer, message);
+                self.exchange.handle_message(peer, message, platform::now());
             }
             SessionReported::Returned { peer, message, why } => {
                 self.exchange.handle_returned(peer, message, why);
@@ -471,7 +473,7 @@ impl Handler<Ship> for Gateway {
     type Result = ();
 
     fn handle(&mut self, message: Ship, context: &mut Context<Self>) {
-        let Ship { to, contract, id, payload, reply_to, gate } = message;
+        let Ship { to, contract, id, sent, payload, reply_to, gate } = message;
         gate.taken();
         let reply_as = reply_to.map(|reply_to| {
             let number = self.number();
@@ -479,7 +481,7 @@ impl Handler<Ship> for Gateway {
             number
         });
         let ObjectAddress { node, object } = to;
-        self.exchange.handle_call(Call { node, object, contract, id, payload, reply_as });
+        self.exchange.handle_call(Call { node, object, contract, id, sent, payload, reply_as });
         self.drive(context);
     }
 }
@@ -498,12 +500,12 @@ impl Handler<Published> for Gateway {
     type Result = ();
 
     fn handle(&mut self, message: Published, context: &mut Context<Self>) {
-        let Published { peer, subscription, event } = message;
+        let Published { peer, subscription, event, sent } = message;
         if let Some(forwarded) = self.forwards.get(&(peer, subscription)) {
             forwarded.waiting.fetch_sub(1, Relaxed);
         }
         match self.verify((peer, subscription)) {
-            Ok(()) => self.exchange.handle_event(peer, subscription, event),
+            Ok(()) => self.exchange.handle_event(peer, subscription, event, sent),
             Err(why @ Why::ContractDiffers { .. }) => {
                 error!("a listener's contract differs: {why}");
                 self.end_forward((peer, subscription));

@@ -16,6 +16,7 @@ use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::{Exited, FaultDeclared};
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{Close, Cut, Direction, MediumAddress, Restore, Transport};
+use blastema_core::dead_letters::DeadReason;
 use blastema_core::detection::{LinkCondition, NodeCondition};
 use blastema_core::{
     Fault, FaultId, FaultKind, Incarnation, NodeName, ObjectName, Place, Severity, Why,
@@ -46,6 +47,11 @@ struct Boom;
 #[derive(Clone, Debug, PartialEq, Event)]
 struct Note(u64);
 
+/// Is worthless after 100 ms.
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(max_age = "100ms")]
+struct Fresh(u64);
+
 mod other {
     use crate::Request;
 
@@ -73,8 +79,9 @@ struct Acc {
 
 impl Component for Acc {
     fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Add>().serve::<Mirror>().serve::<Boom>().accept::<Note>();
+        ports.serve::<Add>().serve::<Mirror>().serve::<Boom>().accept::<Note>().accept::<Fresh>();
         let _ = ports.listen::<Note>();
+        let _ = ports.listen::<Fresh>();
     }
 }
 
@@ -99,6 +106,12 @@ impl Handle<Boom> for Acc {
 
 impl Handle<Note> for Acc {
     async fn handle(&mut self, Note(n): Note, _: &mut Context<Self>) {
+        self.log.0.lock().unwrap().push(n);
+    }
+}
+
+impl Handle<Fresh> for Acc {
+    async fn handle(&mut self, Fresh(n): Fresh, _: &mut Context<Self>) {
         self.log.0.lock().unwrap().push(n);
     }
 }
@@ -579,6 +592,37 @@ fn a_node_that_leaves_in_order_delivers_first() {
         assert_eq!(right.log.take(), (0..10).collect::<Vec<_>>());
         let why = right.sender::<Add>("left:acc").ask(Add(1)).await.unwrap_err().why;
         assert_eq!(why, Why::Restarting);
+    });
+}
+
+#[test]
+fn what_grew_old_on_the_way_is_not_delivered_but_counted() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let publisher = left.host.topics.publisher::<Fresh>(Fresh::NAME).unwrap();
+        let sender = left.sender::<Fresh>("right:acc");
+        publisher.publish(Fresh(1)).unwrap();
+        sender.tell(Fresh(2)).unwrap();
+        advance(10 * MS).await;
+        assert_eq!(right.log.take(), [1, 2]);
+
+        for end in ["ethernet/left", "ieee1394/left"] {
+            robot.cut(end);
+        }
+        publisher.publish(Fresh(3)).unwrap();
+        sender.tell(Fresh(4)).unwrap();
+        left.sender::<Note>("right:acc").tell(Note(5)).unwrap();
+        advance(500 * MS).await;
+        for end in ["ethernet/left", "ieee1394/left"] {
+            robot.restore(end);
+        }
+        advance(1000 * MS).await;
+        publisher.publish(Fresh(6)).unwrap();
+        advance(10 * MS).await;
+
+        assert_eq!(right.log.take(), [5, 6]);
+        let acc = ObjectName::new("acc").unwrap();
+        assert_eq!(right.host.dead_letters.count(&acc, DeadReason::Expired), 2);
     });
 }
 

@@ -23,7 +23,7 @@ use crate::component::Component;
 use crate::host::anchor::Anchor;
 use crate::host::office::DeadLetterOffice;
 use crate::host::pulse;
-use crate::letter::posting_time;
+use crate::letter::{arrived_posting_time, posting_time};
 use crate::registry::differs;
 use crate::sender::SendError;
 use blastema_core::{ContractIdentity, Event, ObjectName, Why, codec};
@@ -34,6 +34,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 /// Says whether a listener wants an event.
 pub(crate) type Condition<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
@@ -151,7 +152,7 @@ impl<E: Event> Topic<E> {
 trait AnyTopic: Send + Sync {
     fn identity(&self) -> ContractIdentity;
     fn forward_to(&self, forwards: Arc<[Forward]>);
-    fn inject(&self, event: &[u8]) -> Result<(), Why>;
+    fn inject(&self, event: &[u8], age: Duration) -> Result<(), Why>;
     fn has_listeners(&self) -> bool;
 }
 
@@ -165,10 +166,10 @@ impl<E: Event> AnyTopic for Topic<E> {
         *lock(&self.forwards) = forwards;
     }
 
-    fn inject(&self, event: &[u8]) -> Result<(), Why> {
+    fn inject(&self, event: &[u8], age: Duration) -> Result<(), Why> {
         match codec::decode::<E>(event) {
             Ok(event) => {
-                self.spread(event, posting_time::<E>());
+                self.spread(event, arrived_posting_time::<E>(age));
                 Ok(())
             }
             Err(error) => {
@@ -267,11 +268,11 @@ impl Topics {
         inner.renew_forwards(&forward.key);
     }
 
-    /// Gives an event that came from another node to the listeners here.
-    pub(crate) fn inject(&self, key: &TopicKey, event: &[u8]) -> Result<(), Why> {
+    /// Gives an event that came from another node to the listeners here; it took so long.
+    pub(crate) fn inject(&self, key: &TopicKey, event: &[u8], age: Duration) -> Result<(), Why> {
         let topic = lock(&self.inner).topics.get(key).map(|known| known.erased.clone());
         match topic {
-            Some(topic) => topic.inject(event),
+            Some(topic) => topic.inject(event, age),
             None => Err(Why::Unknown { name: key.topic.to_string() }),
         }
     }

@@ -12,14 +12,16 @@ mod vocabulary;
 
 pub use self::vocabulary::{Call, Epoch, ExchangeOutput, TopicContract};
 
+use super::age::Ages;
 use super::message::Message;
 use super::naming::Announcement;
 use super::node_id::NodeId;
 use super::segment::Stream;
 use super::wire::Refusals;
-use crate::{ContractIdentity, MessageId, ObjectName, PeerIdentity, Why};
+use crate::{ContractIdentity, Instant, MessageId, ObjectName, PeerIdentity, Why};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
 
 /// The messages that should wait for one binding at most: one round trip's worth of a fast sender.
 /// Beyond, senders are told to stop.
@@ -29,8 +31,8 @@ const WAITING_MAX: usize = 8 * WAITING;
 /// The most bindings and subscriptions that a peer may have here, each.
 const BINDINGS_MAX: usize = 16 * 1024;
 
-/// The machine of one node's dealings with all others. It needs no clock: deadlines are the caller's,
-/// silence the session's.
+/// The machine of one node's dealings with all others. It waits for nothing: deadlines are the
+/// caller's, silence the session's.
 #[derive(Debug, Default)]
 pub struct Exchange {
     peers: BTreeMap<NodeId, Peer>,
@@ -67,6 +69,10 @@ type Numbers = BTreeMap<u32, Bound>;
 #[derive(Debug)]
 struct Session {
     epoch: Epoch,
+    /// Our stamps count from here.
+    began: Instant,
+    /// Known from the peer's first stamp on.
+    ages: Option<Ages>,
     bindings: BTreeMap<Bound, Binding>,
     numbers: Numbers,
     /// Our requests that are not answered, by their number on the wire, and the callers' numbers.
@@ -87,6 +93,7 @@ struct Binding {
 #[derive(Debug)]
 struct Waiting {
     id: Option<MessageId>,
+    sent: Instant,
     payload: Bytes,
     reply_as: Option<u64>,
 }
@@ -125,10 +132,12 @@ impl Exchange {
     }
 
     /// A session with this peer has begun.
-    pub fn handle_opened(&mut self, peer: NodeId) {
+    pub fn handle_opened(&mut self, peer: NodeId, now: Instant) {
         self.epochs += 1;
         let session = Session {
             epoch: Epoch(self.epochs),
+            began: now,
+            ages: None,
             bindings: BTreeMap::new(),
             numbers: BTreeMap::new(),
             calls: BTreeMap::new(),
@@ -164,7 +173,7 @@ impl Exchange {
 
     /// An object here wants to send.
     pub fn handle_call(&mut self, call: Call) {
-        let Call { node, object, contract, id, payload, reply_as } = call;
+        let Call { node, object, contract, id, sent, payload, reply_as } = call;
         let peer = NodeId::of(&node);
         let known = self.peers.get_mut(&peer);
         let reachable = known.as_ref().is_some_and(|peer| peer.reachable);
@@ -175,7 +184,7 @@ impl Exchange {
             return;
         };
         let key = (object, contract.name, contract.fingerprint);
-        let waiting = Waiting { id, payload, reply_as };
+        let waiting = Waiting { id, sent, payload, reply_as };
         match session.bindings.get_mut(&key) {
             Some(Binding { waiting: None, number, .. }) => {
                 let number = *number;
@@ -264,10 +273,11 @@ impl Exchange {
         self.tell_all(&message);
     }
 
-    /// An event was published here for a peer's subscription.
-    pub fn handle_event(&mut self, peer: NodeId, subscription: u32, payload: Bytes) {
-        if self.is_open(peer) {
-            let message = Message::Event { subscription, payload }.encode();
+    /// An event was published here, at `sent`, for a peer's subscription.
+    pub fn handle_event(&mut self, peer: NodeId, subscription: u32, payload: Bytes, sent: Instant) {
+        if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
+            let stamp_us = session.stamp_us(sent);
+            let message = Message::Event { subscription, stamp_us, payload }.encode();
             self.outputs.push_back(ExchangeOutput::Send { peer, stream: Stream::Data, message });
         }
     }
@@ -300,13 +310,21 @@ impl Exchange {
     }
 
     /// Tells one peer, or all, which objects this node has.
-    pub fn handle_own_names(&mut self, to: Option<NodeId>, announcement: Announcement) {
-        let Announcement { complete, added, removed } = announcement;
-        let message = Message::Names { complete, added, removed };
-        match to {
-            Some(peer) if self.is_open(peer) => self.outputs.push_back(control(peer, &message)),
-            Some(_) => {}
-            None => self.tell_all(&message),
+    pub fn handle_own_names(
+        &mut self,
+        to: Option<NodeId>,
+        announcement: &Announcement,
+        now: Instant,
+    ) {
+        for (peer, state) in &self.peers {
+            if let Some(session) = &state.session
+                && to.is_none_or(|to| to == *peer)
+            {
+                let Announcement { complete, added, removed } = announcement.clone();
+                let stamp_us = session.stamp_us(now);
+                let message = Message::Names { stamp_us, complete, added, removed };
+                self.outputs.push_back(control(*peer, &message));
+            }
         }
     }
 
@@ -365,7 +383,7 @@ impl Exchange {
     }
 
     /// A peer says something.
-    pub fn handle_message(&mut self, peer: NodeId, message: Bytes) {
+    pub fn handle_message(&mut self, peer: NodeId, message: Bytes, now: Instant) {
         let message = match Message::decode(message) {
             Ok(message) => message,
             Err(error) => return self.refusals.count(&error),
@@ -388,13 +406,13 @@ impl Exchange {
                 self.handle_bind_refused(peer, binding, why, &identity);
             }
             Message::Request { binding, call, id, payload } => {
-                let call = Some(call);
-                let serve = ExchangeOutput::Serve { peer, epoch, binding, call, id, payload };
+                let (call, age) = (Some(call), Duration::ZERO);
+                let serve = ExchangeOutput::Serve { peer, epoch, binding, call, id, age, payload };
                 self.outputs.push_back(serve);
             }
-            Message::Tell { binding, id, payload } => {
-                let call = None;
-                let serve = ExchangeOutput::Serve { peer, epoch, binding, call, id, payload };
+            Message::Tell { binding, stamp_us, id, payload } => {
+                let (call, age) = (None, session.age(stamp_us, now));
+                let serve = ExchangeOutput::Serve { peer, epoch, binding, call, id, age, payload };
                 self.outputs.push_back(serve);
             }
             Message::Reply { call, result } => match session.calls.remove(&call) {
@@ -414,8 +432,9 @@ impl Exchange {
                 session.taken = session.taken.saturating_sub(1);
                 self.outputs.push_back(ExchangeOutput::Unsubscribe { peer, subscription });
             }
-            Message::Event { subscription, payload } => {
-                self.handle_peers_event(subscription, payload)
+            Message::Event { subscription, stamp_us, payload } => {
+                let age = session.age(stamp_us, now);
+                self.handle_peers_event(subscription, age, payload);
             }
             Message::Notice { number, payload } => {
                 self.outputs.push_back(ExchangeOutput::Notice { peer, epoch, number, payload });
@@ -425,7 +444,8 @@ impl Exchange {
                     self.outputs.push_back(ExchangeOutput::Noticed { number, arrived: true });
                 }
             }
-            Message::Names { complete, added, removed } => {
+            Message::Names { stamp_us, complete, added, removed } => {
+                session.age(stamp_us, now);
                 let announcement = Announcement { complete, added, removed };
                 self.outputs.push_back(ExchangeOutput::Names { peer, announcement });
             }
@@ -506,13 +526,13 @@ impl Exchange {
         }
     }
 
-    fn handle_peers_event(&mut self, subscription: u32, payload: Bytes) {
+    fn handle_peers_event(&mut self, subscription: u32, age: Duration, payload: Bytes) {
         let mut interests = self.interests.iter();
         // As many as the node has topics; they are few.
         match interests.find(|(_, interest)| interest.subscription == subscription) {
             Some((topic, _)) => {
                 let topic = topic.clone();
-                self.outputs.push_back(ExchangeOutput::Event { topic, payload });
+                self.outputs.push_back(ExchangeOutput::Event { topic, age, payload });
             }
             // It crossed our unsubscribing.
             None => self.refusals.stale += 1,
@@ -521,6 +541,14 @@ impl Exchange {
 }
 
 impl Session {
+    fn stamp_us(&self, sent: Instant) -> u64 {
+        u64::try_from((sent - self.began).as_micros()).unwrap_or(u64::MAX)
+    }
+
+    fn age(&mut self, stamp_us: u64, now: Instant) -> Duration {
+        self.ages.get_or_insert_with(|| Ages::new(stamp_us, now)).handle(stamp_us, now)
+    }
+
     fn send(
         &mut self,
         peer: NodeId,
@@ -528,9 +556,10 @@ impl Session {
         waiting: Waiting,
         next_call: &mut u64,
     ) -> ExchangeOutput {
-        let Waiting { id, payload, reply_as } = waiting;
+        let Waiting { id, sent, payload, reply_as } = waiting;
+        let stamp_us = self.stamp_us(sent);
         let message = match reply_as {
-            None => Message::Tell { binding, id, payload },
+            None => Message::Tell { binding, stamp_us, id, payload },
             Some(reply_as) => {
                 *next_call += 1;
                 let call = *next_call;

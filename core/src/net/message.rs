@@ -4,7 +4,7 @@
 //! kind 1 │ fields in the order of the variant
 //! ```
 //! Numbers are of variable length, texts and byte strings stand after their length, a last byte
-//! string without. An error is encoded as [`Why`] by the codec; it is no daily traffic.
+//! string without. Stamps are microseconds since the session began, on the sender's clock. An error is encoded as [`Why`] by the codec; it is no daily traffic.
 //!
 //! ```text
 //!   one node                                  the other
@@ -74,6 +74,8 @@ pub enum Message {
     Tell {
         /// The binding.
         binding: u32,
+        /// When it was sent.
+        stamp_us: u64,
         /// By which identity a repeated message is known.
         id: Option<MessageId>,
         /// The message.
@@ -104,6 +106,8 @@ pub enum Message {
     Event {
         /// For which subscription.
         subscription: u32,
+        /// When it was published.
+        stamp_us: u64,
         /// The event.
         payload: Bytes,
     },
@@ -121,6 +125,9 @@ pub enum Message {
     },
     /// Objects of this node have come and gone.
     Names {
+        /// When this was sent. A session begins with such a message, so that the age of what follows
+        /// can be measured against one that came without delay.
+        stamp_us: u64,
         /// Everything said before is void: these are all.
         complete: bool,
         /// Who came.
@@ -180,8 +187,9 @@ impl Message {
                 bytes.varint(*call);
                 bytes.sized(&encode_why(why));
             }
-            Message::Tell { binding, id, payload } => {
+            Message::Tell { binding, stamp_us, id, payload } => {
                 numbered(&mut bytes, TELL, *binding);
+                bytes.varint(*stamp_us);
                 put_id(&mut bytes, *id);
                 bytes.put_slice(payload);
             }
@@ -197,8 +205,9 @@ impl Message {
             Message::Unsubscribe { subscription } => {
                 numbered(&mut bytes, UNSUBSCRIBE, *subscription);
             }
-            Message::Event { subscription, payload } => {
+            Message::Event { subscription, stamp_us, payload } => {
                 numbered(&mut bytes, EVENT, *subscription);
+                bytes.varint(*stamp_us);
                 bytes.put_slice(payload);
             }
             Message::Notice { number, payload } => {
@@ -210,8 +219,9 @@ impl Message {
                 bytes.put_u8(CONFIRMED);
                 bytes.varint(*number);
             }
-            Message::Names { complete, added, removed } => {
+            Message::Names { stamp_us, complete, added, removed } => {
                 bytes.put_u8(NAMES);
+                bytes.varint(*stamp_us);
                 bytes.put_u8((*complete).into());
                 for names in [added, removed] {
                     bytes.varint(names.len() as u64);
@@ -273,6 +283,7 @@ impl Message {
             }
             TELL => Message::Tell {
                 binding: number(&mut reader)?,
+                stamp_us: reader.varint()?,
                 id: read_id(&mut reader)?,
                 payload: reader.rest(),
             },
@@ -292,7 +303,11 @@ impl Message {
                 reader.end(what)?;
                 Message::Unsubscribe { subscription }
             }
-            EVENT => Message::Event { subscription: number(&mut reader)?, payload: reader.rest() },
+            EVENT => Message::Event {
+                subscription: number(&mut reader)?,
+                stamp_us: reader.varint()?,
+                payload: reader.rest(),
+            },
             NOTICE => Message::Notice { number: reader.varint()?, payload: reader.rest() },
             CONFIRMED => {
                 let number = reader.varint()?;
@@ -300,11 +315,12 @@ impl Message {
                 Message::Confirmed { number }
             }
             NAMES => {
+                let stamp_us = reader.varint()?;
                 let complete = reader.u8()? != 0;
                 let added = read_names(&mut reader)?;
                 let removed = read_names(&mut reader)?;
                 reader.end(what)?;
-                Message::Names { complete, added, removed }
+                Message::Names { stamp_us, complete, added, removed }
             }
             BYE => {
                 reader.end(what)?;
@@ -402,7 +418,10 @@ mod tests {
             ),
             (Message::Reply { call: 7, result: Ok(payload.clone()) }, b"\x04\x07xy"),
             (Message::Reply { call: 7, result: Err(unknown.clone()) }, b"\x05\x07\x01\x02"),
-            (Message::Tell { binding: 1, id: None, payload: payload.clone() }, b"\x06\x01\0xy"),
+            (
+                Message::Tell { binding: 1, stamp_us: 9, id: None, payload: payload.clone() },
+                b"\x06\x01\x09\0xy",
+            ),
             (
                 Message::Subscribe {
                     subscription: 3,
@@ -413,16 +432,20 @@ mod tests {
             ),
             (Message::SubscribeRefused { subscription: 3, why: unknown }, b"\x08\x03\x01\x02"),
             (Message::Unsubscribe { subscription: 3 }, b"\x09\x03"),
-            (Message::Event { subscription: 3, payload: payload.clone() }, b"\x0a\x03xy"),
+            (
+                Message::Event { subscription: 3, stamp_us: 300, payload: payload.clone() },
+                b"\x0a\x03\xac\x02xy",
+            ),
             (Message::Notice { number: 4, payload }, b"\x0b\x04xy"),
             (Message::Confirmed { number: 4 }, b"\x0c\x04"),
             (
                 Message::Names {
+                    stamp_us: 0,
                     complete: true,
                     added: vec![object.clone()],
                     removed: vec![object],
                 },
-                b"\x0d\x01\x01\x03arm\x01\x03arm",
+                b"\x0d\0\x01\x01\x03arm\x01\x03arm",
             ),
             (Message::Bye, b"\x0e"),
         ]
@@ -446,7 +469,8 @@ mod tests {
                 }
             }
         }
-        for foreign in [&b"\x0f"[..], b"\x01\x01!", b"\x0d\0\xff\xff\x7f\x01a", b"\x05\x07\x01\x63"]
+        for foreign in
+            [&b"\x0f"[..], b"\x01\x01!", b"\x0d\0\0\xff\xff\x7f\x01a", b"\x05\x07\x01\x63"]
         {
             assert!(Message::decode(Bytes::copy_from_slice(foreign)).is_err(), "{foreign:?}");
         }

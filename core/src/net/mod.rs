@@ -21,6 +21,7 @@
 //! What this module does not do: encryption, multicast, congestion control towards strangers. A robot's
 //! network is its own.
 
+mod age;
 mod arrival;
 mod topology;
 mod wire;

@@ -211,7 +211,7 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         let kept = shipped.clone();
         let forward =
             topics.forward(&key, Arc::new(move |bytes| kept.lock().unwrap().push(bytes.clone())));
-        assert!(matches!(topics.inject(&key, &[1]), Err(Why::Unknown { .. })));
+        assert!(matches!(topics.inject(&key, &[1], Duration::ZERO), Err(Why::Unknown { .. })));
         let interest = Arc::new(Mutex::new(vec![]));
         let kept = interest.clone();
         topics.on_interest(Arc::new(move |key, more| {
@@ -223,11 +223,14 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         publish(&stage, "other", 5);
         settle().await;
         let bytes = shipped.lock().unwrap().pop().unwrap();
-        topics.inject(&key, &bytes).unwrap();
+        topics.inject(&key, &bytes, Duration::ZERO).unwrap();
         settle().await;
         assert_eq!(logged(&log), [5, 5]);
         assert!(shipped.lock().unwrap().is_empty(), "what came in is not sent out again");
-        assert!(matches!(topics.inject(&key, &[9, 9, 9]), Err(Why::Undecodable { .. })));
+        assert!(matches!(
+            topics.inject(&key, &[9, 9, 9], Duration::ZERO),
+            Err(Why::Undecodable { .. })
+        ));
 
         topics.end_forward(&forward);
         publish(&stage, "other", 6);

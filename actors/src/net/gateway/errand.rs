@@ -7,7 +7,7 @@ use actix::Message;
 use blastema_contract::Confirmed;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::Epoch;
-use blastema_core::{ContractIdentity, MessageId, ObjectAddress, Why};
+use blastema_core::{ContractIdentity, Instant, MessageId, ObjectAddress, Why};
 use bytes::Bytes;
 use std::sync::Arc;
 use tokio::sync::oneshot;
@@ -19,6 +19,8 @@ pub(in crate::net) struct Ship {
     pub(in crate::net) to: ObjectAddress,
     pub(in crate::net) contract: ContractIdentity,
     pub(in crate::net) id: Option<MessageId>,
+    /// When it was sent: its contract may bound its age.
+    pub(in crate::net) sent: Instant,
     pub(in crate::net) payload: Bytes,
     pub(in crate::net) reply_to: Option<ReplyTo>,
     pub(in crate::net) gate: Arc<Gate>,
@@ -41,6 +43,7 @@ pub(super) struct Published {
     pub(super) peer: NodeId,
     pub(super) subscription: u32,
     pub(super) event: Bytes,
+    pub(super) sent: Instant,
 }
 
 /// A topic got its first listener here, or lost its last.

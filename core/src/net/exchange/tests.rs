@@ -3,6 +3,7 @@
 use super::*;
 use crate::NodeName;
 use crate::layout::{Described, Layout};
+use crate::net::naming::Announcement;
 
 fn layout_of_number() -> &'static Layout {
     u64::layout()
@@ -38,18 +39,23 @@ fn payload() -> Bytes {
     Bytes::from_static(b"payload")
 }
 
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
 /// Two exchanges; what one sends, the other gets.
 struct Pair {
     ends: [Exchange; 2],
     ids: [NodeId; 2],
     told: [Vec<ExchangeOutput>; 2],
+    now: u64,
 }
 
 impl Pair {
     fn new() -> Self {
         let ids = [NodeId::of(&node("left")), NodeId::of(&node("right"))];
         let told = [vec![], vec![]];
-        Pair { ends: [Exchange::default(), Exchange::default()], ids, told }
+        Pair { ends: [Exchange::default(), Exchange::default()], ids, told, now: 0 }
     }
 
     fn open() -> Self {
@@ -57,7 +63,7 @@ impl Pair {
         for end in 0..2 {
             let peer = pair.ids[1 - end];
             pair.ends[end].handle_reachable(peer, true);
-            pair.ends[end].handle_opened(peer);
+            pair.ends[end].handle_opened(peer, at(0));
         }
         pair.run();
         pair
@@ -72,7 +78,7 @@ impl Pair {
                     busy = true;
                     match output {
                         ExchangeOutput::Send { message, .. } => {
-                            self.ends[1 - end].handle_message(self.ids[end], message);
+                            self.ends[1 - end].handle_message(self.ids[end], message, at(self.now));
                         }
                         other => self.told[end].push(other),
                     }
@@ -90,7 +96,15 @@ impl Pair {
 
     fn call(&mut self, contract: ContractIdentity, reply_as: Option<u64>) {
         let (node, object) = (node("right"), arm());
-        let call = Call { node, object, contract, id: None, payload: payload(), reply_as };
+        let call = Call {
+            node,
+            object,
+            contract,
+            id: None,
+            sent: at(self.now),
+            payload: payload(),
+            reply_as,
+        };
         self.ends[0].handle_call(call);
         self.run();
     }
@@ -181,7 +195,7 @@ fn everything_is_resolved_when_the_session_ends_and_late_answers_go_nowhere() {
     let left = pair.ids[0];
     pair.ends[1].handle_ended(left, &Why::Stopped);
     for end in 0..2 {
-        pair.ends[end].handle_opened(pair.ids[1 - end]);
+        pair.ends[end].handle_opened(pair.ids[1 - end], at(0));
     }
     pair.take(1);
     pair.ends[1].handle_answer(left, epoch, 1, Ok(payload()));
@@ -211,7 +225,7 @@ fn too_many_messages_for_one_binding_are_told_and_then_refused() {
     for _ in 0..WAITING_MAX + 1 {
         let (node, object) = (node("right"), arm());
         let (id, reply_as, contract) = (None, None, count());
-        let call = Call { node, object, contract, id, payload: payload(), reply_as };
+        let call = Call { node, object, contract, id, sent: at(0), payload: payload(), reply_as };
         pair.ends[0].handle_call(call);
     }
     pair.run();
@@ -230,7 +244,7 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     let mut pair = Pair::new();
     pair.ends[0].handle_interest(topic(), Some(count()));
     for end in 0..2 {
-        pair.ends[end].handle_opened(pair.ids[1 - end]);
+        pair.ends[end].handle_opened(pair.ids[1 - end], at(0));
     }
     pair.run();
     let told = pair.take(1);
@@ -239,16 +253,16 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     };
     assert_eq!(*wanted, topic());
 
-    pair.ends[1].handle_event(*peer, *subscription, payload());
+    pair.ends[1].handle_event(*peer, *subscription, payload(), at(0));
     pair.run();
-    let event = ExchangeOutput::Event { topic: topic(), payload: payload() };
+    let event = ExchangeOutput::Event { topic: topic(), age: Duration::ZERO, payload: payload() };
     assert_eq!(pair.take(0), [event]);
 
     pair.ends[0].handle_interest(topic(), None);
     pair.run();
     let (peer, subscription) = (*peer, *subscription);
     assert_eq!(pair.take(1), [ExchangeOutput::Unsubscribe { peer, subscription }]);
-    pair.ends[1].handle_event(peer, subscription, payload());
+    pair.ends[1].handle_event(peer, subscription, payload(), at(0));
     pair.run();
     assert_eq!(pair.take(0), []);
     assert_eq!(pair.ends[0].refusals().stale, 1);
@@ -282,6 +296,7 @@ fn a_returned_message_resolves_its_request() {
         object: arm(),
         contract: count(),
         id: None,
+        sent: at(0),
         payload: payload(),
         reply_as,
     };
@@ -307,7 +322,26 @@ fn a_peer_that_binds_without_end_is_refused_beyond_the_limit() {
     let identity: Bytes = count().brief().encode().into();
     for binding in 0..BINDINGS_MAX as u32 + 3 {
         let bind = Message::Bind { binding, object: arm(), identity: identity.clone() };
-        pair.ends[0].handle_message(pair.ids[1], bind.encode());
+        pair.ends[0].handle_message(pair.ids[1], bind.encode(), at(0));
     }
     assert_eq!(pair.ends[0].refusals().too_large, 3);
+}
+
+#[test]
+fn what_waited_on_the_way_arrives_with_its_age() {
+    let mut pair = Pair::open();
+    let nothing = Announcement { complete: true, added: vec![], removed: vec![] };
+    pair.ends[0].handle_own_names(None, &nothing, at(0));
+    pair.run();
+    pair.call(count(), None);
+    // The peer agrees 300 ms later.
+    pair.now = 300;
+    pair.take(1);
+    let right = pair.ids[1];
+    pair.ends[0].handle_message(right, Message::Bound { binding: 1 }.encode(), at(300));
+    pair.run();
+
+    let told = pair.take(1);
+    let [ExchangeOutput::Serve { age, .. }] = &told[..] else { panic!("{told:?}") };
+    assert_eq!(*age, Duration::from_millis(300));
 }

@@ -3,8 +3,9 @@
 use crate::net::naming::Announcement;
 use crate::net::node_id::NodeId;
 use crate::net::segment::Stream;
-use crate::{ContractIdentity, MessageId, NodeName, ObjectName, PeerIdentity, Why};
+use crate::{ContractIdentity, Instant, MessageId, NodeName, ObjectName, PeerIdentity, Why};
 use bytes::Bytes;
+use std::time::Duration;
 
 /// Which topic, and the contract of its events.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -30,6 +31,8 @@ pub struct Call {
     pub contract: ContractIdentity,
     /// By which identity a repeated message is known.
     pub id: Option<MessageId>,
+    /// When the object sent it.
+    pub sent: Instant,
     /// The message.
     pub payload: Bytes,
     /// The number by which the caller knows the request; `None` if it wants no reply.
@@ -74,6 +77,8 @@ pub enum ExchangeOutput {
         call: Option<u64>,
         /// By which identity a repeated message is known.
         id: Option<MessageId>,
+        /// How long it has been on its way; zero for a request, whose caller minds its own deadline.
+        age: Duration,
         /// The message.
         payload: Bytes,
     },
@@ -133,6 +138,8 @@ pub enum ExchangeOutput {
     Event {
         /// Which topic.
         topic: TopicContract,
+        /// How long it has been on its way.
+        age: Duration,
         /// The event.
         payload: Bytes,
     },
