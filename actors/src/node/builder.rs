@@ -189,8 +189,10 @@ impl NodeBuilder {
     /// Starts the node: its fault chain, and then all components, each after those before it.
     ///
     /// # Errors
-    /// A description that cannot work is refused before anything is started. A component that cannot be
-    /// started in spite of all restarts is [`StartError::GaveUp`].
+    /// A description that cannot work is refused before any component is started. A component that cannot
+    /// be started is a fault, which the plan answers: by default it is restarted and at last put to rest, and
+    /// the node starts without it. Where supervisors give up first, up to the root, that is
+    /// [`StartError::GaveUp`].
     pub async fn start(self) -> Result<Node, StartError> {
         super::assembly::start(self).await
     }
