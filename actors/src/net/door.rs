@@ -1,10 +1,9 @@
 //! The ways out of this node: what stands behind a `Sender` of a remote object.
 
-use super::gateway::{Gateway, Ship};
 use crate::platform;
 use crate::registry::{RemoteDoor, RemoteDoors, ReplyTo};
-use actix::Addr;
-use blastema_core::{ContractIdentity, MessageId, NodeName, ObjectAddress, Why};
+use actix::{Message, Recipient};
+use blastema_core::{ContractIdentity, Instant, MessageId, NodeName, ObjectAddress, Why};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -17,10 +16,23 @@ use tokio::sync::Notify;
 /// network's arbiter has its turn.
 const UNDER_WAY_MAX: usize = 4096;
 
+/// An object here sends a message to one of another node.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct Ship {
+    pub(super) to: ObjectAddress,
+    pub(super) contract: ContractIdentity,
+    pub(super) id: Option<MessageId>,
+    pub(super) sent: Instant,
+    pub(super) payload: Bytes,
+    pub(super) reply_to: Option<ReplyTo>,
+    pub(super) gate: Arc<Gate>,
+}
+
 /// Makes doors, and tells those behind them how their peer is.
 #[derive(Default)]
 pub(super) struct Doors {
-    gateway: OnceLock<Addr<Gateway>>,
+    gateway: OnceLock<Recipient<Ship>>,
     gates: Mutex<BTreeMap<NodeName, Arc<Gate>>>,
 }
 
@@ -111,7 +123,7 @@ impl Gate {
 }
 
 impl Doors {
-    pub(super) fn lead_to(&self, gateway: Addr<Gateway>) {
+    pub(super) fn lead_to(&self, gateway: Recipient<Ship>) {
         // Called once, when the network starts.
         let _ = self.gateway.set(gateway);
     }
@@ -153,7 +165,7 @@ struct Door {
     to: ObjectAddress,
     contract: ContractIdentity,
     gate: Arc<Gate>,
-    gateway: Option<Addr<Gateway>>,
+    gateway: Option<Recipient<Ship>>,
 }
 
 impl RemoteDoor for Door {

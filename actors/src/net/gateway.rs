@@ -1,14 +1,14 @@
 //! Between the objects of this node and those of all others.
 
 use super::NetEnvironment;
-use super::door::{Condition, Doors, Gate};
-use super::notice;
-use super::sessions::Sessions;
+use super::door::{Condition, Doors, Gate, Ship};
+use super::forwards::{Forwards, Published};
+use super::notice::{self, Notify};
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
 use crate::registry::{Doorway, Registry, ReplyTo};
-use crate::topic::{Forward, ForwardId, TopicKey, Topics};
+use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
@@ -19,14 +19,10 @@ use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Call, Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
-use blastema_core::{
-    ContractIdentity, FaultKind, Instant, MessageId, NodeName, ObjectAddress, ObjectName,
-    PeerIdentity, Why,
-};
+use blastema_core::{FaultKind, MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, Why};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::time::Duration;
 use tokio::sync::oneshot;
 use tracing::{debug, error, warn};
@@ -35,21 +31,6 @@ use tracing::{debug, error, warn};
 const NAMES_INTERVAL: Duration = Duration::from_millis(200);
 /// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
 const LEAVE_PATIENCE: Duration = Duration::from_millis(500);
-/// Events of one subscription that may wait in the gateway's mailbox; beyond, they are dropped.
-const EVENTS_MAX: usize = 1024;
-
-/// An object here sends a message to one of another node.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(super) struct Ship {
-    pub(super) to: ObjectAddress,
-    pub(super) contract: ContractIdentity,
-    pub(super) id: Option<MessageId>,
-    pub(super) sent: Instant,
-    pub(super) payload: Bytes,
-    pub(super) reply_to: Option<ReplyTo>,
-    pub(super) gate: Arc<Gate>,
-}
 
 /// An object here has answered another node's request.
 #[derive(Message)]
@@ -61,31 +42,12 @@ struct Answered {
     result: Result<Bytes, Why>,
 }
 
-/// An event was published here that a peer listens to.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct Published {
-    peer: NodeId,
-    subscription: u32,
-    event: Bytes,
-    sent: Instant,
-}
-
 /// A topic got its first listener here, or lost its last.
 #[derive(Message)]
 #[rtype(result = "()")]
 struct Interested {
     key: TopicKey,
     more: bool,
-}
-
-/// A fault is to be told to a peer's recoverer.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(super) struct Notify {
-    pub(super) peer: NodeId,
-    pub(super) payload: Bytes,
-    pub(super) confirm: oneshot::Sender<Confirmed>,
 }
 
 /// Our recoverer has taken a peer's fault.
@@ -102,7 +64,9 @@ struct Wiring {
     registry: Registry,
     topics: Topics,
     recoverer: Option<Recipient<Recover>>,
-    sessions: Addr<Sessions>,
+    say: Recipient<Say>,
+    begin_anew: Recipient<BeginAnew>,
+    leave: Recipient<Leave>,
     doors: Arc<Doors>,
     dead_letters: DeadLetterOffice,
 }
@@ -117,8 +81,7 @@ pub(super) struct Gateway {
     replies: BTreeMap<u64, (NodeName, ReplyTo)>,
     /// What peers have bound here.
     doorways: BTreeMap<(NodeId, u32), Arc<dyn Doorway>>,
-    /// What peers listen to here.
-    forwards: BTreeMap<(NodeId, u32), Forwarded>,
+    forwards: Forwards,
     notices: BTreeMap<u64, oneshot::Sender<Confirmed>>,
     next: u64,
     /// Messages without a reply, and events, that did not arrive.
@@ -136,29 +99,31 @@ struct Peer {
     session: u32,
 }
 
-struct Forwarded {
-    id: ForwardId,
-    key: TopicKey,
-    /// What the peer takes the events for, until that could be compared.
-    unverified: Option<Box<PeerIdentity>>,
-    waiting: Arc<AtomicUsize>,
-}
-
 impl Gateway {
     pub(super) fn maker(
         environment: &NetEnvironment,
-        sessions: Addr<Sessions>,
+        (say, begin_anew, leave): (Recipient<Say>, Recipient<BeginAnew>, Recipient<Leave>),
         doors: Arc<Doors>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let NetEnvironment { registry, topics, recoverer, dead_letters, .. } = environment.clone();
+        let forwarded = topics.clone();
         move |_| Gateway {
-            wiring: Wiring { registry, topics, recoverer, sessions, doors, dead_letters },
+            wiring: Wiring {
+                registry,
+                topics,
+                recoverer,
+                say,
+                begin_anew,
+                leave,
+                doors,
+                dead_letters,
+            },
             exchange: Exchange::default(),
             naming: Naming::default(),
             peers: BTreeMap::new(),
             replies: BTreeMap::new(),
             doorways: BTreeMap::new(),
-            forwards: BTreeMap::new(),
+            forwards: Forwards::new(forwarded),
             notices: BTreeMap::new(),
             next: 0,
             lost: 0,
@@ -195,7 +160,7 @@ impl Gateway {
 
     fn say(&self, peer: NodeId, stream: Stream, message: Bytes) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
-        self.wiring.sessions.do_send(Say { peer, session, stream, message });
+        self.wiring.say.do_send(Say { peer, session, stream, message });
     }
 
     fn leave(&mut self) {
@@ -206,7 +171,7 @@ impl Gateway {
             {
                 self.say(peer, stream, message);
             }
-            self.wiring.sessions.do_send(Leave);
+            self.wiring.leave.do_send(Leave);
         }
     }
 
@@ -219,7 +184,8 @@ impl Gateway {
                 self.bind(peer, epoch, binding, &object, &identity);
             }
             ExchangeOutput::Serve { peer, epoch, binding, call, id, age, payload } => {
-                let reply_to = call.map(|call| reply_to(peer, epoch, call, context.address()));
+                let reply_to =
+                    call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
                 self.serve((peer, binding), id, (&payload, age), reply_to);
             }
             ExchangeOutput::Resolve { reply_as, result } => {
@@ -242,10 +208,10 @@ impl Gateway {
                 error!(node, "a contract differs: {difference}");
             }
             ExchangeOutput::Subscribe { peer, subscription, topic, identity } => {
-                self.subscribe(peer, subscription, &topic, identity, context);
+                self.subscribe((peer, subscription), &topic, identity, context);
             }
             ExchangeOutput::Unsubscribe { peer, subscription } => {
-                self.end_forward((peer, subscription));
+                self.forwards.end((peer, subscription));
             }
             ExchangeOutput::Event { topic, age, payload } => {
                 let key = TopicKey::new(&topic.topic, &topic.contract);
@@ -316,56 +282,18 @@ impl Gateway {
 
     fn subscribe(
         &mut self,
-        peer: NodeId,
-        subscription: u32,
+        (peer, subscription): (NodeId, u32),
         topic: &TopicContract,
         theirs: Box<PeerIdentity>,
         context: &mut Context<Self>,
     ) {
-        let key = TopicKey::new(&topic.topic, &topic.contract);
-        let ours = self.wiring.topics.identity(&key);
-        if let Some(Err(difference)) = ours.as_ref().map(|ours| ours.check(&theirs)) {
-            let difference = difference.to_string();
-            error!(topic = %topic.topic, "a listener's contract differs: {difference}");
-            let why = Why::ContractDiffers { difference };
-            self.exchange.handle_subscribe_refused(peer, subscription, why);
-            return;
-        }
         let Some(known) = self.peers.get(&peer) else { return };
-        let (gate, gateway) = (known.gate.clone(), context.address());
-        let waiting = Arc::new(AtomicUsize::new(0));
-        let under_way = waiting.clone();
-        let forward: Forward = Arc::new(move |event: &Bytes| {
-            // Publishing never waits: what a peer cannot take now is not sent.
-            if gate.is_open() && under_way.load(Relaxed) < EVENTS_MAX {
-                under_way.fetch_add(1, Relaxed);
-                let (event, sent) = (event.clone(), platform::now());
-                gateway.do_send(Published { peer, subscription, event, sent });
-            }
-        });
-        self.end_forward((peer, subscription));
-        let id = self.wiring.topics.forward(&key, forward);
-        let unverified = ours.is_none().then_some(theirs);
-        self.forwards.insert((peer, subscription), Forwarded { id, key, unverified, waiting });
-    }
-
-    fn end_forward(&mut self, forward: (NodeId, u32)) {
-        if let Some(Forwarded { id, .. }) = self.forwards.remove(&forward) {
-            self.wiring.topics.end_forward(&id);
-        }
-    }
-
-    /// Before the first event: the topic had no contract here when the peer subscribed.
-    fn verify(&mut self, forward: (NodeId, u32)) -> Result<(), Why> {
-        let Some(known) = self.forwards.get_mut(&forward) else {
-            return Err(Why::Unknown { name: "subscription".into() });
-        };
-        let Some(theirs) = known.unverified.take() else { return Ok(()) };
-        match self.wiring.topics.identity(&known.key).map(|ours| ours.check(&theirs)) {
-            Some(Err(difference)) => {
-                Err(Why::ContractDiffers { difference: difference.to_string() })
-            }
-            _ => Ok(()),
+        let key = TopicKey::new(&topic.topic, &topic.contract);
+        let (gate, gateway) = (known.gate.clone(), context.address().recipient());
+        let begun = self.forwards.begin((peer, subscription), key, theirs, gate, gateway);
+        if let Err(why) = begun {
+            error!(topic = %topic.topic, "a listener's contract differs: {why}");
+            self.exchange.handle_subscribe_refused(peer, subscription, why);
         }
     }
 
@@ -393,10 +321,9 @@ impl Gateway {
     /// The session is over: what the peer had here goes with it.
     fn forget(&mut self, peer: NodeId) {
         let all = (peer, 0)..=(peer, u32::MAX);
-        let doorways: Vec<_> = self.doorways.range(all.clone()).map(|(key, _)| *key).collect();
+        let doorways: Vec<_> = self.doorways.range(all).map(|(key, _)| *key).collect();
         doorways.iter().for_each(|key| drop(self.doorways.remove(key)));
-        let forwards: Vec<_> = self.forwards.range(all).map(|(key, _)| *key).collect();
-        forwards.into_iter().for_each(|key| self.end_forward(key));
+        self.forwards.end_all_of(peer);
     }
 
     fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<Gate>) {
@@ -431,7 +358,7 @@ fn topic(key: &TopicKey) -> TopicContract {
 }
 
 /// Brings an answer back to the gateway, whichever thread gives it.
-fn reply_to(peer: NodeId, epoch: Epoch, call: u64, gateway: Addr<Gateway>) -> ReplyTo {
+fn reply_to(peer: NodeId, epoch: Epoch, call: u64, gateway: Recipient<Answered>) -> ReplyTo {
     Box::new(move |result| gateway.do_send(Answered { peer, epoch, call, result }))
 }
 
@@ -453,8 +380,7 @@ impl Supervised for Gateway {
         for (node, reply_to) in std::mem::take(&mut self.replies).into_values() {
             reply_to(Err(Why::Unreachable { node: node.to_string() }));
         }
-        let forwards: Vec<_> = self.forwards.keys().copied().collect();
-        forwards.into_iter().for_each(|key| self.end_forward(key));
+        self.forwards.end_all();
         self.doorways.clear();
         self.notices.clear();
         self.exchange = self.exchange.reborn();
@@ -463,7 +389,7 @@ impl Supervised for Gateway {
         self.peers.values().for_each(|peer| peer.gate.set(Condition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();
         peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer, true));
-        self.wiring.sessions.do_send(BeginAnew);
+        self.wiring.begin_anew.do_send(BeginAnew);
         self.started(context);
     }
 }
@@ -551,14 +477,10 @@ impl Handler<Published> for Gateway {
 
     fn handle(&mut self, message: Published, context: &mut Context<Self>) {
         let Published { peer, subscription, event, sent } = message;
-        if let Some(forwarded) = self.forwards.get(&(peer, subscription)) {
-            forwarded.waiting.fetch_sub(1, Relaxed);
-        }
-        match self.verify((peer, subscription)) {
+        match self.forwards.admit((peer, subscription)) {
             Ok(()) => self.exchange.handle_event(peer, subscription, event, sent),
             Err(why @ Why::ContractDiffers { .. }) => {
                 error!("a listener's contract differs: {why}");
-                self.end_forward((peer, subscription));
                 self.exchange.handle_subscribe_refused(peer, subscription, why);
             }
             Err(_) => self.lost += 1,

@@ -17,6 +17,7 @@
 //! * the gateway: every request is resolved, every session begins anew.
 
 mod door;
+mod forwards;
 mod gateway;
 mod links;
 mod notice;
@@ -133,10 +134,16 @@ pub(crate) enum NetError {
 /// A started network. Clones are the same network.
 #[derive(Clone)]
 pub(crate) struct NetHandle {
-    gateway: Addr<gateway::Gateway>,
-    sessions: Addr<sessions::Sessions>,
-    router: Addr<router::Router>,
-    networks: Vec<(ObjectName, Addr<links::Links>)>,
+    links: Vec<Recipient<ReadLinks>>,
+    routes: Recipient<ReadRoutes>,
+    sessions: Recipient<ReadSessions>,
+    names: Recipient<ReadNames>,
+    notify: Recipient<notice::Notify>,
+    leave: Recipient<Leave>,
+    reroute: Recipient<Reroute>,
+    inquiries: Vec<(ObjectName, Recipient<AreYouAlive>)>,
+    /// The router first.
+    victims: Vec<Recipient<PanicOnPurpose>>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
     doors: Arc<door::Doors>,
@@ -168,15 +175,35 @@ pub(crate) fn start(
     });
 
     let doors = Arc::new(door::Doors::default());
-    let make = gateway::Gateway::maker(&environment, sessions.clone(), doors.clone());
+    let say = sessions.clone().recipient();
+    let orders = (say, sessions.clone().recipient(), sessions.clone().recipient());
+    let make = gateway::Gateway::maker(&environment, orders, doors.clone());
     let gateway = guardian.start(named("gateway"), place, make);
-    doors.lead_to(gateway.clone());
+    doors.lead_to(gateway.clone().recipient());
     sessions.do_send(AddGateway(gateway.clone().recipient()));
     let remote: Arc<dyn RemoteDoors> = doors.clone();
     environment.registry.connect(node, Some(remote));
 
+    let mut handle = NetHandle {
+        links: Vec::new(),
+        routes: router.clone().recipient(),
+        sessions: sessions.clone().recipient(),
+        names: gateway.clone().recipient(),
+        notify: gateway.clone().recipient(),
+        leave: gateway.clone().recipient(),
+        reroute: router.clone().recipient(),
+        inquiries: vec![
+            (named("router"), router.clone().recipient()),
+            (named("sessions"), sessions.clone().recipient()),
+            (named("gateway"), gateway.clone().recipient()),
+        ],
+        victims: vec![router.clone().recipient(), sessions.recipient(), gateway.recipient()],
+        guardian: guardian.clone(),
+        arbiter: arbiter.clone(),
+        doors,
+    };
     let mut next = 0;
-    let networks = networks.into_iter().map(|spec| {
+    for spec in networks {
         let name = named(&format!("links/{}", spec.name));
         let first = next;
         next += spec.links.len() as u16;
@@ -195,10 +222,11 @@ pub(crate) fn start(
             guardian.start(name.clone(), place, move |_| links::Links::new(wiring, links));
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
         router.do_send(AddLinks { links: numbers, carry, report });
-        (name, address)
-    });
-    let networks = networks.collect();
-    Ok(NetHandle { gateway, sessions, router, networks, guardian, arbiter, doors })
+        handle.links.push(address.clone().recipient());
+        handle.inquiries.push((name, address.clone().recipient()));
+        handle.victims.push(address.recipient());
+    }
+    Ok(handle)
 }
 
 fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
@@ -229,7 +257,7 @@ impl NetHandle {
     /// Takes faults for another node's recoverer. Its answer does not come, and the mailbox reports
     /// itself closed, when the session with that node ends first.
     pub(crate) fn recoverer_of(&self, node: &NodeName) -> Recipient<Recover> {
-        let (peer, gateway) = (NodeId::of(node), self.gateway.clone());
+        let (peer, gateway) = (NodeId::of(node), self.notify.clone());
         let name = named(&format!("port/{node}"));
         let make = move |_: &mut Context<notice::Port>| notice::Port::new(peer, gateway);
         self.guardian.start(name, self.arbiter.as_ref(), make).recipient()
@@ -243,8 +271,8 @@ impl NetHandle {
     /// All links, in the order of the configuration.
     pub(crate) async fn read_links(&self) -> Vec<LinkRow> {
         let mut rows = Vec::new();
-        for (_, network) in &self.networks {
-            rows.extend(network.send(ReadLinks).await.unwrap_or_default());
+        for links in &self.links {
+            rows.extend(links.send(ReadLinks).await.unwrap_or_default());
         }
         rows
     }
@@ -252,7 +280,7 @@ impl NetHandle {
     /// Every node that can be reached, and how.
     pub(crate) async fn read_routes(&self) -> Routes {
         let nothing = Routes { routes: Vec::new(), refusals: Default::default() };
-        self.router.send(ReadRoutes).await.unwrap_or(nothing)
+        self.routes.send(ReadRoutes).await.unwrap_or(nothing)
     }
 
     /// All sessions.
@@ -262,44 +290,32 @@ impl NetHandle {
 
     /// Every node that a session is open with, and its objects.
     pub(crate) async fn read_names(&self) -> Vec<NodeRow> {
-        self.gateway.send(ReadNames).await.unwrap_or_default()
+        self.names.send(ReadNames).await.unwrap_or_default()
     }
 
     /// Takes [`PanicOnPurpose`], for the demonstration and tests.
     pub(crate) fn router(&self) -> Recipient<PanicOnPurpose> {
-        self.router.clone().recipient()
+        self.victims[0].clone()
     }
 
     /// Every actor of the network, to see what becomes of a panic in it.
     #[cfg(test)]
     pub(crate) fn victims(&self) -> Vec<Recipient<PanicOnPurpose>> {
-        let (router, sessions) = (self.router.clone(), self.sessions.clone());
-        let mut all =
-            vec![router.recipient(), sessions.recipient(), self.gateway.clone().recipient()];
-        all.extend(self.networks.iter().map(|(_, links)| links.clone().recipient()));
-        all
+        self.victims.clone()
     }
 
     /// Where the network's own actors answer the monitor.
     pub(crate) fn inquiries(&self) -> Vec<(ObjectName, Recipient<AreYouAlive>)> {
-        let mut all = vec![
-            (named("router"), self.router.clone().recipient()),
-            (named("sessions"), self.sessions.clone().recipient()),
-            (named("gateway"), self.gateway.clone().recipient()),
-        ];
-        for (name, links) in &self.networks {
-            all.push((name.clone(), links.clone().recipient()));
-        }
-        all
+        self.inquiries.clone()
     }
 
     /// Takes requests for another way, from the recovery strategy.
     pub(crate) fn reroute(&self) -> Recipient<Reroute> {
-        self.router.clone().recipient()
+        self.reroute.clone()
     }
 
     /// Tells the peers that this node ends in order, delivers what was sent, and ends every session.
     pub(crate) fn leave(&self) {
-        self.gateway.do_send(Leave);
+        self.leave.do_send(Leave);
     }
 }

@@ -1,6 +1,5 @@
 //! Faults on their way to another node's recoverer.
 
-use super::gateway::{Gateway, Notify};
 use crate::platform;
 use actix::dev::{MessageResponse, OneshotSender};
 use actix::prelude::*;
@@ -53,14 +52,23 @@ pub(super) fn decode(bytes: &[u8], now: Instant) -> Result<Fault, DecodeError> {
     Ok(Fault { id, kind, severity, place, incarnation, detail, found_at, symptom_of, count })
 }
 
+/// A fault is to be told to a peer's recoverer.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct Notify {
+    pub(super) peer: NodeId,
+    pub(super) payload: Bytes,
+    pub(super) confirm: oneshot::Sender<Confirmed>,
+}
+
 /// Stands in for the recoverer of one other node.
 pub(super) struct Port {
     peer: NodeId,
-    gateway: Addr<Gateway>,
+    gateway: Recipient<Notify>,
 }
 
 impl Port {
-    pub(super) fn new(peer: NodeId, gateway: Addr<Gateway>) -> Self {
+    pub(super) fn new(peer: NodeId, gateway: Recipient<Notify>) -> Self {
         Port { peer, gateway }
     }
 }
