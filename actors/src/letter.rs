@@ -177,8 +177,10 @@ pub(crate) fn arrived_posting_time<M: Contract>(age: Duration) -> Instant {
 
 /// Packs a message for a component.
 #[inline]
-// Holding the borrow across the await is the point: other messages wait, and control does not borrow.
-#[allow(clippy::await_holding_refcell_ref)]
+#[expect(
+    clippy::await_holding_refcell_ref,
+    reason = "messages wait while one is served; the control lane does not borrow"
+)]
 pub(crate) fn pack<C: Handle<M>, M: Contract>(
     message: M,
     answer: Option<Answer<M>>,
@@ -195,7 +197,10 @@ pub(crate) fn pack<C: Handle<M>, M: Contract>(
 
 /// Hands an event to an idle component at once; the pump must be free.
 #[inline]
-#[allow(clippy::await_holding_refcell_ref)]
+#[expect(
+    clippy::await_holding_refcell_ref,
+    reason = "messages wait while one is served; the control lane does not borrow"
+)]
 pub(crate) fn pass<C: Handle<M>, M: Contract>(pump: &mut Pump<C>, message: M, posted_at: Instant) {
     let make = |home: Rc<Home<C>>, message: M| async move {
         let mut seat = home.seat.borrow_mut();

@@ -102,41 +102,50 @@ compile_error!(
      the profile in Cargo.toml, or set `panic = \"unwind\"`"
 );
 
-pub use chain::strategy::{RecoveryStrategy, Tools};
+// Messages, and what they are made of.
+pub use blastema_core::{Contract, Described, Event, Request};
+pub use blastema_macros::{Event, Request, Structure};
+pub use serde;
 
+// Components.
+pub use component::{Component, Failure, Handle};
+pub use context::{Context, LongOperation};
+pub use host::life::TimerId;
+pub use host::spec::{ChildSpec, SpecError};
+pub use lane::WhenFull;
+pub use ports::{ListenPort, Ports};
+
+// Sending, and what becomes of messages.
+pub use blastema_core::dead_letters::DeadReason;
+pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
+pub use death_watch::{Down, Ending};
+pub use host::office::DeadLetterOffice;
+pub use reference::ActorRef;
+pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
+pub use topic::Publisher;
+
+// Nodes, their trees and their networks.
 pub use blastema_contract::link::LinkRow;
 pub use blastema_contract::naming::NodeRow;
 pub use blastema_contract::session::SessionRow;
-pub use blastema_core as core;
-pub use blastema_core::{Contract, Described};
-pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
-pub use blastema_macros::{Event, Request, Structure, main};
-pub use component::{Component, Failure, Handle};
-pub use context::{Context, LongOperation};
-pub use death_watch::{Down, Ending};
-pub use host::life::TimerId;
-pub use host::office::DeadLetterOffice;
-pub use host::spec::{ChildSpec, SpecError};
-pub use lane::WhenFull;
+pub use blastema_contract::supervisor::Branch;
+pub use blastema_core::net::Route;
+pub use blastema_macros::main;
 pub use node::{
     Cable, Direction, FaultEvents, Impairment, Link, MemoryMedium, Network, Node, NodeBuilder,
     NodeState, StartError, SupervisorSpec,
 };
-pub use ports::{ListenPort, Ports};
-pub use reference::ActorRef;
-pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
-pub use serde;
-pub use topic::Publisher;
 
+// Faults: found, shown, recovered.
 pub use blastema_contract::detector::FaultEvent;
-pub use blastema_contract::supervisor::Branch;
-pub use blastema_core::Instant;
-pub use blastema_core::dead_letters::DeadReason;
 pub use blastema_core::detection::{
     CheckFailed, Freshness, Invariant, Opinion, Range, Rate, Record, Row, Turn,
 };
-pub use blastema_core::net::Route;
-pub use blastema_core::{Event, Fault, FaultKind, Lifecycle, Place, Request, Severity};
+pub use blastema_core::{Fault, FaultKind, Instant, Lifecycle, Place, Severity};
+pub use chain::strategy::{RecoveryStrategy, Tools};
+
+/// The machines behind all of it, and their vocabulary; needed for plans, watches and limits.
+pub use blastema_core as core;
 
 /// Everything that an application usually needs.
 pub mod prelude {

@@ -24,10 +24,12 @@ impl Component for Map {
 
 impl Handle<Search> for Map {
     async fn handle(&mut self, search: Search, _: &mut Context<Self>) -> bool {
-        while !search.exists {
+        if search.exists {
+            return true;
+        }
+        loop {
             std::thread::sleep(Duration::from_millis(10));
         }
-        true
     }
 }
 

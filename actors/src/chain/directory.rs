@@ -1,6 +1,5 @@
 //! Which supervisor keeps which object.
 
-use super::supervisor::Supervisor;
 use actix::prelude::*;
 use blastema_contract::supervisor::{IsolateChild, ReadTree, ResetChild, RestartChild, SafeStop};
 use blastema_core::ObjectName;
@@ -15,18 +14,6 @@ pub(crate) struct SupervisorPorts {
     pub(crate) isolate: Recipient<IsolateChild>,
     pub(crate) safe_stop: Recipient<SafeStop>,
     pub(crate) read: Recipient<ReadTree>,
-}
-
-impl SupervisorPorts {
-    pub(crate) fn of(supervisor: &Addr<Supervisor>) -> Self {
-        SupervisorPorts {
-            restart: supervisor.clone().recipient(),
-            reset: supervisor.clone().recipient(),
-            isolate: supervisor.clone().recipient(),
-            safe_stop: supervisor.clone().recipient(),
-            read: supervisor.clone().recipient(),
-        }
-    }
 }
 
 /// Kept by the supervisors themselves, read by the strategies; holds as many entries as the node has

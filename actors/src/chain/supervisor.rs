@@ -293,7 +293,14 @@ impl Actor for Supervisor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        let ports = SupervisorPorts::of(&context.address());
+        let address = context.address();
+        let ports = SupervisorPorts {
+            restart: address.clone().recipient(),
+            reset: address.clone().recipient(),
+            isolate: address.clone().recipient(),
+            safe_stop: address.clone().recipient(),
+            read: address.recipient(),
+        };
         self.directory.enter(&self.name, ports, self.children.keys());
         self.drive(context);
     }

@@ -1,9 +1,10 @@
 //! The ways out of this node: what stands behind a `Sender` of a remote object.
 
+use super::gateway::Ship;
 use crate::platform;
 use crate::registry::{RemoteDoor, RemoteDoors, ReplyTo};
-use actix::{Message, Recipient};
-use blastema_core::{ContractIdentity, Instant, MessageId, NodeName, ObjectAddress, Why};
+use actix::Recipient;
+use blastema_core::{ContractIdentity, MessageId, NodeName, ObjectAddress, Why};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -15,19 +16,6 @@ use tokio::sync::Notify;
 /// Messages of one peer that may wait in the gateway's mailbox: what a burst sends before the
 /// network's arbiter has its turn.
 const UNDER_WAY_MAX: usize = 4096;
-
-/// An object here sends a message to one of another node.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(super) struct Ship {
-    pub(super) to: ObjectAddress,
-    pub(super) contract: ContractIdentity,
-    pub(super) id: Option<MessageId>,
-    pub(super) sent: Instant,
-    pub(super) payload: Bytes,
-    pub(super) reply_to: Option<ReplyTo>,
-    pub(super) gate: Arc<Gate>,
-}
 
 /// Makes doors, and tells those behind them how their peer is.
 #[derive(Default)]

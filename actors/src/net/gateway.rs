@@ -1,14 +1,17 @@
 //! Between the objects of this node and those of all others.
 
+mod errand;
+
+pub(super) use errand::{Notify, Ship};
+
 use super::NetEnvironment;
-use super::door::{Condition, Doors, Gate, Ship};
-use super::forwards::{Forwards, Published};
-use super::notice::{self, Notify};
+use super::door::{Condition, Doors, Gate};
+use super::notice;
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
 use crate::registry::{Doorway, Registry, ReplyTo};
-use crate::topic::{TopicKey, Topics};
+use crate::topic::{Forward, ForwardId, TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
@@ -21,8 +24,10 @@ use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
 use blastema_core::{FaultKind, MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, Why};
 use bytes::Bytes;
+use errand::{Answered, Interested, Noticed, Published};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::time::Duration;
 use tokio::sync::oneshot;
 use tracing::{debug, error, warn};
@@ -31,44 +36,24 @@ use tracing::{debug, error, warn};
 const NAMES_INTERVAL: Duration = Duration::from_millis(200);
 /// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
 const LEAVE_PATIENCE: Duration = Duration::from_millis(500);
-
-/// An object here has answered another node's request.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct Answered {
-    peer: NodeId,
-    epoch: Epoch,
-    call: u64,
-    result: Result<Bytes, Why>,
-}
-
-/// A topic got its first listener here, or lost its last.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct Interested {
-    key: TopicKey,
-    more: bool,
-}
-
-/// Our recoverer has taken a peer's fault.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct Noticed {
-    peer: NodeId,
-    epoch: Epoch,
-    number: u64,
-}
+/// Events of one subscription that may wait in the gateway's mailbox; beyond, they are dropped.
+const EVENTS_MAX: usize = 1024;
 
 /// What the gateway must know after a panic.
 struct Wiring {
     registry: Registry,
     topics: Topics,
     recoverer: Option<Recipient<Recover>>,
-    say: Recipient<Say>,
-    begin_anew: Recipient<BeginAnew>,
-    leave: Recipient<Leave>,
+    sessions: SessionPorts,
     doors: Arc<Doors>,
     dead_letters: DeadLetterOffice,
+}
+
+/// What the gateway asks of the sessions.
+pub(super) struct SessionPorts {
+    pub(super) say: Recipient<Say>,
+    pub(super) leave: Recipient<Leave>,
+    pub(super) begin_anew: Recipient<BeginAnew>,
 }
 
 /// Speaks for the objects of this node.
@@ -81,7 +66,8 @@ pub(super) struct Gateway {
     replies: BTreeMap<u64, (NodeName, ReplyTo)>,
     /// What peers have bound here.
     doorways: BTreeMap<(NodeId, u32), Arc<dyn Doorway>>,
-    forwards: Forwards,
+    /// What peers listen to here.
+    forwards: BTreeMap<(NodeId, u32), Forwarded>,
     notices: BTreeMap<u64, oneshot::Sender<Confirmed>>,
     next: u64,
     /// Messages without a reply, and events, that did not arrive.
@@ -99,31 +85,29 @@ struct Peer {
     session: u32,
 }
 
+struct Forwarded {
+    id: ForwardId,
+    key: TopicKey,
+    /// What the peer takes the events for, until that could be compared.
+    unverified: Option<Box<PeerIdentity>>,
+    waiting: Arc<AtomicUsize>,
+}
+
 impl Gateway {
     pub(super) fn maker(
         environment: &NetEnvironment,
-        (say, begin_anew, leave): (Recipient<Say>, Recipient<BeginAnew>, Recipient<Leave>),
+        sessions: SessionPorts,
         doors: Arc<Doors>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let NetEnvironment { registry, topics, recoverer, dead_letters, .. } = environment.clone();
-        let forwarded = topics.clone();
         move |_| Gateway {
-            wiring: Wiring {
-                registry,
-                topics,
-                recoverer,
-                say,
-                begin_anew,
-                leave,
-                doors,
-                dead_letters,
-            },
+            wiring: Wiring { registry, topics, recoverer, sessions, doors, dead_letters },
             exchange: Exchange::default(),
             naming: Naming::default(),
             peers: BTreeMap::new(),
             replies: BTreeMap::new(),
             doorways: BTreeMap::new(),
-            forwards: Forwards::new(forwarded),
+            forwards: BTreeMap::new(),
             notices: BTreeMap::new(),
             next: 0,
             lost: 0,
@@ -160,7 +144,7 @@ impl Gateway {
 
     fn say(&self, peer: NodeId, stream: Stream, message: Bytes) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
-        self.wiring.say.do_send(Say { peer, session, stream, message });
+        self.wiring.sessions.say.do_send(Say { peer, session, stream, message });
     }
 
     fn leave(&mut self) {
@@ -171,7 +155,7 @@ impl Gateway {
             {
                 self.say(peer, stream, message);
             }
-            self.wiring.leave.do_send(Leave);
+            self.wiring.sessions.leave.do_send(Leave);
         }
     }
 
@@ -208,10 +192,10 @@ impl Gateway {
                 error!(node, "a contract differs: {difference}");
             }
             ExchangeOutput::Subscribe { peer, subscription, topic, identity } => {
-                self.subscribe((peer, subscription), &topic, identity, context);
+                self.subscribe(peer, subscription, &topic, identity, context);
             }
             ExchangeOutput::Unsubscribe { peer, subscription } => {
-                self.forwards.end((peer, subscription));
+                self.end_forward((peer, subscription));
             }
             ExchangeOutput::Event { topic, age, payload } => {
                 let key = TopicKey::new(&topic.topic, &topic.contract);
@@ -282,18 +266,56 @@ impl Gateway {
 
     fn subscribe(
         &mut self,
-        (peer, subscription): (NodeId, u32),
+        peer: NodeId,
+        subscription: u32,
         topic: &TopicContract,
         theirs: Box<PeerIdentity>,
         context: &mut Context<Self>,
     ) {
-        let Some(known) = self.peers.get(&peer) else { return };
         let key = TopicKey::new(&topic.topic, &topic.contract);
-        let (gate, gateway) = (known.gate.clone(), context.address().recipient());
-        let begun = self.forwards.begin((peer, subscription), key, theirs, gate, gateway);
-        if let Err(why) = begun {
-            error!(topic = %topic.topic, "a listener's contract differs: {why}");
+        let ours = self.wiring.topics.identity(&key);
+        if let Some(Err(difference)) = ours.as_ref().map(|ours| ours.check(&theirs)) {
+            let difference = difference.to_string();
+            error!(topic = %topic.topic, "a listener's contract differs: {difference}");
+            let why = Why::ContractDiffers { difference };
             self.exchange.handle_subscribe_refused(peer, subscription, why);
+            return;
+        }
+        let Some(known) = self.peers.get(&peer) else { return };
+        let (gate, gateway) = (known.gate.clone(), context.address());
+        let waiting = Arc::new(AtomicUsize::new(0));
+        let under_way = waiting.clone();
+        let forward: Forward = Arc::new(move |event: &Bytes| {
+            // Publishing never waits: what a peer cannot take now is not sent.
+            if gate.is_open() && under_way.load(Relaxed) < EVENTS_MAX {
+                under_way.fetch_add(1, Relaxed);
+                let (event, sent) = (event.clone(), platform::now());
+                gateway.do_send(Published { peer, subscription, event, sent });
+            }
+        });
+        self.end_forward((peer, subscription));
+        let id = self.wiring.topics.forward(&key, forward);
+        let unverified = ours.is_none().then_some(theirs);
+        self.forwards.insert((peer, subscription), Forwarded { id, key, unverified, waiting });
+    }
+
+    fn end_forward(&mut self, forward: (NodeId, u32)) {
+        if let Some(Forwarded { id, .. }) = self.forwards.remove(&forward) {
+            self.wiring.topics.end_forward(&id);
+        }
+    }
+
+    /// Before the first event: the topic had no contract here when the peer subscribed.
+    fn verify(&mut self, forward: (NodeId, u32)) -> Result<(), Why> {
+        let Some(known) = self.forwards.get_mut(&forward) else {
+            return Err(Why::Unknown { name: "subscription".into() });
+        };
+        let Some(theirs) = known.unverified.take() else { return Ok(()) };
+        match self.wiring.topics.identity(&known.key).map(|ours| ours.check(&theirs)) {
+            Some(Err(difference)) => {
+                Err(Why::ContractDiffers { difference: difference.to_string() })
+            }
+            _ => Ok(()),
         }
     }
 
@@ -321,9 +343,10 @@ impl Gateway {
     /// The session is over: what the peer had here goes with it.
     fn forget(&mut self, peer: NodeId) {
         let all = (peer, 0)..=(peer, u32::MAX);
-        let doorways: Vec<_> = self.doorways.range(all).map(|(key, _)| *key).collect();
+        let doorways: Vec<_> = self.doorways.range(all.clone()).map(|(key, _)| *key).collect();
         doorways.iter().for_each(|key| drop(self.doorways.remove(key)));
-        self.forwards.end_all_of(peer);
+        let forwards: Vec<_> = self.forwards.range(all).map(|(key, _)| *key).collect();
+        forwards.into_iter().for_each(|key| self.end_forward(key));
     }
 
     fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<Gate>) {
@@ -380,7 +403,8 @@ impl Supervised for Gateway {
         for (node, reply_to) in std::mem::take(&mut self.replies).into_values() {
             reply_to(Err(Why::Unreachable { node: node.to_string() }));
         }
-        self.forwards.end_all();
+        let forwards: Vec<_> = self.forwards.keys().copied().collect();
+        forwards.into_iter().for_each(|key| self.end_forward(key));
         self.doorways.clear();
         self.notices.clear();
         self.exchange = self.exchange.reborn();
@@ -389,7 +413,7 @@ impl Supervised for Gateway {
         self.peers.values().for_each(|peer| peer.gate.set(Condition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();
         peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer, true));
-        self.wiring.begin_anew.do_send(BeginAnew);
+        self.wiring.sessions.begin_anew.do_send(BeginAnew);
         self.started(context);
     }
 }
@@ -477,10 +501,14 @@ impl Handler<Published> for Gateway {
 
     fn handle(&mut self, message: Published, context: &mut Context<Self>) {
         let Published { peer, subscription, event, sent } = message;
-        match self.forwards.admit((peer, subscription)) {
+        if let Some(forwarded) = self.forwards.get(&(peer, subscription)) {
+            forwarded.waiting.fetch_sub(1, Relaxed);
+        }
+        match self.verify((peer, subscription)) {
             Ok(()) => self.exchange.handle_event(peer, subscription, event, sent),
             Err(why @ Why::ContractDiffers { .. }) => {
                 error!("a listener's contract differs: {why}");
+                self.end_forward((peer, subscription));
                 self.exchange.handle_subscribe_refused(peer, subscription, why);
             }
             Err(_) => self.lost += 1,

@@ -17,7 +17,6 @@
 //! * the gateway: every request is resolved, every session begins anew.
 
 mod door;
-mod forwards;
 mod gateway;
 mod links;
 mod notice;
@@ -134,16 +133,10 @@ pub(crate) enum NetError {
 /// A started network. Clones are the same network.
 #[derive(Clone)]
 pub(crate) struct NetHandle {
-    links: Vec<Recipient<ReadLinks>>,
-    routes: Recipient<ReadRoutes>,
-    sessions: Recipient<ReadSessions>,
-    names: Recipient<ReadNames>,
-    notify: Recipient<notice::Notify>,
-    leave: Recipient<Leave>,
-    reroute: Recipient<Reroute>,
-    inquiries: Vec<(ObjectName, Recipient<AreYouAlive>)>,
-    /// The router first.
-    victims: Vec<Recipient<PanicOnPurpose>>,
+    gateway: Addr<gateway::Gateway>,
+    sessions: Addr<sessions::Sessions>,
+    router: Addr<router::Router>,
+    networks: Vec<(ObjectName, Addr<links::Links>)>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
     doors: Arc<door::Doors>,
@@ -175,35 +168,20 @@ pub(crate) fn start(
     });
 
     let doors = Arc::new(door::Doors::default());
-    let say = sessions.clone().recipient();
-    let orders = (say, sessions.clone().recipient(), sessions.clone().recipient());
-    let make = gateway::Gateway::maker(&environment, orders, doors.clone());
+    let to_sessions = gateway::SessionPorts {
+        say: sessions.clone().recipient(),
+        leave: sessions.clone().recipient(),
+        begin_anew: sessions.clone().recipient(),
+    };
+    let make = gateway::Gateway::maker(&environment, to_sessions, doors.clone());
     let gateway = guardian.start(named("gateway"), place, make);
     doors.lead_to(gateway.clone().recipient());
     sessions.do_send(AddGateway(gateway.clone().recipient()));
     let remote: Arc<dyn RemoteDoors> = doors.clone();
     environment.registry.connect(node, Some(remote));
 
-    let mut handle = NetHandle {
-        links: Vec::new(),
-        routes: router.clone().recipient(),
-        sessions: sessions.clone().recipient(),
-        names: gateway.clone().recipient(),
-        notify: gateway.clone().recipient(),
-        leave: gateway.clone().recipient(),
-        reroute: router.clone().recipient(),
-        inquiries: vec![
-            (named("router"), router.clone().recipient()),
-            (named("sessions"), sessions.clone().recipient()),
-            (named("gateway"), gateway.clone().recipient()),
-        ],
-        victims: vec![router.clone().recipient(), sessions.recipient(), gateway.recipient()],
-        guardian: guardian.clone(),
-        arbiter: arbiter.clone(),
-        doors,
-    };
     let mut next = 0;
-    for spec in networks {
+    let networks = networks.into_iter().map(|spec| {
         let name = named(&format!("links/{}", spec.name));
         let first = next;
         next += spec.links.len() as u16;
@@ -222,11 +200,10 @@ pub(crate) fn start(
             guardian.start(name.clone(), place, move |_| links::Links::new(wiring, links));
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
         router.do_send(AddLinks { links: numbers, carry, report });
-        handle.links.push(address.clone().recipient());
-        handle.inquiries.push((name, address.clone().recipient()));
-        handle.victims.push(address.recipient());
-    }
-    Ok(handle)
+        (name, address)
+    });
+    let networks = networks.collect();
+    Ok(NetHandle { gateway, sessions, router, networks, guardian, arbiter, doors })
 }
 
 fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
@@ -257,7 +234,7 @@ impl NetHandle {
     /// Takes faults for another node's recoverer. Its answer does not come, and the mailbox reports
     /// itself closed, when the session with that node ends first.
     pub(crate) fn recoverer_of(&self, node: &NodeName) -> Recipient<Recover> {
-        let (peer, gateway) = (NodeId::of(node), self.notify.clone());
+        let (peer, gateway) = (NodeId::of(node), self.gateway.clone().recipient());
         let name = named(&format!("port/{node}"));
         let make = move |_: &mut Context<notice::Port>| notice::Port::new(peer, gateway);
         self.guardian.start(name, self.arbiter.as_ref(), make).recipient()
@@ -271,8 +248,8 @@ impl NetHandle {
     /// All links, in the order of the configuration.
     pub(crate) async fn read_links(&self) -> Vec<LinkRow> {
         let mut rows = Vec::new();
-        for links in &self.links {
-            rows.extend(links.send(ReadLinks).await.unwrap_or_default());
+        for (_, network) in &self.networks {
+            rows.extend(network.send(ReadLinks).await.unwrap_or_default());
         }
         rows
     }
@@ -280,7 +257,7 @@ impl NetHandle {
     /// Every node that can be reached, and how.
     pub(crate) async fn read_routes(&self) -> Routes {
         let nothing = Routes { routes: Vec::new(), refusals: Default::default() };
-        self.routes.send(ReadRoutes).await.unwrap_or(nothing)
+        self.router.send(ReadRoutes).await.unwrap_or(nothing)
     }
 
     /// All sessions.
@@ -290,32 +267,44 @@ impl NetHandle {
 
     /// Every node that a session is open with, and its objects.
     pub(crate) async fn read_names(&self) -> Vec<NodeRow> {
-        self.names.send(ReadNames).await.unwrap_or_default()
+        self.gateway.send(ReadNames).await.unwrap_or_default()
     }
 
     /// Takes [`PanicOnPurpose`], for the demonstration and tests.
     pub(crate) fn router(&self) -> Recipient<PanicOnPurpose> {
-        self.victims[0].clone()
+        self.router.clone().recipient()
     }
 
     /// Every actor of the network, to see what becomes of a panic in it.
     #[cfg(test)]
     pub(crate) fn victims(&self) -> Vec<Recipient<PanicOnPurpose>> {
-        self.victims.clone()
+        let (router, sessions) = (self.router.clone(), self.sessions.clone());
+        let mut all =
+            vec![router.recipient(), sessions.recipient(), self.gateway.clone().recipient()];
+        all.extend(self.networks.iter().map(|(_, links)| links.clone().recipient()));
+        all
     }
 
     /// Where the network's own actors answer the monitor.
     pub(crate) fn inquiries(&self) -> Vec<(ObjectName, Recipient<AreYouAlive>)> {
-        self.inquiries.clone()
+        let mut all = vec![
+            (named("router"), self.router.clone().recipient()),
+            (named("sessions"), self.sessions.clone().recipient()),
+            (named("gateway"), self.gateway.clone().recipient()),
+        ];
+        for (name, links) in &self.networks {
+            all.push((name.clone(), links.clone().recipient()));
+        }
+        all
     }
 
     /// Takes requests for another way, from the recovery strategy.
     pub(crate) fn reroute(&self) -> Recipient<Reroute> {
-        self.reroute.clone()
+        self.router.clone().recipient()
     }
 
     /// Tells the peers that this node ends in order, delivers what was sent, and ends every session.
     pub(crate) fn leave(&self) {
-        self.leave.do_send(Leave);
+        self.gateway.do_send(Leave);
     }
 }

@@ -1,5 +1,6 @@
 //! Faults on their way to another node's recoverer.
 
+use super::gateway::Notify;
 use crate::platform;
 use actix::dev::{MessageResponse, OneshotSender};
 use actix::prelude::*;
@@ -50,15 +51,6 @@ pub(super) fn decode(bytes: &[u8], now: Instant) -> Result<Fault, DecodeError> {
     let age = Duration::from_micros(age_us);
     let found_at = Instant::ORIGIN + (now - Instant::ORIGIN).saturating_sub(age);
     Ok(Fault { id, kind, severity, place, incarnation, detail, found_at, symptom_of, count })
-}
-
-/// A fault is to be told to a peer's recoverer.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(super) struct Notify {
-    pub(super) peer: NodeId,
-    pub(super) payload: Bytes,
-    pub(super) confirm: oneshot::Sender<Confirmed>,
 }
 
 /// Stands in for the recoverer of one other node.

@@ -25,6 +25,7 @@ use blastema_contract::notifier::AddPort;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
 use blastema_contract::strategy::{Reroute, RestNode};
+use blastema_contract::transport::Close;
 use blastema_core::detection::{
     DetectorLimits, EnrolError, Enrolment, MonitorLimits, NotifierLimits, ObjectKind, Port, Watch,
 };
@@ -233,6 +234,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
 pub(super) struct Networks {
     pub(super) handle: NetHandle,
     pub(super) cables: BTreeMap<String, Cable>,
+    transports: Vec<Recipient<Close>>,
     arbiter: Option<ArbiterHandle>,
 }
 
@@ -256,6 +258,8 @@ impl Networks {
     }
 
     pub(super) fn stop(&self) {
+        // On an arbiter that others use too, links would go on saying that the node lives.
+        self.transports.iter().for_each(|transport| transport.do_send(Close));
         if let Some(arbiter) = &self.arbiter {
             arbiter.stop();
         }
@@ -286,6 +290,7 @@ fn make_networks(
         neighbours.extend(laid.neighbours);
         specs.push(laid.spec);
     }
+    let transports = specs.iter().map(|spec| spec.transport.close.clone()).collect();
     let net_environment = NetEnvironment {
         node: node.clone(),
         incarnation,
@@ -309,7 +314,7 @@ fn make_networks(
         let port = Port::Remote(neighbour);
         chain.notifier.do_send(AddPort { port, recover, stand_down: None });
     }
-    Ok((Networks { handle, cables, arbiter }, enrolments))
+    Ok((Networks { handle, cables, transports, arbiter }, enrolments))
 }
 
 /// A thread that hangs cannot be ended. When several have been given up, only a new process helps.

@@ -147,10 +147,12 @@ impl<E: Event> Handle<E> for Target<E> {
     }
 }
 
+type Answer<M> = Arc<dyn Fn(&M) -> <M as Contract>::Reply + Send + Sync>;
+
 /// The component of [`Probe::server`].
 pub struct Server<M: Request> {
     record: Record<M>,
-    answer: Arc<dyn Fn(&M) -> M::Reply + Send + Sync>,
+    answer: Answer<M>,
 }
 
 impl<M: Request> Component for Server<M> {

@@ -359,7 +359,7 @@ mod a_rule_can_fail {
     fn when_an_object_knows_another_by_its_type() {
         let texts = [(
             "transports/src/lib.rs",
-            "struct A { b: Addr<Self>, c: Recipient<D> }\nstruct E { f: Addr<A> }\n",
+            "struct A { b: Addr<Self>, c: Recipient<D> }\nstruct E { f: Addr<A> }\nimpl Actor for G {}\nstruct H { i: Addr<G> }\n",
         )];
         check(sources::acquaintance, &texts, &[("transports/src/lib.rs", 2)]);
     }

@@ -57,7 +57,7 @@ async fn a_root_that_gives_up_brings_the_node_to_safe_rest() {
 
     let NodeState::AtRest { reason } = node.ended().await else { panic!("{:?}", node.state()) };
     assert!(reason.contains("drive"), "{reason}");
-    let rested = rested.lock().unwrap();
+    let rested = rested.lock().unwrap().clone();
     assert_eq!(rested[0].kind, FaultKind::RestartStorm);
     assert_eq!(rested[0].place, Place::Node(node.name().clone()));
     assert!(strings.diary().contains(&"lamp#1 on_finalize".into()), "everything was stopped");

@@ -4,6 +4,7 @@
 //! robot, and what its record of faults, its table and its tree show afterwards.
 
 mod chain;
+mod chaos;
 mod declared;
 mod errors;
 mod escalation;
@@ -13,6 +14,7 @@ mod groups;
 mod hangs;
 mod initialization;
 mod mourning;
+mod networks;
 mod panics;
 mod puppet;
 mod sending;

@@ -102,6 +102,11 @@ impl Strings {
         self.inner().pulls.entry(format!("{name} {hook}")).or_default().push_back(pull);
     }
 
+    /// Whatever was pulled and not yet done is not going to be done.
+    pub(crate) fn cut_all(&self) {
+        self.inner().pulls.clear();
+    }
+
     /// What was written down since the last look, but for the rounds.
     pub(crate) fn diary(&self) -> Vec<String> {
         std::mem::take(&mut self.inner().diary)

@@ -558,8 +558,10 @@ impl<C: Component> Pump<C> {
     }
 }
 
-// Holding the borrow across the await is the point: messages wait, and control does not borrow.
-#[allow(clippy::await_holding_refcell_ref)]
+#[expect(
+    clippy::await_holding_refcell_ref,
+    reason = "messages wait while one is served; the control lane does not borrow"
+)]
 async fn run_hook<C: Component>(home: Rc<Home<C>>, hook: Hook) -> Result<(), Failure> {
     let mut chair = home.seat.borrow_mut();
     let (component, cx) = chair.both();

@@ -1,0 +1,260 @@
+//! Three nodes on two networks, all on one thread and in virtual time.
+//!
+//! ```text
+//!            ethernet             ieee1394
+//!   module2 ────────── module1 ────────── module3
+//!            backup
+//!   module2 ══════════ module1
+//! ```
+
+use crate::puppet::{Deed, Do, Note, Strings, ask, life};
+use blastema::core::recovery::{Done, Failed, Order};
+use blastema::prelude::*;
+use blastema::{
+    Direction, Link, MemoryMedium, Network, NodeBuilder, Place, RecoveryStrategy, Tools,
+};
+use blastema_testkit::TestNode;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+
+/// The media of one robot.
+#[derive(Default)]
+struct Media {
+    ethernet: MemoryMedium,
+    ieee1394: MemoryMedium,
+    backup: MemoryMedium,
+}
+
+impl Media {
+    fn network(medium: &MemoryMedium, name: &str, own: &str, far: &str, cost: u16) -> Network {
+        let link = Link::in_memory(far, far).cost(cost);
+        Network::memory(name, medium, own).link(link).with_faults(7)
+    }
+
+    fn module1(&self) -> NodeBuilder {
+        Node::builder("module1")
+            .network(Media::network(&self.ethernet, "ethernet", "module1", "module2", 10))
+            .network(Media::network(&self.backup, "backup", "module1", "module2", 20))
+            .network(Media::network(&self.ieee1394, "ieee1394", "module1", "module3", 10))
+    }
+
+    fn module2(&self) -> NodeBuilder {
+        Node::builder("module2")
+            .network(Media::network(&self.ethernet, "ethernet", "module2", "module1", 10))
+            .network(Media::network(&self.backup, "backup", "module2", "module1", 20))
+    }
+
+    fn module3(&self) -> NodeBuilder {
+        Node::builder("module3").network(Media::network(
+            &self.ieee1394,
+            "ieee1394",
+            "module3",
+            "module1",
+            10,
+        ))
+    }
+}
+
+/// Its nodes, each with a puppet: `planner` on module1, `laser` on module2, `motors` on module3.
+struct Robot {
+    media: Media,
+    module1: TestNode,
+    module2: TestNode,
+    module3: TestNode,
+}
+
+impl Robot {
+    async fn start(strings: &Strings) -> Self {
+        let media = Media::default();
+        let module1 = TestNode::start(media.module1().child(strings.spec("planner"))).await;
+        let module2 = TestNode::start(media.module2().child(strings.spec("laser"))).await;
+        let module3 = TestNode::start(media.module3().child(strings.spec("motors"))).await;
+        module1.advance(2000 * MS).await;
+        Robot { media, module1, module2, module3 }
+    }
+
+    fn cut(&self, cable: &str) {
+        let cable = self.module1.cable(cable).expect("a cable of this name");
+        cable.cut(Direction::Both, false);
+    }
+
+    fn mend(&self, cable: &str) {
+        self.module1.cable(cable).expect("a cable of this name").restore();
+    }
+}
+
+#[blastema_testkit::test]
+async fn objects_of_other_nodes_are_reached_by_name_over_one_hop_and_two() {
+    let strings = Strings::default();
+    let robot = Robot::start(&strings).await;
+
+    assert_eq!(ask(&robot.module1, "module2:laser", Deed::Nothing).await.unwrap(), 1);
+    assert_eq!(ask(&robot.module3, "module2:laser", Deed::Nothing).await.unwrap(), 1);
+    ask(&robot.module2, "laser", Deed::Publish(1)).await.unwrap();
+    robot.module1.advance(100 * MS).await;
+
+    let mut heard = strings.lines("news 1");
+    heard.sort();
+    assert_eq!(heard, ["laser#1 news 1", "motors#1 news 1", "planner#1 news 1"]);
+    robot.module1.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn the_death_of_a_remote_object_is_told_to_who_asked_it() {
+    let strings = Strings::default();
+    let robot = Robot::start(&strings).await;
+
+    let died = ask(&robot.module3, "module2:laser", Deed::Panic("struck".into())).await;
+
+    let why = died.expect_err("it died").why;
+    assert!(matches!(why, Why::PeerDied { incarnation } if incarnation.0 == 1), "{why}");
+    assert_eq!(ask(&robot.module3, "module2:laser", Deed::Nothing).await.unwrap(), 2);
+}
+
+#[blastema_testkit::test]
+async fn who_is_unknown_or_different_on_another_node_is_told_so() {
+    #[derive(Debug, Request)]
+    #[contract(name = "test/do", reply = u64)]
+    struct OtherDo {
+        text: String,
+    }
+
+    let robot = Robot::start(&Strings::default()).await;
+    let unknown = robot.module1.sender::<Do>("module2:nobody").unwrap();
+    let differs = robot.module1.sender::<OtherDo>("module2:laser").unwrap();
+    let nowhere = robot.module1.sender::<Do>("module9:laser").unwrap();
+
+    let unknown = unknown.ask(Do(Deed::Nothing)).await.expect_err("nobody is there").why;
+    let other = OtherDo { text: "hello".into() };
+    let differs = differs.ask(other).await.expect_err("it is another contract").why;
+    let nowhere = nowhere.ask(Do(Deed::Nothing)).await.expect_err("there is no such node").why;
+
+    assert!(matches!(unknown, Why::Unknown { .. }), "{unknown}");
+    let Why::ContractDiffers { difference } = differs else { panic!("{differs}") };
+    assert!(difference.contains("test/do"), "{difference}");
+    assert!(matches!(nowhere, Why::Unreachable { .. } | Why::DeadlinePassed), "{nowhere}");
+}
+
+#[blastema_testkit::test]
+async fn a_cut_cable_is_found_and_the_second_takes_over_without_loss_or_doubles() {
+    let strings = Strings::default();
+    let mut robot = Robot::start(&strings).await;
+    let laser = robot.module1.sender::<Note>("module2:laser").unwrap();
+
+    for n in 0..200 {
+        if n == 50 {
+            robot.cut("ethernet");
+        }
+        laser.deliver(Note(n)).await.expect("it is reliable");
+        robot.module1.advance(10 * MS).await;
+    }
+    robot.module1.advance(1000 * MS).await;
+
+    let place = "module1 -ethernet- module2";
+    let fault = robot.module1.await_fault(FaultKind::LinkDown, place).await;
+    assert!(matches!(fault.place, Place::Link { .. }));
+    robot.module1.await_recovered(FaultKind::LinkDown, place).await;
+    let heard = strings.lines("note");
+    let sent: Vec<String> = (0..200).map(|n| format!("laser#1 note {n}")).collect();
+    assert_eq!(heard, sent);
+    robot.module1.expect_no_faults().await;
+
+    robot.mend("ethernet");
+    robot.module1.advance(2000 * MS).await;
+    assert_eq!(ask(&robot.module1, "module2:laser", Deed::Nothing).await.unwrap(), 1);
+}
+
+#[blastema_testkit::test]
+async fn when_all_cables_are_cut_the_node_is_lost_and_it_returns_when_one_is_mended() {
+    let strings = Strings::default();
+    let mut robot = Robot::start(&strings).await;
+
+    robot.cut("ethernet");
+    robot.cut("backup");
+    let lost = robot.module1.await_fault(FaultKind::NodeLost, "module2").await;
+    let far = ask(&robot.module1, "module2:laser", Deed::Nothing).await.expect_err("no way");
+    assert!(matches!(far.why, Why::Unreachable { .. } | Why::DeadlinePassed), "{}", far.why);
+
+    robot.mend("backup");
+    robot.module1.advance(3000 * MS).await;
+    assert_eq!(ask(&robot.module1, "module2:laser", Deed::Nothing).await.unwrap(), 1);
+    assert_eq!(ask(&robot.module3, "module2:laser", Deed::Nothing).await.unwrap(), 1);
+    let record = robot.module1.faults().await;
+    let entry = record.entries.iter().find(|entry| entry.fault.id == lost.id).unwrap();
+    assert!(entry.ended.is_some(), "{entry:?}");
+    let links = record.entries.iter().filter(|entry| entry.fault.kind == FaultKind::LinkDown);
+    assert_eq!(links.count(), 2);
+}
+
+#[blastema_testkit::test]
+async fn a_node_that_goes_and_comes_again_is_lost_and_found_and_serves_the_same_senders() {
+    let strings = Strings::default();
+    let mut robot = Robot::start(&strings).await;
+    let laser = robot.module3.sender::<Do>("module2:laser").unwrap();
+    assert_eq!(laser.ask(Do(Deed::Nothing)).await.unwrap(), 1);
+
+    robot.module2.shutdown().await;
+    robot.module1.await_fault(FaultKind::NodeLost, "module2").await;
+    let gone = laser.ask(Do(Deed::Nothing)).await.expect_err("it is gone");
+    assert!(gone.message.is_none() || gone.why != Why::DeadlinePassed, "{}", gone.why);
+    robot.module2 = TestNode::start(robot.media.module2().child(strings.spec("laser"))).await;
+    robot.module1.advance(3000 * MS).await;
+
+    assert_eq!(laser.ask(Do(Deed::Nothing)).await.unwrap(), 1, "a new node, and its first life");
+    assert_eq!(life(&robot.module2, "laser").await, 1);
+}
+
+#[blastema_testkit::test]
+async fn a_router_that_panics_in_between_loses_nothing_that_is_sent_reliably() {
+    let strings = Strings::default();
+    let mut robot = Robot::start(&strings).await;
+    let laser = robot.module3.sender::<Note>("module2:laser").unwrap();
+
+    for n in 0..100 {
+        if n == 50 {
+            robot.module1.panic_router();
+        }
+        laser.deliver(Note(n)).await.expect("it is reliable");
+        robot.module1.advance(10 * MS).await;
+    }
+    robot.module1.advance(2000 * MS).await;
+
+    robot.module1.await_fault(FaultKind::Panic, "net/router").await;
+    robot.module1.await_recovered(FaultKind::Panic, "net/router").await;
+    let sent: Vec<String> = (0..100).map(|n| format!("laser#1 note {n}")).collect();
+    assert_eq!(strings.lines("note"), sent);
+}
+
+/// Takes note of whom it was asked to stand in for.
+struct TakeOver(Arc<Mutex<Vec<String>>>);
+
+impl RecoveryStrategy for TakeOver {
+    async fn carry_out(&self, order: &Order, _: &Tools) -> Result<Done, Failed> {
+        self.0.lock().unwrap().push(format!("{} of {}", order.fault.kind, order.fault.place));
+        Ok(Done::default())
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_fault_of_another_node_is_told_to_the_recoverers_of_its_neighbours() {
+    let strings = Strings::default();
+    let media = Media::default();
+    let ladder = Ladder::first(Measure::Custom("take over".into()));
+    let plan = Plan::default().on_other_nodes(FaultKind::ErrorState, ladder);
+    let told: Arc<Mutex<Vec<String>>> = Arc::default();
+    let kept = told.clone();
+    let builder = media.module1().plan(plan);
+    let module1 =
+        TestNode::start(builder.recovery("take over", move || TakeOver(kept.clone()))).await;
+    let mut module2 = TestNode::start(media.module2().child(strings.spec("laser"))).await;
+    module1.advance(2000 * MS).await;
+
+    ask(&module2, "laser", Deed::Fail("the mirror sticks".into())).await.unwrap();
+    module2.await_recovered(FaultKind::ErrorState, "laser").await;
+    module1.advance(1000 * MS).await;
+
+    assert_eq!(*told.lock().unwrap(), ["error state of module2:laser"]);
+    assert_eq!(life(&module2, "laser").await, 1, "its own node has recovered it");
+}
