@@ -33,7 +33,8 @@ pub struct GaveUp {
 }
 
 /// Replace a child's life by the next one, and do with its siblings what the supervisor's strategy
-/// says. Answered when all of them are at work again, or when that has failed.
+/// says. Answered when all of them are at work again, or when that has failed; what befalls a sibling
+/// on the way is a fault of its own.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<Recovered, GaveUp>")]
 pub struct RestartChild {

@@ -151,6 +151,8 @@ impl Default for RecovererLimits {
 struct Noted {
     fault: Fault,
     since: u64,
+    /// It has gone by itself while a measure was under way.
+    over: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -283,13 +285,17 @@ impl Recoverer {
             self.release_symptoms(&[id], now);
         }
         let Some(case) = self.cases.get_mut(place) else { return };
-        // What is under way is not interrupted: it may be what has helped.
         if let Progress::Waiting { .. } = case.progress {
             case.faults.retain(|noted| noted.fault.id != id);
             if case.faults.is_empty() {
                 self.cases.remove(place);
                 self.release_symptoms(&[id], now);
             }
+            return;
+        }
+        // What is under way is not interrupted: it may be what has helped.
+        for noted in case.faults.iter_mut().filter(|noted| noted.fault.id == id) {
+            noted.over = true;
         }
     }
 
@@ -318,7 +324,7 @@ impl Recoverer {
                 let reason = format!("{FAULTS_LIMIT} faults of {place} are being treated already");
                 return self.tell(&fault, Settled::GaveUp { reason });
             }
-            case.faults.push(Noted { fault, since });
+            case.faults.push(Noted { fault, since, over: false });
             return;
         }
         if self.cases.len() == self.limits.cases {
@@ -335,7 +341,7 @@ impl Recoverer {
             }
         }
         let case = Case {
-            faults: vec![Noted { fault, since }],
+            faults: vec![Noted { fault, since, over: false }],
             ladder,
             rung,
             attempt,
@@ -350,6 +356,12 @@ impl Recoverer {
     /// The attempt did not help: the next one, or the next rung.
     fn climb(&mut self, place: &Place, reason: String, now: Instant) {
         let case = self.cases.get_mut(place).expect("a case that climbs is open");
+        if case.faults.iter().all(|noted| noted.over) {
+            // The answer was late, or lost; what it was about has gone.
+            let case = self.cases.remove(place).expect("it was just looked at");
+            let faults: Vec<Fault> = case.faults.into_iter().map(|noted| noted.fault).collect();
+            return self.release_symptoms(&ids(&faults), now);
+        }
         case.attempt += 1;
         if case.attempt > case.ladder.steps()[case.rung].attempts {
             case.attempt = 1;

@@ -428,3 +428,14 @@ fn every_fault_is_settled_whatever_the_strategies_do() {
         }
     }
 }
+
+#[test]
+fn what_has_gone_by_itself_while_a_measure_was_under_way_is_not_treated_further() {
+    let mut rig = Rig::new();
+    assert_eq!(rig.find(panic_of(1, "laser", 1)), ["#1 restart here:laser against panic, 1"]);
+
+    assert_eq!(rig.stand_down(1, "laser"), [""; 0]);
+    assert_eq!(rig.outcome(1, fails()), [""; 0]);
+
+    assert_eq!(rig.machine.open_cases(), 0);
+}

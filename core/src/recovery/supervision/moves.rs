@@ -92,12 +92,19 @@ impl Supervision {
                 let whole = match self.rules.strategy {
                     Strategy::OneForOne => !self.going.contains(&key),
                     Strategy::OneForAll | Strategy::RestForOne => {
-                        self.going.is_empty() && self.coming.is_empty()
+                        self.going.is_empty() && (self.coming.is_empty() || self.is_held_up())
                     }
                 };
                 (child.state == State::Running && whole).then_some(Ok(Some(child.incarnation)))
             }
         }
+    }
+
+    /// Somebody whose life has ended in the meantime holds up those behind it, until its own fault has
+    /// been decided upon. That may wait in turn for what is being answered here.
+    fn is_held_up(&self) -> bool {
+        let first = self.coming.first().and_then(|key| self.children.get(key));
+        first.is_some_and(|child| child.failed.is_some())
     }
 
     /// Replaces a child's life, and those of its siblings as the strategy says.

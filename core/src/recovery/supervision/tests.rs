@@ -823,3 +823,45 @@ fn finish(rig: &mut Rig, case: &str) {
     assert!(table.iter().all(settled), "{case}: {table:?}");
     assert!(rig.machine.poll_timeout().is_none(), "{case}: {:?}", rig.machine);
 }
+
+#[test]
+fn who_is_at_work_does_not_wait_for_a_sibling_that_failed_in_turn() {
+    let cases = [(Strategy::OneForAll, "stop a"), (Strategy::RestForOne, "start b #3")];
+    for (strategy, next) in cases {
+        let mut rig = Rig::serving(strategy);
+        rig.restart("a", Cause::Died, 1);
+        rig.stopped("c", 1);
+        rig.stopped("b", 1);
+        assert_eq!(rig.started("a", 2), ["start b #2"]);
+
+        // What is done about b may wait for what is answered about a.
+        assert_eq!(rig.start_failed("b", 2), ["1 recovered a #2"]);
+
+        assert_eq!(rig.restart("b", Cause::Died, 2), [next]);
+    }
+}
+
+#[test]
+fn a_child_is_told_whether_another_life_follows() {
+    let told = |rig: &mut Rig| {
+        let mut told = Vec::new();
+        while let Some(action) = rig.machine.poll_output() {
+            if let SupervisorAction::Stop { child, again } = action {
+                told.push((child.to_string(), again));
+            }
+        }
+        told
+    };
+    let mut rig = Rig::serving(Strategy::OneForAll);
+    let (now, tickets) = (rig.now, [Ticket(1), Ticket(2)]);
+
+    rig.machine.handle_restart(&name("a"), tickets[0], Cause::Died, None, now);
+    assert_eq!(told(&mut rig), [("c".into(), true)]);
+
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    rig.machine.handle_rest(&name("b"), tickets[1], Cause::Faulty, now);
+    assert_eq!(told(&mut rig), [("b".into(), false)]);
+    rig.machine.handle_end(now);
+    rig.machine.handle_stopped(&name("b"), Incarnation::FIRST, now);
+    assert_eq!(told(&mut rig), [("c".into(), false)]);
+}
