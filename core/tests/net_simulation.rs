@@ -378,7 +378,9 @@ fn for_seeds(seeds: std::ops::Range<u64>, scenario: impl Fn(u64)) {
             }
         }
     }
-    for seed in seeds {
+    // `BLASTEMA_SEED=n` adds one seed to those that every run has.
+    let chosen = std::env::var("BLASTEMA_SEED").ok().map(|text| text.parse().expect("a number"));
+    for seed in seeds.chain(chosen) {
         let tell = Tell(seed);
         scenario(seed);
         drop(tell);

@@ -146,6 +146,7 @@ impl World {
                 SupervisorAction::Reset { .. }
                 | SupervisorAction::Isolate { .. }
                 | SupervisorAction::Overdue { .. }
+                | SupervisorAction::Retire { .. }
                 | SupervisorAction::Left { .. } => {}
             }
         }

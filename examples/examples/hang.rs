@@ -71,19 +71,18 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     println!("count {}", counter.ask(Count).await?);
     map.tell(Search { exists: false })?; // it will not come back from there
-    counter.tell(Count)?; // and these two stand still behind it
-    counter.tell(Count)?;
-
     while let Some(event) = faults.next().await {
-        match event.turn {
-            Turn::Found => println!("{} of {}", event.fault.kind, event.fault.place),
-            Turn::Recovered => break,
-            _ => {}
+        if event.turn == Turn::Found {
+            println!("{} of {}", event.fault.kind, event.fault.place);
+            break;
         }
     }
-    println!("found again: {}", map.ask(Search { exists: true }).await?);
-    // The counter began anew on another thread, and what waited for it came along.
-    println!("count {}", counter.ask_within(Count, Duration::from_secs(5)).await?);
+    counter.tell(Count)?; // its thread stands still: this has to wait
+
+    let patience = Duration::from_secs(5);
+    println!("found again: {}", map.ask_within(Search { exists: true }, patience).await?);
+    // The counter begins anew on another thread, and what waits for it comes along.
+    println!("count {}", counter.ask_within(Count, patience).await?);
     println!("threads given up: {}", node.abandoned_threads());
     Ok(())
 }

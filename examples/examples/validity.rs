@@ -9,7 +9,7 @@ use std::time::Duration;
 
 /// How fast to go. Nobody should act upon one that has waited for long.
 #[derive(Clone, Debug, Event)]
-#[contract(name = "drive/speed", version = 1, max_age = "50ms")]
+#[contract(name = "drive/speed", version = 1, max_age = "200ms")]
 struct Speed {
     #[contract(unit = "m/s", frame = "base")]
     forward: f64,
@@ -64,8 +64,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     speed.tell(Speed { forward: 1.2 })?;
     println!("turning at {} m/s", motors.ask(Turning { working: 0 }).await?);
 
-    // While the motors are busy for 100 ms, an order waits for longer than its 50 ms.
-    motors.tell(Turning { working: 100 })?;
+    // While the motors are busy for 300 ms, an order waits for longer than its 200 ms.
+    motors.tell(Turning { working: 300 })?;
     speed.tell(Speed { forward: 0.4 })?;
     println!("still turning at {} m/s", motors.ask(Turning { working: 0 }).await?);
     let expired = node.dead_letters().count(&"motors".parse()?, DeadReason::Expired);

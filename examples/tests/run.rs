@@ -159,7 +159,7 @@ fn flood_loses_only_what_its_queue_says() {
 fn hang_replaces_the_culprit_and_moves_its_neighbour_with_what_waited() {
     check(
         "hang",
-        &["count 1", "hang of module1:map", "found again: true", "count 3", "threads given up: 1"],
+        &["count 1", "hang of module1:map", "found again: true", "count 2", "threads given up: 1"],
     );
 }
 

@@ -1,14 +1,17 @@
-//! What the manual says in tables is what the code says.
+//! What the manual says is what the code does: its tables, and sentences that nothing else proves.
 
 use blastema::core::codec::SIZE_LIMIT;
 use blastema::core::dead_letters::DeadLetterLimits;
 use blastema::core::detection::{DetectorLimits, MonitorLimits, NotifierLimits};
 use blastema::core::net::{RouterConfig, SessionConfig};
 use blastema::core::quarantine::QuarantineConfig;
-use blastema::core::recovery::{Plan, RecovererLimits, Step, SupervisorRules};
-use blastema::{DEFAULT_DEADLINE, FaultKind, Incarnation, NodeName, Place};
+use blastema::core::recovery::{RecovererLimits, Step, SupervisorRules};
+use blastema::prelude::*;
+use blastema::{DEFAULT_DEADLINE, Incarnation, NodeName, Place};
+use blastema_testkit::TestNode;
 use std::fs;
 use std::path::Path;
+use std::time::Duration;
 
 fn page(name: &str) -> String {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../actors/src/manual");
@@ -82,4 +85,78 @@ fn the_limits_are_those_of_the_code() {
     check(&page, "hops", router.hops.to_string());
     let says = format!("{}, or {}", session.buffer_messages, mebibytes(session.buffer_bytes));
     check(&page, "messages that wait for one peer", says);
+}
+
+/// Ends itself.
+#[derive(Debug, Request)]
+#[contract(reply = ())]
+struct End;
+
+struct Survey;
+
+impl Component for Survey {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<End>();
+    }
+}
+
+impl Handle<End> for Survey {
+    async fn handle(&mut self, _: End, cx: &mut Context<Self>) {
+        cx.stop();
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_child_whose_end_was_final_takes_no_messages() {
+    for restart in [Restart::Transient, Restart::Temporary] {
+        let spec = ChildSpec::new("survey", || Survey);
+        let mut node = TestNode::start(Node::builder("module1").child_with(spec, restart)).await;
+        let survey: Sender<End> = node.sender("survey").unwrap();
+
+        survey.ask(End).await.unwrap();
+        node.await_fault(FaultKind::UnexpectedExit, "survey").await;
+        node.settle().await;
+
+        assert_eq!(survey.tell(End).unwrap_err().why, Why::Stopped, "{restart:?}");
+        assert_eq!(node.state(), NodeState::Running);
+    }
+}
+
+#[blastema_testkit::test]
+async fn the_history_of_faults_ends_with_the_node() {
+    let builder = Node::builder("module1").child(ChildSpec::new("survey", || Survey));
+    let node = TestNode::start(builder).await;
+    let mut faults = node.fault_events();
+    node.sender::<End>("survey").unwrap().ask(End).await.unwrap();
+    node.advance(Duration::from_secs(1)).await;
+
+    node.shutdown().await;
+
+    let mut told = 0;
+    while faults.next().await.is_some() {
+        told += 1;
+    }
+    assert_eq!(told, 3, "found, decided, recovered");
+}
+
+/// Never comes to work.
+struct Broken;
+
+impl Component for Broken {
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        Err("no device".into())
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_cannot_be_started_is_put_to_rest_and_the_others_start() {
+    let builder = Node::builder("module1")
+        .child(ChildSpec::new("broken", || Broken))
+        .child(ChildSpec::new("survey", || Survey));
+    let mut node = TestNode::start(builder).await;
+
+    let reason = node.await_given_up(FaultKind::InitializationFailed, "broken").await;
+
+    assert!(reason.contains("safe stop"), "{reason}");
+    node.actor::<Survey>("survey").unwrap().ask(End).await.unwrap();
 }

@@ -249,6 +249,11 @@ impl Body for Supervisor {
                 let detail = format!("it was not at work within {limit:?}");
                 self.declare(child, incarnation, FaultKind::InitializationFailed, detail);
             }
+            SupervisorAction::Retire { child } => {
+                if let Some(child) = self.child(&child) {
+                    child.retire();
+                }
+            }
             SupervisorAction::Left { child } => {
                 self.children.remove(&child);
                 self.directory.remove(&child);

@@ -63,6 +63,8 @@ struct Pool {
     next: usize,
     /// Threads that components have for themselves, to be ended with the node.
     own: Vec<Seat>,
+    /// The node has ended: a life that begins anew because its arbiter went finds no place.
+    stopped: bool,
 }
 
 /// Lives as long as an arbiter's event loop turns. Dropped after the arbiter was lost, it says that
@@ -117,13 +119,16 @@ impl Arbiters {
     /// A place for a component.
     ///
     /// # Errors
-    /// The operating system has no thread left.
+    /// The operating system has no thread left, or the node has ended.
     pub(crate) fn place(&self, own_thread: bool) -> std::io::Result<Seat> {
         if self.0.shared == 0 {
             let pulse = Pulse::enrol_here();
             return Ok(Seat { handle: Arbiter::current(), pulse, own_thread: false });
         }
         let mut pool = self.pool_of();
+        if pool.stopped {
+            return Err(std::io::Error::other("the node has ended"));
+        }
         pool.own.retain(|seat| seat.handle.alive());
         if own_thread {
             let seat = self.start(true)?;
@@ -181,11 +186,30 @@ impl Arbiters {
         *self.0.on_abandoned.lock().unwrap_or_else(PoisonError::into_inner) = Some(tell);
     }
 
-    /// Ends all threads that can still hear it.
+    /// Ends all threads that can still hear it, and starts no more.
     pub(crate) fn stop(&self) {
-        let pool = std::mem::take(&mut *self.pool_of());
+        let ended = Pool { stopped: true, ..Pool::default() };
+        let pool = std::mem::replace(&mut *self.pool_of(), ended);
         for seat in pool.seats.iter().chain(&pool.own) {
             seat.handle.stop();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arbiters_that_were_stopped_start_no_thread_again() {
+        System::new().block_on(async {
+            let arbiters = Arbiters::pool(1);
+            arbiters.place(true).expect("a thread");
+
+            arbiters.stop();
+
+            assert!(arbiters.place(true).is_err());
+            assert!(arbiters.place(false).is_err());
+        });
     }
 }

@@ -53,6 +53,10 @@ pub enum SpecError {
     },
 }
 
+/// Messages that a queue may hold: seconds of the fastest sender there is, and still a bound. More would
+/// be a leak with a name.
+const QUEUE_LIMIT: usize = 1 << 20;
+
 /// The limits of one component's life.
 #[derive(Clone, Debug)]
 pub(crate) struct Limits {
@@ -197,6 +201,14 @@ impl<C: Component> ChildSpec<C> {
         limits.interval = self.interval()?;
         if self.queue.0 == 0 {
             return Err(self.setting("the queue", "0", "a queue holds at least one message"));
+        }
+        if self.queue.0 > QUEUE_LIMIT {
+            let value = self.queue.0.to_string();
+            return Err(self.setting(
+                "the queue",
+                &value,
+                "a queue holds a million messages at most",
+            ));
         }
         let name = ObjectName::new(&self.name)?;
         let ports = Ports::<C>::of();

@@ -330,6 +330,46 @@ fn rest_when_threads_run_out(threads: &Arbiters, node: &NodeName, rest: Recipien
     }));
 }
 
+/// Ends the threads of a node that does not come to be.
+struct Undone {
+    arbiters: Arbiters,
+    own: Vec<ArbiterHandle>,
+    kept: bool,
+}
+
+impl Drop for Undone {
+    fn drop(&mut self) {
+        if !self.kept {
+            self.arbiters.stop();
+            for arbiter in &self.own {
+                arbiter.stop();
+            }
+        }
+    }
+}
+
+/// Every object of this node that a component depends on must be one, and another one.
+fn check_dependencies(node: &NodeName, harvest: &Harvest) -> Result<(), StartError> {
+    let components = harvest.components.iter().map(|facts| &facts.name);
+    let supervisors = harvest.supervisors.iter().map(|(name, _)| name);
+    let known: BTreeSet<&str> = components.chain(supervisors).map(ObjectName::as_str).collect();
+    for facts in &harvest.components {
+        for needed in &facts.depends_on {
+            let own = match needed.split_once(':') {
+                Some((of, object)) if of == node.as_str() => object,
+                // What other nodes hold is not known here.
+                Some(_) => continue,
+                None => needed,
+            };
+            if own == facts.name.as_str() || !known.contains(own) {
+                let (name, needed) = (facts.name.clone(), needed.clone());
+                return Err(StartError::Dependency { name, needed });
+            }
+        }
+    }
+    Ok(())
+}
+
 pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
     let node = NodeName::new(&builder.name)?;
@@ -348,6 +388,8 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     let registry = parts.registry.clone();
     // Its own objects may be named in full, with or without a network.
     registry.connect(node.clone(), None);
+    let own = parts.chain.arbiter.iter().cloned().collect();
+    let mut undone = Undone { arbiters: arbiters.clone(), own, kept: false };
     let environment = HostEnvironment { registry, ..HostEnvironment::new(arbiters, reports) };
     let (networks, network_enrolments) = if builder.networks.is_empty() {
         (None, Vec::new())
@@ -355,6 +397,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         let (networks, placement) = (builder.networks, builder.placement);
         let who = (&node, incarnation);
         let (networks, enrolments) = make_networks(networks, placement, who, &parts, &environment)?;
+        undone.own.extend(networks.arbiter.clone());
         (Some(networks), enrolments)
     };
     let Parts { guardian, chain, monitor, keeper, state, directory, .. } = parts;
@@ -372,6 +415,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     let root = builder.root.plant(&ground, &mut harvest)?;
     let names: Vec<&ObjectName> = harvest.components.iter().map(|facts| &facts.name).collect();
     plan.check(names, &builder.own_kinds, builder.strategies.names())?;
+    check_dependencies(&node, &harvest)?;
 
     let mut enrolments: Vec<Enrol> = Vec::new();
     for (name, inquiries) in chain.inquiries.iter().cloned() {
@@ -413,6 +457,8 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         plan,
     };
     let node = Node(Arc::new(shared));
+    // From here on the node ends its threads itself.
+    undone.kept = true;
     match keeper.send(StartRoot(root)).await {
         Ok(Ok(())) => Ok(node),
         Ok(Err(reason)) => Err(StartError::GaveUp { reason }),

@@ -8,7 +8,7 @@ use crate::component::Component;
 use crate::host::spec::{ChildSpec, SpecError};
 use blastema_core::detection::EnrolError;
 use blastema_core::recovery::{Plan, PlanError, Restart, Strategy};
-use blastema_core::{Fault, FaultKind, NameError};
+use blastema_core::{Fault, FaultKind, NameError, ObjectName};
 use std::fmt;
 use std::io;
 use std::sync::Arc;
@@ -30,6 +30,16 @@ pub enum StartError {
     /// An object cannot be watched as its spec says.
     #[error(transparent)]
     Watch(#[from] EnrolError),
+    /// A component depends on what does not exist, or on itself.
+    #[error(
+        "{name} depends on {needed:?}, which is no other object of this node: mend the name, or add it"
+    )]
+    Dependency {
+        /// The component.
+        name: ObjectName,
+        /// What it is said to depend on.
+        needed: String,
+    },
     /// The networks cannot be used together.
     #[error("{0}")]
     Network(String),
@@ -189,8 +199,10 @@ impl NodeBuilder {
     /// Starts the node: its fault chain, and then all components, each after those before it.
     ///
     /// # Errors
-    /// A description that cannot work is refused before anything is started. A component that cannot be
-    /// started in spite of all restarts is [`StartError::GaveUp`].
+    /// A description that cannot work is refused before any component is started. A component that cannot
+    /// be started is a fault, which the plan answers: by default it is restarted and at last put to rest, and
+    /// the node starts without it. Where supervisors give up first, up to the root, that is
+    /// [`StartError::GaveUp`].
     pub async fn start(self) -> Result<Node, StartError> {
         super::assembly::start(self).await
     }

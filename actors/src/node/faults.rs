@@ -1,11 +1,11 @@
 //! The history of faults, as it happens.
 
-use super::{Step, Subscriptions};
+use super::{NodeState, Step, Subscriptions};
 use actix::prelude::*;
 use blastema_contract::detector::{FaultEvent, Subscribe};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 
 /// Steps that a slow reader may be behind: a storm of a few seconds at the notifier's own limit.
 const BACKLOG: usize = 1024;
@@ -17,10 +17,10 @@ const BACKLOG: usize = 1024;
 pub struct FaultEvents {
     events: mpsc::Receiver<Step>,
     missed: Arc<AtomicU64>,
-    // Its end closes the listener's mailbox, so that the detector forgets it.
-    _listener: Addr<Listener>,
+    state: watch::Receiver<NodeState>,
 }
 
+/// Lives as long as the detector knows it and somebody reads.
 #[derive(Debug)]
 struct Listener {
     events: mpsc::Sender<Step>,
@@ -34,25 +34,36 @@ impl Actor for Listener {
 impl Handler<FaultEvent> for Listener {
     type Result = ();
 
-    fn handle(&mut self, event: FaultEvent, _: &mut Context<Self>) {
-        if self.events.try_send(event).is_err() {
-            self.missed.fetch_add(1, Relaxed);
+    fn handle(&mut self, event: FaultEvent, context: &mut Context<Self>) {
+        match self.events.try_send(event) {
+            Ok(()) => {}
+            Err(mpsc::error::TrySendError::Full(_)) => {
+                self.missed.fetch_add(1, Relaxed);
+            }
+            // The mailbox closes with it, so that the detector forgets it.
+            Err(mpsc::error::TrySendError::Closed(_)) => context.stop(),
         }
     }
 }
 
 impl FaultEvents {
-    pub(super) fn subscribe(detector: &Subscriptions) -> Self {
+    pub(super) fn subscribe(detector: &Subscriptions, state: watch::Receiver<NodeState>) -> Self {
         let (sender, events) = mpsc::channel(BACKLOG);
         let missed = Arc::new(AtomicU64::new(0));
         let listener = Listener { events: sender, missed: missed.clone() }.start();
-        detector.do_send(Subscribe(listener.clone().recipient()));
-        FaultEvents { events, missed, _listener: listener }
+        detector.do_send(Subscribe(listener.recipient()));
+        FaultEvents { events, missed, state }
     }
 
-    /// The next step; `None` once the node has ended.
+    /// The next step; `None` once the node was shut down and all that was told before has been fetched.
     pub async fn next(&mut self) -> Option<FaultEvent> {
-        self.events.recv().await
+        let FaultEvents { events, state, .. } = self;
+        tokio::select! {
+            biased;
+            event = events.recv() => event,
+            // Also where nobody is left who could say so.
+            _ = state.wait_for(|state| *state == NodeState::Stopped) => events.try_recv().ok(),
+        }
     }
 
     /// How many steps were dropped because they were not fetched in time.

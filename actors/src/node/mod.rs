@@ -185,7 +185,7 @@ impl Node {
 
     /// Every step in the history of every fault, from now on.
     pub fn fault_events(&self) -> FaultEvents {
-        FaultEvents::subscribe(&self.0.chain.subscribe)
+        FaultEvents::subscribe(&self.0.chain.subscribe, self.0.state.clone())
     }
 
     /// The supervision tree as it stands now; `None` once the node has ended.

@@ -129,8 +129,9 @@ impl Link {
     }
 
     fn at(neighbour: &str, remote: MediumAddress) -> Self {
-        // A dead link is found after three and a half hellos: 70 ms.
-        let (cost, hello_interval) = (10, Duration::from_millis(20));
+        // A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so
+        // long looks dead to its neighbours; on a computer that is never overloaded, less is fine.
+        let (cost, hello_interval) = (10, Duration::from_millis(50));
         Link { name: None, neighbour: neighbour.to_owned(), remote, cost, hello_interval }
     }
 

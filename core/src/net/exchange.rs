@@ -8,24 +8,23 @@
 //! A peer's part of it lives as long as the session with it. Each session has an epoch, so that what
 //! was begun in one is never answered in the next.
 
+mod dealings;
 mod vocabulary;
 
 pub use self::vocabulary::{Call, Epoch, ExchangeOutput, TopicContract};
 
-use super::age::Ages;
+use self::dealings::{Binding, Numbers, Session, WAITING, Waiting};
+
 use super::message::Message;
 use super::naming::Announcement;
 use super::node_id::NodeId;
 use super::segment::Stream;
 use super::wire::Refusals;
-use crate::{ContractIdentity, Instant, MessageId, ObjectName, PeerIdentity, Why};
+use crate::{ContractIdentity, Instant, ObjectName, PeerIdentity, Why};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// The messages that should wait for one binding at most: one round trip's worth of a fast sender.
-/// Beyond, senders are told to stop.
-const WAITING: usize = 1024;
 /// The most messages that wait for one binding, whatever senders were told.
 const WAITING_MAX: usize = 8 * WAITING;
 /// The most bindings and subscriptions that a peer may have here, each.
@@ -59,43 +58,6 @@ struct Peer {
     session: Option<Session>,
     /// What the bindings of the session before were, for messages that come back late.
     past: Numbers,
-}
-
-/// A binding: the object, the contract's name and fingerprint.
-type Bound = (ObjectName, &'static str, u64);
-/// Which binding has which number. Numbers are not used again in the next session.
-type Numbers = BTreeMap<u32, Bound>;
-
-#[derive(Debug)]
-struct Session {
-    epoch: Epoch,
-    /// Our stamps count from here.
-    began: Instant,
-    /// Known from the peer's first stamp on.
-    ages: Option<Ages>,
-    bindings: BTreeMap<Bound, Binding>,
-    numbers: Numbers,
-    /// Our requests that are not answered, by their number on the wire, and the callers' numbers.
-    calls: BTreeMap<u64, u64>,
-    notices: BTreeSet<u64>,
-    /// How many bindings and subscriptions the peer has here.
-    taken: usize,
-}
-
-#[derive(Debug)]
-struct Binding {
-    number: u32,
-    contract: ContractIdentity,
-    /// Messages that wait until the peer has agreed; `None` once it has.
-    waiting: Option<Vec<Waiting>>,
-}
-
-#[derive(Debug)]
-struct Waiting {
-    id: Option<MessageId>,
-    sent: Instant,
-    payload: Bytes,
-    reply_as: Option<u64>,
 }
 
 impl Exchange {
@@ -537,52 +499,6 @@ impl Exchange {
             // It crossed our unsubscribing.
             None => self.refusals.stale += 1,
         }
-    }
-}
-
-impl Session {
-    fn stamp_us(&self, sent: Instant) -> u64 {
-        u64::try_from((sent - self.began).as_micros()).unwrap_or(u64::MAX)
-    }
-
-    fn age(&mut self, stamp_us: u64, now: Instant) -> Duration {
-        self.ages.get_or_insert_with(|| Ages::new(stamp_us, now)).handle(stamp_us, now)
-    }
-
-    fn send(
-        &mut self,
-        peer: NodeId,
-        binding: u32,
-        waiting: Waiting,
-        next_call: &mut u64,
-    ) -> ExchangeOutput {
-        let Waiting { id, sent, payload, reply_as } = waiting;
-        let stamp_us = self.stamp_us(sent);
-        let message = match reply_as {
-            None => Message::Tell { binding, stamp_us, id, payload },
-            Some(reply_as) => {
-                *next_call += 1;
-                let call = *next_call;
-                self.calls.insert(call, reply_as);
-                Message::Request { binding, call, id, payload }
-            }
-        };
-        ExchangeOutput::Send { peer, stream: Stream::Data, message: message.encode() }
-    }
-
-    /// The peer has agreed: what waited goes out. `None` if nothing was asked.
-    fn bound(
-        &mut self,
-        peer: NodeId,
-        number: u32,
-        next_call: &mut u64,
-    ) -> Option<Vec<ExchangeOutput>> {
-        let key = self.numbers.get(&number)?;
-        let waiting = self.bindings.get_mut(key)?.waiting.take()?;
-        let room = (waiting.len() > WAITING).then_some(ExchangeOutput::Room { peer });
-        let sent = waiting.into_iter().map(|waiting| self.send(peer, number, waiting, next_call));
-        // Room first: the session may find itself full, and must have the last word.
-        Some(room.into_iter().chain(sent).collect())
     }
 }
 

@@ -163,8 +163,8 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
         let mut row = Row::blank(place, ObjectKind::Component);
         row.incarnation = Incarnation(1);
         site.stage.environment.watch_list.show_in(&here, std::slice::from_mut(&mut row));
-        let Current { during, age } = row.current.unwrap();
-        assert!(during == "Block" && age > Duration::from_millis(50), "{row:?}");
+        let Current { during, .. } = row.current.unwrap();
+        assert_eq!(during, "Block");
         assert_eq!(row.queue.unwrap().queued, 1);
 
         child.abandon();

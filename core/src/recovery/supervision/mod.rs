@@ -163,6 +163,11 @@ pub enum SupervisorAction {
         /// The deadline.
         limit: Duration,
     },
+    /// The child's end was final: what waits for it is to be given back.
+    Retire {
+        /// The child.
+        child: ObjectName,
+    },
     /// The child has ended and is forgotten.
     Left {
         /// The child.

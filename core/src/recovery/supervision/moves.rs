@@ -56,6 +56,10 @@ impl Supervision {
             match self.outcome(key, wish) {
                 None => self.pending.push(Pending { ticket, key, child, wish }),
                 Some(Ok(incarnation)) => {
+                    if wish == Wish::Work && incarnation.is_none() {
+                        let child = child.clone();
+                        self.outputs.push_back(SupervisorAction::Retire { child });
+                    }
                     self.outputs.push_back(SupervisorAction::Recovered {
                         ticket,
                         child,

@@ -77,6 +77,7 @@ impl Rig {
                     format!("{} gave {child} up: {why}", ticket.0)
                 }
                 SupervisorAction::Overdue { child, .. } => format!("overdue {child}"),
+                SupervisorAction::Retire { child } => format!("retire {child}"),
                 SupervisorAction::Left { child } => format!("left {child}"),
                 SupervisorAction::Escalate { reason } => format!("escalate: {reason}"),
                 SupervisorAction::AllStarted => "all started".into(),
@@ -500,8 +501,8 @@ fn a_transient_child_may_return_and_a_temporary_one_may_also_die() {
 
     assert_eq!(rig.returned("t", 1), [""; 0]);
     assert_eq!(rig.state("t"), ChildState::Finished);
-    assert_eq!(rig.restart("t", Cause::Died, 1), ["1 let t go"]);
-    assert_eq!(rig.restart("u", Cause::Died, 1), ["2 let u go"]);
+    assert_eq!(rig.restart("t", Cause::Died, 1), ["retire t", "1 let t go"]);
+    assert_eq!(rig.restart("u", Cause::Died, 1), ["retire u", "2 let u go"]);
     assert_eq!(rig.state("u"), ChildState::Finished);
     assert_eq!(rig.returned("p", 1), [""; 0]);
     assert_eq!(rig.restart("p", Cause::Died, 1), ["start p #2"]);
@@ -528,9 +529,9 @@ fn a_temporary_child_that_is_stuck_or_faulty_is_ended_and_let_go() {
     rig.started("u", 1);
     rig.started("v", 1);
 
-    assert_eq!(rig.restart("u", Cause::Stuck, 1), ["abandon u", "1 let u go"]);
+    assert_eq!(rig.restart("u", Cause::Stuck, 1), ["abandon u", "retire u", "1 let u go"]);
     assert_eq!(rig.restart("v", Cause::Faulty, 1), ["stop v"]);
-    assert_eq!(rig.stopped("v", 1), ["2 let v go"]);
+    assert_eq!(rig.stopped("v", 1), ["retire v", "2 let v go"]);
 }
 
 #[test]
