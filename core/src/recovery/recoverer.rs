@@ -27,8 +27,8 @@ pub struct Order {
     pub number: u64,
     /// What is to be done.
     pub measure: Measure,
-    /// Against what. Of several faults of one place, the one that says that it does not answer, or
-    /// else the first.
+    /// Against what. Of several faults of one place it is one of the newest life: the one that says
+    /// that it does not answer, or else the first.
     pub fault: Fault,
     /// The how-manieth attempt at this measure, from 1.
     pub attempt: u32,
@@ -430,7 +430,10 @@ impl Recoverer {
         case.progress = Progress::Acting { due: now + within };
         let stuck =
             |noted: &Noted| matches!(noted.fault.kind, FaultKind::Hang | FaultKind::Silence);
-        let telling = case.faults.iter().find(|noted| stuck(noted)).unwrap_or(&case.faults[0]);
+        let newest = case.faults.iter().map(|noted| noted.fault.incarnation).max();
+        let of_newest = || case.faults.iter().filter(|n| Some(n.fault.incarnation) == newest);
+        let telling = of_newest().find(|noted| stuck(noted)).or_else(|| of_newest().next());
+        let telling = telling.expect("a case has its first fault");
         let telling = telling.fault.clone();
         for fault in case.known() {
             self.tell(&fault, Settled::Decided { measure: measure.clone(), attempt });
@@ -451,7 +454,8 @@ impl Recoverer {
         // What came while the measure was under way may already belong to the new life.
         let cured = |noted: &Noted| {
             let replaced = done.incarnation.is_none_or(|life| noted.fault.incarnation < life);
-            contained || noted.since < case.order || (restarted && replaced)
+            // A restart that found the struck life replaced already cures nothing of the present one.
+            contained || if restarted { replaced } else { noted.since < case.order }
         };
         let (cured, left): (Vec<Noted>, Vec<Noted>) = case.faults.into_iter().partition(cured);
         let cured: Vec<Fault> = cured.into_iter().map(|noted| noted.fault).collect();

@@ -141,8 +141,9 @@ async fn run(seed: u64, patient: bool) {
         }
         assert_eq!(leaf.state, ChildState::Running, "seed {seed}: {name}:\n{}", story(&record));
         let row = node.row(name).await;
-        assert_eq!(row.state, Some(Lifecycle::Active), "seed {seed}: {name}: {row:?}");
-        assert_eq!(row.opinion, Opinion::Trusted, "seed {seed}: {name}: {row:?}");
+        let told = format!("seed {seed}: {name}: {row:?}\n{}", story(&record));
+        assert_eq!(row.state, Some(Lifecycle::Active), "{told}");
+        assert_eq!(row.opinion, Opinion::Trusted, "{told}");
         if NAMES.contains(&name) {
             let answer = node.sender::<Do>(name).unwrap().ask(Do(Deed::Nothing)).await;
             assert_eq!(answer.expect("it answers"), row.incarnation.0, "seed {seed}: {name}");

@@ -439,3 +439,18 @@ fn what_has_gone_by_itself_while_a_measure_was_under_way_is_not_treated_further(
 
     assert_eq!(rig.machine.open_cases(), 0);
 }
+
+#[test]
+fn a_restart_is_asked_against_the_newest_life_and_cures_nothing_of_the_one_that_it_finds() {
+    let mut rig = Rig::new();
+    let silence = fault(1, FaultKind::Silence, at("arm"), 5);
+    assert_eq!(rig.find(silence), ["#1 restart here:arm against silence, 1"]);
+    assert_eq!(rig.outcome(1, fails()), [""; 0]);
+    assert_eq!(rig.find(fault(2, FaultKind::ErrorState, at("arm"), 8)), [""; 0]);
+
+    assert_eq!(rig.pass_to_due(), ["#2 restart here:arm against error state, 2"]);
+
+    // Life 8 is the one that is in error.
+    let said = rig.outcome(2, works(8));
+    assert_eq!(said, ["1 recovered #8", "#3 reset here:arm against error state, 1"]);
+}
