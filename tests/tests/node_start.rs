@@ -36,7 +36,10 @@ fn a_node_that_cannot_start_says_why_and_leaves_no_thread() {
             .child(ChildSpec::new("lamp", || Lamp));
         assert!(matches!(twice.start().await, Err(StartError::Spec(_))));
         let endless = ChildSpec::new("lamp", || Lamp).queue(usize::MAX, WhenFull::Refuse);
-        assert!(matches!(Node::builder("m").child(endless).start().await, Err(StartError::Spec(_))));
+        assert!(matches!(
+            Node::builder("m").child(endless).start().await,
+            Err(StartError::Spec(_))
+        ));
         assert!(settled(before).await <= before);
 
         for _ in 0..10 {
