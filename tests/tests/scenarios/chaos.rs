@@ -194,7 +194,6 @@ fn whatever_strikes_nothing_stays_broken() {
     let seeds = std::env::var("SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(6);
     let first = std::env::var("SEED").ok().and_then(|text| text.parse().ok()).unwrap_or(0);
     for seed in first..first + seeds {
-        println!("seed {seed}");
         blastema_testkit::run(run(seed, true));
         blastema_testkit::run(run(seed, false));
     }
