@@ -187,6 +187,7 @@ impl<C: Component> Pump<C> {
 
 /// Drops a thing whose `Drop` is the user's.
 pub(super) fn dispose<T>(thing: T) {
+    let _guarded = Guarded::enter();
     if let Err(payload) = catch_unwind(AssertUnwindSafe(move || drop(thing))) {
         panics::text_of(payload); // What was thrown is the user's too.
     }
