@@ -122,3 +122,23 @@ async fn what_is_sent_while_a_group_restarts_is_served_afterwards() {
     assert_eq!(ask(&node, "a", Deed::Nothing).await.unwrap(), 2);
     assert_eq!(ask(&node, "b", Deed::Nothing).await.unwrap(), 2);
 }
+
+#[blastema_testkit::test]
+async fn a_member_that_needs_another_and_fails_while_that_one_returns_holds_up_neither() {
+    let strings = Strings::default();
+    let group = SupervisorSpec::new("group", Strategy::RestForOne)
+        .child(strings.spec("a"))
+        .child(strings.spec("b").depends_on(["a"]))
+        .child(strings.spec("c").depends_on(["b"]));
+    let mut node = TestNode::start(Node::builder("module1").supervisor(group)).await;
+    strings.pull("b", "on_initialize", Pull::Fail("no a"));
+
+    strike(&node, "a").await;
+    node.await_fault(FaultKind::Panic, "a").await;
+    let took = node.await_recovered(FaultKind::InitializationFailed, "b").await;
+
+    assert!(took < Duration::from_secs(1), "a deadline had to pass: {took:?}");
+    assert_eq!(life(&node, "a").await, 2);
+    assert_eq!((life(&node, "b").await, life(&node, "c").await), (3, 2));
+    node.expect_no_faults().await;
+}
