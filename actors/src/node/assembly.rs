@@ -29,7 +29,7 @@ use blastema_contract::transport::Close;
 use blastema_core::detection::{
     DetectorLimits, EnrolError, Enrolment, MonitorLimits, NotifierLimits, ObjectKind, Port, Watch,
 };
-use blastema_core::recovery::{self, RecovererLimits};
+use blastema_core::recovery::{self, RecovererLimits, Restart};
 use blastema_core::scanner::ScannerConfig;
 use blastema_core::{
     Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
@@ -428,7 +428,9 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     let mut actors: BTreeMap<ObjectName, _> = BTreeMap::new();
     for facts in harvest.components {
         let (name, watch) = (&facts.name, facts.watch);
-        enrolments.push(enrolment(&node, name, watch, &facts.depends_on, facts.inquiries)?);
+        let mut enrol = enrolment(&node, name, watch, &facts.depends_on, facts.inquiries)?;
+        enrol.enrolment.may_end = facts.restart != Restart::Permanent;
+        enrolments.push(enrol);
         actors.insert(facts.name, facts.actor);
     }
     chain.enrol_all(enrolments).await?;

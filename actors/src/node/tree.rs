@@ -171,6 +171,7 @@ pub(super) struct PlantedFacts {
     pub(super) actor: Box<dyn Any + Send>,
     pub(super) watch: Watch,
     pub(super) depends_on: Vec<String>,
+    pub(super) restart: Restart,
     pub(super) inquiries: Recipient<AreYouAlive>,
 }
 
@@ -190,7 +191,7 @@ impl SupervisorSpec {
                     let rules = planted.rules(ground.plan);
                     let Planted { child, actor, watch, depends_on, inquiries, .. } = planted;
                     let name = child.name().clone();
-                    let facts = PlantedFacts { name, actor, watch, depends_on, inquiries };
+                    let facts = PlantedFacts { name, actor, watch, depends_on, restart, inquiries };
                     harvest.components.push(facts);
                     children.push((child, rules));
                 }

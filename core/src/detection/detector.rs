@@ -33,6 +33,8 @@ pub struct Detector {
     limits: DetectorLimits,
     objects: BTreeMap<ObjectName, Seen>,
     needs: Dependencies,
+    /// Those that may end themselves in order.
+    may_end: BTreeSet<ObjectName>,
     /// Who stands still behind which hang.
     behind: BTreeMap<ObjectName, FaultId>,
     chronicle: Chronicle,
@@ -146,6 +148,7 @@ impl Detector {
             limits,
             objects: BTreeMap::new(),
             needs: Dependencies::new(node),
+            may_end: BTreeSet::new(),
             behind: BTreeMap::new(),
             chronicle: Chronicle::new(limits.record),
             explicable: BTreeSet::new(),

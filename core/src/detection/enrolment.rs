@@ -32,6 +32,8 @@ pub struct Enrolment {
     /// The objects, here or elsewhere, without which it cannot work: what it suffers while one of
     /// them is down is taken for a symptom.
     pub depends_on: Arc<[ObjectAddress]>,
+    /// It may end itself in order, and is not missed then: a transient or temporary child.
+    pub may_end: bool,
 }
 
 impl Enrolment {
@@ -43,6 +45,7 @@ impl Enrolment {
             incarnation: Incarnation::FIRST,
             watch: Watch::Guard,
             depends_on: Arc::new([]),
+            may_end: false,
         }
     }
 
@@ -64,6 +67,13 @@ impl Enrolment {
     #[must_use]
     pub fn watch(mut self, watch: Watch) -> Self {
         self.watch = watch;
+        self
+    }
+
+    /// Sets whether it may end itself in order.
+    #[must_use]
+    pub fn may_end(mut self, may_end: bool) -> Self {
+        self.may_end = may_end;
         self
     }
 

@@ -12,6 +12,8 @@ pub(super) struct Entry {
     pub(super) state: Option<Lifecycle>,
     /// A guard reports its states.
     pub(super) guarded: bool,
+    /// It may end itself in order.
+    pub(super) may_end: bool,
     pub(super) last_sign: Option<Instant>,
     pub(super) restarts: u32,
     pub(super) suspicions: u32,
@@ -44,6 +46,7 @@ impl Entry {
             incarnation,
             state: None,
             guarded: false,
+            may_end: false,
             last_sign: None,
             restarts: 0,
             suspicions: 0,
@@ -58,10 +61,11 @@ impl Entry {
 
     /// Empties the history: what was known was known of another life. Isolation outlives a restart.
     pub(super) fn begin(&mut self, incarnation: Incarnation) {
-        let Entry { kind, watch, guarded, isolated, restarts, .. } = *self;
+        let Entry { kind, watch, guarded, may_end, isolated, restarts, .. } = *self;
         let first = self.incarnation == Incarnation::default();
         let restarts = restarts.saturating_add(u32::from(!first));
-        *self = Entry { watch, guarded, isolated, restarts, ..Entry::new(kind, incarnation) };
+        let fresh = Entry::new(kind, incarnation);
+        *self = Entry { watch, guarded, may_end, isolated, restarts, ..fresh };
     }
 
     fn opinion(&self) -> Opinion {

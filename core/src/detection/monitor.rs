@@ -105,7 +105,7 @@ impl Monitor {
     /// # Errors
     /// [`EnrolError::TableFull`]
     pub fn enrol(&mut self, enrolment: Enrolment, now: Instant) -> Result<(), EnrolError> {
-        let Enrolment { object, kind, incarnation, watch, depends_on } = enrolment;
+        let Enrolment { object, kind, incarnation, watch, depends_on, may_end } = enrolment;
         if self.is_full() && !self.objects.contains_key(&object) {
             return Err(EnrolError::TableFull { object, limit: self.limits.rows });
         }
@@ -114,7 +114,7 @@ impl Monitor {
         if entry.incarnation < incarnation {
             entry.begin(incarnation);
         }
-        (entry.kind, entry.watch) = (kind, watch);
+        (entry.kind, entry.watch, entry.may_end) = (kind, watch, may_end);
         let incarnation = entry.incarnation;
         match watch {
             Watch::Push(_) => self.inquiry.dismiss(&object),
@@ -124,7 +124,7 @@ impl Monitor {
                 self.inquiry.dismiss(&object);
             }
         }
-        self.observe_object(&object, incarnation, Finding::Enrolled { depends_on }, now);
+        self.observe_object(&object, incarnation, Finding::Enrolled { may_end, depends_on }, now);
         self.watch_over(&object, now);
         self.settle(now);
         Ok(())
@@ -200,7 +200,11 @@ impl Monitor {
             self.stale += 1;
             return;
         }
-        let died = exit != Exit::Stopped;
+        let died = match exit {
+            Exit::Stopped => false,
+            Exit::Returned => !entry.may_end || entry.state == Some(Lifecycle::Fatal),
+            Exit::Panicked { .. } | Exit::Aborted => true,
+        };
         entry.end = Some(if died { Ending::Died } else { Ending::Stopped });
         entry.state = Some(if died { Lifecycle::Fatal } else { Lifecycle::Finalized });
         entry.note = Some(describe(&exit));

@@ -22,6 +22,8 @@ pub struct Observation {
 pub enum Finding {
     /// The object is now known, and needs these to do its work.
     Enrolled {
+        /// That it ends itself in order is no fault.
+        may_end: bool,
         /// The objects, here or elsewhere, without which it cannot work.
         depends_on: Arc<[ObjectAddress]>,
     },

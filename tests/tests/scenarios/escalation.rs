@@ -1,6 +1,7 @@
 //! Restarts that are not worth it any more.
 
 use crate::puppet::{Deed, Strings, ask, life, strike};
+use blastema::core::detection::Opinion;
 use blastema::prelude::*;
 use blastema::{Fault, NodeBuilder, Place};
 use blastema_testkit::TestNode;
@@ -101,7 +102,10 @@ async fn a_temporary_child_is_not_missed_and_a_transient_one_only_when_it_failed
         tree.children[0].below.as_ref().unwrap().children.iter().map(|leaf| leaf.state).collect();
     assert_eq!(states, [ChildState::Finished; 2]);
     let record = node.faults().await;
+    let kinds: Vec<_> = record.entries.iter().map(|entry| entry.fault.kind.clone()).collect();
+    assert_eq!(kinds, [FaultKind::Panic, FaultKind::Panic], "an end in order is no fault of theirs");
     assert!(record.entries.iter().all(|entry| entry.ended.is_some()), "{record:?}");
+    assert_eq!(node.row("job").await.opinion, Opinion::AtRest);
 }
 
 #[blastema_testkit::test]

@@ -11,6 +11,7 @@ impl Detector {
         if let Finding::Dismissed = finding {
             self.objects.remove(object);
             self.needs.forget(object);
+            self.may_end.remove(object);
             self.behind.remove(object);
             return self.end_all_at(&scene, |_| true, &End::Cleared);
         }
@@ -25,7 +26,14 @@ impl Detector {
             self.behind.remove(object);
         }
         match finding {
-            Finding::Enrolled { depends_on } => self.needs.declare(object, depends_on),
+            Finding::Enrolled { may_end, depends_on } => {
+                self.needs.declare(object, depends_on);
+                if may_end {
+                    self.may_end.insert(object.clone());
+                } else {
+                    self.may_end.remove(object);
+                }
+            }
             Finding::Exited { exit, restarted_as } => {
                 self.judge_exit(object, &scene, exit, restarted_as);
             }
@@ -117,7 +125,7 @@ impl Detector {
             Exit::Panicked { text, at, during } => {
                 (FaultKind::Panic, format!("{text}, at {at}, in {during}"))
             }
-            Exit::Returned if !over => {
+            Exit::Returned if !over && !self.may_end.contains(object) => {
                 // A life that ends itself in order is finalized before its guard says how it ended.
                 (FaultKind::UnexpectedExit, "it ended itself, and nobody had told it to".into())
             }

@@ -67,7 +67,7 @@ impl Bench {
 
     fn depend(&mut self, object: &str, on: &[&str]) {
         let depends_on: Arc<[ObjectAddress]> = on.iter().map(|text| address(text)).collect();
-        self.see(object, ONE, Finding::Enrolled { depends_on });
+        self.see(object, ONE, Finding::Enrolled { may_end: false, depends_on });
     }
 
     /// What was told ("Found 1") and handed over ("+1", "-1"), all of it confirmed.
