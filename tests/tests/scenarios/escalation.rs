@@ -103,7 +103,11 @@ async fn a_temporary_child_is_not_missed_and_a_transient_one_only_when_it_failed
     assert_eq!(states, [ChildState::Finished; 2]);
     let record = node.faults().await;
     let kinds: Vec<_> = record.entries.iter().map(|entry| entry.fault.kind.clone()).collect();
-    assert_eq!(kinds, [FaultKind::Panic, FaultKind::Panic], "an end in order is no fault of theirs");
+    assert_eq!(
+        kinds,
+        [FaultKind::Panic, FaultKind::Panic],
+        "an end in order is no fault of theirs"
+    );
     assert!(record.entries.iter().all(|entry| entry.ended.is_some()), "{record:?}");
     assert_eq!(node.row("job").await.opinion, Opinion::AtRest);
 }
