@@ -22,8 +22,10 @@ pub struct Down {
 #[derive(Clone, Debug, PartialEq, Eq, Structure)]
 #[contract(crate = "crate")]
 pub enum Ending {
-    /// It ended itself.
+    /// It ended itself, in order.
     Returned,
+    /// It could not go on: it did not come to work, or declared a fatal fault.
+    Fatal,
     /// It panicked.
     Panicked {
         /// The panic's text.
@@ -49,6 +51,7 @@ impl From<&Exit> for Ending {
     fn from(exit: &Exit) -> Self {
         match exit {
             Exit::Returned => Ending::Returned,
+            Exit::Fatal => Ending::Fatal,
             Exit::Panicked { text, at, during } => Ending::Panicked {
                 text: text.clone(),
                 at: at.clone(),

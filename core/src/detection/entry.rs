@@ -100,6 +100,7 @@ impl Entry {
 pub(super) fn describe(exit: &Exit) -> String {
     match exit {
         Exit::Returned => "it ended itself".into(),
+        Exit::Fatal => "it could not go on".into(),
         Exit::Panicked { text, at, during } => format!("panicked in {during} at {at}: {text}"),
         Exit::Aborted => "its arbiter went away".into(),
         Exit::Stopped => "it was told to stop".into(),

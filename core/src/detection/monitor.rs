@@ -202,8 +202,8 @@ impl Monitor {
         }
         let died = match exit {
             Exit::Stopped => false,
-            Exit::Returned => !entry.may_end || entry.state == Some(Lifecycle::Fatal),
-            Exit::Panicked { .. } | Exit::Aborted => true,
+            Exit::Returned => !entry.may_end,
+            Exit::Fatal | Exit::Panicked { .. } | Exit::Aborted => true,
         };
         entry.end = Some(if died { Ending::Died } else { Ending::Stopped });
         entry.state = Some(if died { Lifecycle::Fatal } else { Lifecycle::Finalized });

@@ -105,8 +105,11 @@ pub enum Finding {
 /// How a life ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Exit {
-    /// It ended itself.
+    /// It ended itself, in order.
     Returned,
+    /// It could not go on: it did not come to work, or declared a fatal fault. What it had declared
+    /// before says why.
+    Fatal,
     /// It panicked.
     Panicked {
         /// The panic's text.

@@ -128,9 +128,13 @@ impl<C: Component> Pump<C> {
                 self.anchor.lane.leave(incarnation);
                 Exit::Stopped
             }
-            End::Returned | End::Fatal => {
+            End::Returned => {
                 self.anchor.lane.leave(incarnation);
                 Exit::Returned
+            }
+            End::Fatal => {
+                self.anchor.lane.leave(incarnation);
+                Exit::Fatal
             }
         };
         self.anchor.record.set_state(Lifecycle::Finalized);

@@ -161,7 +161,7 @@ fn a_failed_initialisation_is_fatal_and_finalised() {
         settle().await;
         assert_eq!(diary.ran(), ["on_initialize", "on_finalize"]);
         assert!(states(&stage).contains(&(Lifecycle::Fatal, Some(reason))));
-        assert_eq!(stage.exits.drain().pop().unwrap().exit, Exit::Returned);
+        assert_eq!(stage.exits.drain().pop().unwrap().exit, Exit::Fatal);
         assert!(stage.reports.drain().is_empty(), "it is not told twice");
 
         assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);

@@ -129,10 +129,13 @@ impl Detector {
                 // A life that ends itself in order is finalized before its guard says how it ended.
                 (FaultKind::UnexpectedExit, "it ended itself, and nobody had told it to".into())
             }
+            Exit::Fatal if !over => {
+                (FaultKind::UnexpectedExit, "it could not go on, and did not say why".into())
+            }
             Exit::Aborted if !over && before != Lifecycle::Finalized => {
                 (FaultKind::UnexpectedExit, format!("its arbiter went away while it was {before}"))
             }
-            Exit::Returned | Exit::Aborted | Exit::Stopped => return,
+            Exit::Returned | Exit::Fatal | Exit::Aborted | Exit::Stopped => return,
         };
         let Some(next) = restarted_as else {
             self.find(scene, kind, detail, Cause::Itself);

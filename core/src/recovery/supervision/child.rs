@@ -147,13 +147,6 @@ impl Kept {
         }
     }
 
-    /// Whether it was let go as if it had ended in order, and this fault of that life says otherwise.
-    pub(super) fn finished_wrongly(&self, cause: Cause) -> bool {
-        self.goal == Goal::Finished
-            && self.rules.restart == Restart::Transient
-            && cause != Cause::Died
-    }
-
     pub(super) fn status(&self) -> ChildStatus {
         let state = match self.state {
             State::Starting { .. } => ChildState::Starting,

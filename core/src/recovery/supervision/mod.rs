@@ -383,8 +383,6 @@ impl Supervision {
             Some(life) if life < child.incarnation && child.failed.is_none() => {
                 return self.settle();
             }
-            // A transient child that ended itself because it could not go on.
-            Some(_) if child.finished_wrongly(cause) => child.goal = Goal::Run,
             Some(_) => {}
         }
         if self.kept(key).goal == Goal::Run {

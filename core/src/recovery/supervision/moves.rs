@@ -190,6 +190,8 @@ impl Supervision {
         if !expected && child.goal == Goal::Run {
             if may_end {
                 child.goal = Goal::Finished;
+                let child = child.name.clone();
+                self.outputs.push_back(SupervisorAction::Retire { child });
                 self.coming.remove(&key);
             } else {
                 child.failed = Some(reason);

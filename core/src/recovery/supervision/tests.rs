@@ -499,7 +499,7 @@ fn a_transient_child_may_return_and_a_temporary_one_may_also_die() {
     rig.started("u", 1);
     rig.started("p", 1);
 
-    assert_eq!(rig.returned("t", 1), [""; 0]);
+    assert_eq!(rig.returned("t", 1), ["retire t"]);
     assert_eq!(rig.state("t"), ChildState::Finished);
     assert_eq!(rig.restart("t", Cause::Died, 1), ["retire t", "1 let t go"]);
     assert_eq!(rig.restart("u", Cause::Died, 1), ["retire u", "2 let u go"]);
@@ -516,7 +516,7 @@ fn a_transient_child_that_could_not_go_on_did_not_end_in_order() {
     let mut rig = Rig::with(Strategy::OneForOne, 3, &[("t", kept(Restart::Transient))]);
     rig.begin();
     rig.started("t", 1);
-    rig.returned("t", 1);
+    rig.died("t", 1);
 
     assert_eq!(rig.restart("t", Cause::Faulty, 1), ["start t #2"]);
 }
