@@ -139,13 +139,14 @@ impl Record {
         self.gate.load(Relaxed) & ISOLATED != 0
     }
 
-    /// The message in service is one whose sender waits, or one that may come again.
+    /// The message in service is one whose sender waits, or one that may come again. An asker may be
+    /// left here: a request takes one result only, and it has it when it was served.
     #[inline]
     pub(crate) fn follow(&self, asker: Option<Arc<dyn Revocable>>, id: Option<MessageId>) {
         *lock(&self.service) = Followed { asker, id };
     }
 
-    /// It has been served.
+    /// It has been served, and is not to be blamed for what comes after.
     #[inline]
     pub(crate) fn unfollow(&self) {
         let followed = std::mem::take(&mut *lock(&self.service));

@@ -102,7 +102,7 @@ pub(crate) struct Pump<C: Component> {
     seat: Seat,
     pulse: Arc<Pulse>,
     waker: Option<Waker>,
-    /// The message in service is followed by the record.
+    /// The message in service is to be blamed by its identity if it brings death.
     followed: bool,
     /// The supervisor knows that the life did not come to work.
     start_failed: bool,
@@ -337,7 +337,7 @@ impl<C: Component> Pump<C> {
             return Some(why);
         }
         self.anchor.record.follow(mail.revocable(), id);
-        self.followed = true;
+        self.followed = id.is_some();
         None
     }
 
