@@ -185,7 +185,7 @@ impl<C: Component> Pump<C> {
 
     /// The answer to "are you alive?".
     pub(crate) fn alive(&self) -> Alive {
-        self.anchor.alive(!self.slot.stamp.read().allowance.is_zero())
+        self.anchor.alive(self.slot.stamp.read())
     }
 
     /// The supervisor asks for a recovery within this life.
