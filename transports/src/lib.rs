@@ -16,6 +16,7 @@
 
 #[cfg(any(feature = "udp", feature = "tcp"))]
 mod binding;
+pub mod endpoint;
 #[cfg(feature = "fault")]
 pub mod fault;
 #[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
@@ -28,16 +29,26 @@ mod outlet;
 mod part;
 #[cfg(any(feature = "memory", feature = "udp", feature = "tcp"))]
 mod reopening;
+#[cfg(feature = "serial")]
+pub mod serial;
 #[cfg(feature = "tcp")]
 pub mod tcp;
 #[cfg(feature = "udp")]
 pub mod udp;
+#[cfg(feature = "unix")]
+pub mod unix;
+
+pub use endpoint::{CanConfig, CanNodeConfig, Endpoint, EndpointError, SlcanConfig};
 
 #[cfg(feature = "fault")]
 pub use fault::{Faulty, FaultyConfig};
 #[cfg(feature = "memory")]
 pub use memory::{Memory, MemoryConfig, MemoryMedium};
+#[cfg(feature = "serial")]
+pub use serial::SerialConfig;
 #[cfg(feature = "tcp")]
 pub use tcp::{Tcp, TcpConfig};
 #[cfg(feature = "udp")]
 pub use udp::{Udp, UdpConfig};
+#[cfg(feature = "unix")]
+pub use unix::UnixConfig;

@@ -1,6 +1,6 @@
 //! Datagrams over IP: one frame is one datagram.
 
-use crate::binding::{Binding, explain};
+use crate::binding::{Binding, confine, explain};
 use crate::medium::{BUDGET, Medium, transport};
 use crate::outlet::Outlet;
 use crate::part::part_frame;
@@ -36,6 +36,14 @@ pub struct UdpConfig {
     /// Our own address; port 0 takes a free one. The default is loopback: nobody outside this
     /// machine can send to a node that does not say otherwise.
     pub bind: SocketAddr,
+    /// Only over this interface of the system, such as `eth0`, or `firewire0` for IP over IEEE 1394
+    /// (RFC 2734). `None` leaves the choice to the system's routes.
+    pub interface: Option<String>,
+    /// A multicast group to hear as well; what is sent to its address reaches all who hear it. Several
+    /// transports of one machine may hear the same.
+    pub group: Option<SocketAddr>,
+    /// Over how many routers frames to the group may go, less one: 1 is this network only.
+    pub hops: u32,
     /// The largest frame, in bytes. By default what fits: 65,507 on loopback, elsewhere what an
     /// Ethernet frame carries (1,472 over IPv4, 1,452 over IPv6): a larger one is cut up by IP, and
     /// lost with any of its parts.
@@ -53,6 +61,9 @@ impl Default for UdpConfig {
     fn default() -> Self {
         UdpConfig {
             bind: (Ipv4Addr::LOCALHOST, 0).into(),
+            interface: None,
+            group: None,
+            hops: 1,
             mtu: None,
             receive_buffer: 1 << 20,
             send_buffer: 1 << 18,
@@ -111,7 +122,9 @@ impl Udp {
                 let (local, mtu) = (MediumAddress::Ip(local), self.config.mtu());
                 self.outlet.announce(TransportReport::Opened { local, mtu });
             }
-            Err(error) => self.lose(explain("udp", address, &error)),
+            Err(error) => {
+                self.lose(explain("udp", address, self.config.interface.as_deref(), &error))
+            }
         }
     }
 
@@ -185,7 +198,7 @@ impl Udp {
                     self.errors_in_a_row += 1;
                     if self.errors_in_a_row >= ERRORS_IN_A_ROW {
                         let local = socket.local_addr().unwrap_or(self.config.bind);
-                        self.lose(explain("udp", local, &error));
+                        self.lose(explain("udp", local, self.config.interface.as_deref(), &error));
                         break;
                     }
                 }
@@ -256,6 +269,7 @@ fn bind(address: SocketAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
     }
     socket.set_recv_buffer_size(config.receive_buffer)?;
     socket.set_send_buffer_size(config.send_buffer)?;
+    confine(&socket, config.interface.as_deref())?;
     socket.bind(&address.into())?;
     UdpSocket::from_std(socket.into())
 }
