@@ -32,6 +32,11 @@ impl Binding {
         }
     }
 
+    /// Whether this is the address that was taken last.
+    pub(crate) fn is_at(&self, address: SocketAddr) -> bool {
+        self.last == Some(address)
+    }
+
     /// This address was taken.
     pub(crate) fn taken(&mut self, local: SocketAddr) {
         self.last = Some(local);

@@ -23,6 +23,8 @@ pub mod fault;
 mod medium;
 #[cfg(feature = "memory")]
 pub mod memory;
+#[cfg(feature = "udp")]
+mod multicast;
 #[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
 mod outlet;
 #[cfg(any(feature = "udp", feature = "tcp"))]

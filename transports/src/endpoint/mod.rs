@@ -45,7 +45,7 @@ const LONGEST: Duration = Duration::from_secs(3600);
 /// | text | medium | settings |
 /// | --- | --- | --- |
 /// | `udp://0.0.0.0:7400` | UDP at this address; port 0 takes a free one | `interface`, `mtu`, `receive_buffer`, `send_buffer`, `queue_frames` |
-/// | `udp://239.255.0.1:7400` | UDP, hearing a multicast group | those, and `port` (our own), `hops` |
+/// | `udp://239.255.0.1:7400` | UDP, hearing a multicast group | those, and `own` (the address that we send from), `hops` |
 /// | `udp://10.0.1.1:7400?interface=firewire0` | IP over IEEE 1394, bound to its interface | as UDP |
 /// | `tcp://10.0.0.1:7400` | TCP | `interface`, `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout`, `user_timeout` |
 /// | `unix:///run/x.sock` | a Unix-domain socket | `mode` (octal), `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout` |
@@ -286,10 +286,15 @@ fn udp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
             SocketAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
             SocketAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
         };
-        let mut port = 0;
-        settings.number("port", 0..=u64::from(u16::MAX), &mut port)?;
+        let expected =
+            format!("our own address with its port, as in {}", SocketAddr::new(any, 7401));
+        let own = settings.take("own", expected, |text| {
+            let own: SocketAddr = text.parse().ok()?;
+            (own.is_ipv4() == address.is_ipv4() && !own.ip().is_multicast()).then_some(own)
+        })?;
         settings.number("hops", 1..=255, &mut config.hops)?;
-        (config.bind, config.group) = (SocketAddr::new(any, port), Some(address));
+        config.bind = own.unwrap_or(SocketAddr::new(any, 0));
+        config.group = Some(address);
     }
     config.interface = settings.interface()?;
     config.mtu = largest_frame(&mut settings, 65_507)?;

@@ -34,7 +34,8 @@ fn udp_is_read_with_all_its_settings() {
 
 #[test]
 fn a_multicast_address_is_a_group_to_hear_and_our_own_port_is_another() {
-    let Endpoint::Udp(config) = good("udp://239.255.0.1:7400?interface=eth0&port=7401&hops=4")
+    let Endpoint::Udp(config) =
+        good("udp://239.255.0.1:7400?interface=eth0&own=0.0.0.0:7401&hops=4")
     else {
         panic!()
     };
@@ -171,7 +172,7 @@ fn a_wrong_path_or_name_is_pointed_at() {
 fn a_wrong_setting_is_pointed_at() {
     bad("serial:///dev/ttyS0?buad=9600", "buad", 20, "did you mean `baud`?");
     bad("memory://left?mtu=9", "mtu", 14, "memory has no key `mtu`");
-    bad("udp://0.0.0.0:1?port=3", "port", 16, "there are interface, mtu,");
+    bad("udp://0.0.0.0:1?hops=3", "hops", 16, "there are interface, mtu,");
     bad("udp://0.0.0.0:1?mtu=99&mtu=98", "mtu", 23, "said twice");
     bad("udp://0.0.0.0:1?mtu", "mtu", 16, "write mtu=…");
     bad("udp://0.0.0.0:1?mtu=", "mtu", 16, "no value");
@@ -184,6 +185,7 @@ fn a_wrong_value_is_pointed_at_with_what_it_may_be() {
     bad("udp://0.0.0.0:1?mtu=big", "big", 20, "a whole number from 64 to 65507");
     bad("udp://0.0.0.0:1?mtu=65508", "65508", 20, "from 64 to 65507");
     bad("udp://0.0.0.0:1?interface=sixteen_letters_", "sixteen_letters_", 26, "of an interface");
+    bad("udp://239.0.0.1:1?own=[::1]:1", "[::1]:1", 22, "as in 0.0.0.0:7401");
     bad("tcp://0.0.0.0:1?user_timeout=5", "5", 29, "as in 500ms or 2s");
     bad("tcp://0.0.0.0:1?user_timeout=5min", "5min", 29, "a time from 1ms to 3600s");
     bad("tcp://0.0.0.0:1?user_timeout=0s", "0s", 29, "a time from 1ms");
