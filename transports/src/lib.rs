@@ -19,17 +19,16 @@ mod binding;
 pub mod endpoint;
 #[cfg(feature = "fault")]
 pub mod fault;
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
+pub mod frame_medium;
+mod frame_transport;
 mod medium;
 #[cfg(feature = "memory")]
 pub mod memory;
 #[cfg(feature = "udp")]
 mod multicast;
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
 mod outlet;
 #[cfg(any(feature = "udp", feature = "tcp"))]
 mod part;
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp"))]
 mod reopening;
 #[cfg(feature = "serial")]
 pub mod serial;
@@ -44,10 +43,12 @@ pub use endpoint::{CanConfig, CanNodeConfig, Endpoint, EndpointError, SlcanConfi
 
 #[cfg(feature = "fault")]
 pub use fault::{Faulty, FaultyConfig};
+pub use frame_medium::FrameMedium;
+pub use frame_transport::FrameTransport;
 #[cfg(feature = "memory")]
 pub use memory::{Memory, MemoryConfig, MemoryMedium};
 #[cfg(feature = "serial")]
-pub use serial::SerialConfig;
+pub use serial::{SerialConfig, SerialLine};
 #[cfg(feature = "tcp")]
 pub use tcp::{Tcp, TcpConfig};
 #[cfg(feature = "udp")]
