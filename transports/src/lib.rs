@@ -27,11 +27,13 @@ pub mod memory;
 #[cfg(feature = "udp")]
 mod multicast;
 mod outlet;
-#[cfg(any(feature = "udp", feature = "tcp"))]
+#[cfg(any(feature = "udp", feature = "tcp", feature = "unix"))]
 mod part;
 mod reopening;
 #[cfg(feature = "serial")]
 pub mod serial;
+#[cfg(any(feature = "tcp", feature = "unix"))]
+mod stream;
 #[cfg(feature = "tcp")]
 pub mod tcp;
 #[cfg(feature = "udp")]
@@ -54,4 +56,4 @@ pub use tcp::{Tcp, TcpConfig};
 #[cfg(feature = "udp")]
 pub use udp::{Udp, UdpConfig};
 #[cfg(feature = "unix")]
-pub use unix::UnixConfig;
+pub use unix::{Unix, UnixConfig};

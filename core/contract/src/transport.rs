@@ -30,6 +30,18 @@ pub enum MediumAddress {
     Own(Arc<str>),
 }
 
+impl From<SocketAddr> for MediumAddress {
+    fn from(address: SocketAddr) -> Self {
+        MediumAddress::Ip(address)
+    }
+}
+
+impl From<Arc<Path>> for MediumAddress {
+    fn from(path: Arc<Path>) -> Self {
+        MediumAddress::Unix(path)
+    }
+}
+
 impl fmt::Display for MediumAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
