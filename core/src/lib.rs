@@ -24,6 +24,7 @@ pub mod quarantine;
 pub mod random;
 pub mod recovery;
 pub mod scanner;
+pub mod spelling;
 pub mod time;
 
 pub use codec::{DecodeError, EncodeError};

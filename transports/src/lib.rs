@@ -16,28 +16,41 @@
 
 #[cfg(any(feature = "udp", feature = "tcp"))]
 mod binding;
+pub mod endpoint;
 #[cfg(feature = "fault")]
 pub mod fault;
 #[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
 mod medium;
 #[cfg(feature = "memory")]
 pub mod memory;
+#[cfg(feature = "udp")]
+mod multicast;
 #[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
 mod outlet;
 #[cfg(any(feature = "udp", feature = "tcp"))]
 mod part;
 #[cfg(any(feature = "memory", feature = "udp", feature = "tcp"))]
 mod reopening;
+#[cfg(feature = "serial")]
+pub mod serial;
 #[cfg(feature = "tcp")]
 pub mod tcp;
 #[cfg(feature = "udp")]
 pub mod udp;
+#[cfg(feature = "unix")]
+pub mod unix;
+
+pub use endpoint::{CanConfig, CanNodeConfig, Endpoint, EndpointError, SlcanConfig};
 
 #[cfg(feature = "fault")]
 pub use fault::{Faulty, FaultyConfig};
 #[cfg(feature = "memory")]
 pub use memory::{Memory, MemoryConfig, MemoryMedium};
+#[cfg(feature = "serial")]
+pub use serial::SerialConfig;
 #[cfg(feature = "tcp")]
 pub use tcp::{Tcp, TcpConfig};
 #[cfg(feature = "udp")]
 pub use udp::{Udp, UdpConfig};
+#[cfg(feature = "unix")]
+pub use unix::UnixConfig;

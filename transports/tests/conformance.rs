@@ -213,6 +213,43 @@ impl Medium for OverUdp {
     }
 }
 
+/// Those who hear one group also speak to each other alone.
+struct OverMulticast(SocketAddr);
+
+impl Default for OverMulticast {
+    fn default() -> Self {
+        let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        OverMulticast(([239, 255, 77, 2], free).into())
+    }
+}
+
+impl Medium for OverMulticast {
+    const CONNECTS: bool = false;
+    const HELD: u64 = 256;
+
+    fn run(test: impl Future<Output = ()>) {
+        in_real_time(test);
+    }
+
+    fn open(&self, at: Option<MediumAddress>) -> Opened {
+        let mut config = UdpConfig::default();
+        config.group = Some(self.0);
+        if let Some(at) = at {
+            config.bind = ip(&at);
+        }
+        let (address, panic) = start(Udp::new(config));
+        Opened { transport: address.into(), wrapper: None, panic }
+    }
+
+    fn garbage(&self, to: &MediumAddress) {
+        let stranger = UdpSocket::bind("127.0.0.1:0").unwrap();
+        for length in [0, 1, 7, 1000] {
+            stranger.send_to(&vec![0xA5; length], ip(to)).unwrap();
+            stranger.send_to(&vec![0xA5; length], self.0).unwrap();
+        }
+    }
+}
+
 #[derive(Default)]
 struct OverTcp;
 
@@ -530,6 +567,7 @@ macro_rules! conformance {
 conformance! {
     memory: OverMemory,
     udp: OverUdp,
+    multicast: OverMulticast,
     tcp: OverTcp,
     memory_behind_the_wrapper: Behind<OverMemory>,
     udp_behind_the_wrapper: Behind<OverUdp>,

@@ -9,6 +9,7 @@ use blastema_core::impairment::{Impairment, Injected};
 use bytes::Bytes;
 use std::fmt;
 use std::net::SocketAddr;
+use std::path::Path;
 use std::sync::Arc;
 
 /// An address as one medium writes it.
@@ -19,13 +20,24 @@ pub enum MediumAddress {
     Ip(SocketAddr),
     /// Memory: the name under which the other end opened.
     Memory(Arc<str>),
+    /// Unix-domain sockets: the path at which the other end listens.
+    Unix(Arc<Path>),
+    /// A line with two ends, such as a serial cable: whoever is at the other.
+    Line,
+    /// CAN: the node's number on the bus.
+    Can(u8),
+    /// A medium of the application's own: what that medium calls it.
+    Own(Arc<str>),
 }
 
 impl fmt::Display for MediumAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             MediumAddress::Ip(address) => write!(f, "{address}"),
-            MediumAddress::Memory(name) => write!(f, "{name}"),
+            MediumAddress::Memory(name) | MediumAddress::Own(name) => f.write_str(name),
+            MediumAddress::Unix(path) => write!(f, "{}", path.display()),
+            MediumAddress::Line => f.write_str("line"),
+            MediumAddress::Can(number) => write!(f, "{number}"),
         }
     }
 }

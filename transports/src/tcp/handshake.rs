@@ -10,6 +10,7 @@
 
 use super::TcpConfig;
 use super::framing::{FramingError, PREAMBLE, decode_preamble, encode_preamble};
+use crate::binding::confine;
 use socket2::SockRef;
 use std::future::Future;
 use std::io;
@@ -31,6 +32,7 @@ pub(super) async fn dial(
 ) -> io::Result<TcpStream> {
     timeout(config.connect_timeout, async {
         let socket = if peer.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+        confine(&SockRef::from(&socket), config.interface.as_deref())?;
         if !local.ip().is_unspecified() {
             // The peer knows us by the address that the connection comes from.
             socket.bind(SocketAddr::new(local.ip(), 0))?;

@@ -20,7 +20,7 @@ mod peer;
 
 use self::handshake::{Underway, dial, greet, introduce};
 use self::peer::{Broken, Peer, State};
-use crate::binding::{Binding, explain};
+use crate::binding::{Binding, confine, explain};
 use crate::medium::{Medium, transport};
 use crate::outlet::Outlet;
 use crate::reopening::Reopening;
@@ -58,6 +58,9 @@ pub struct TcpConfig {
     /// Our own address; port 0 takes a free one. The default is loopback: nobody outside this
     /// machine can connect to a node that does not say otherwise.
     pub bind: SocketAddr,
+    /// Only over this interface of the system, such as `eth0`. `None` leaves the choice to the system's
+    /// routes.
+    pub interface: Option<String>,
     /// The largest frame, in bytes. Larger frames keep others waiting longer behind them, and raise
     /// what each connection may hold.
     pub mtu: usize,
@@ -80,6 +83,7 @@ impl Default for TcpConfig {
     fn default() -> Self {
         TcpConfig {
             bind: (Ipv4Addr::LOCALHOST, 0).into(),
+            interface: None,
             mtu: 64 * 1024,
             peers: 64,
             strangers: 32,
@@ -135,7 +139,7 @@ impl Tcp {
 
     fn try_open(&mut self) {
         let address = self.binding.next_attempt();
-        match listen(address).and_then(|socket| Ok((socket.local_addr()?, socket))) {
+        match listen(address, &self.config).and_then(|socket| Ok((socket.local_addr()?, socket))) {
             Ok((local, socket)) => {
                 self.binding.taken(local);
                 self.reopening.reset();
@@ -145,7 +149,12 @@ impl Tcp {
             }
             Err(error) => {
                 self.reopening.failed();
-                self.outlet.announce_closed(explain("tcp", address, &error));
+                self.outlet.announce_closed(explain(
+                    "tcp",
+                    address,
+                    self.config.interface.as_deref(),
+                    &error,
+                ));
             }
         }
     }
@@ -290,7 +299,7 @@ impl Tcp {
     }
 }
 
-fn listen(address: SocketAddr) -> io::Result<TcpListener> {
+fn listen(address: SocketAddr, config: &TcpConfig) -> io::Result<TcpListener> {
     let socket = Socket::new(Domain::for_address(address), Type::STREAM, Some(Protocol::TCP))?;
     socket.set_nonblocking(true)?;
     if address.is_ipv6() {
@@ -300,6 +309,7 @@ fn listen(address: SocketAddr) -> io::Result<TcpListener> {
     // Connections of an earlier process that are still dying away do not keep the port from us; a
     // process that listens on it does.
     socket.set_reuse_address(true)?;
+    confine(&socket, config.interface.as_deref())?;
     socket.bind(&address.into())?;
     socket.listen(BACKLOG)?;
     TcpListener::from_std(socket.into())
