@@ -15,8 +15,8 @@ pub struct IsoTpConfig {
     pub padding: Option<u8>,
     /// The longest message, both ways. Longer ones keep others, and hellos, waiting longer behind them.
     pub message_max: usize,
-    /// How many bytes of messages wait for each target; beyond, messages are dropped.
-    pub queue_bytes: usize,
+    /// How many messages wait for each target; beyond, they are dropped.
+    pub queue_messages: usize,
     /// How many messages may be under way to us at one time; the senders of others are told that they
     /// are too long. With `message_max` it bounds the memory that a flood can take.
     pub receptions_max: usize,
@@ -49,8 +49,8 @@ impl Default for IsoTpConfig {
             padding: None,
             // 147 classic frames: 35 ms of a bus of 500 kbit/s.
             message_max: 1024,
-            // A third of a second of such a bus.
-            queue_bytes: 16 * 1024,
+            // What a busy object says in a second; more would only be older when it is out.
+            queue_messages: 64,
             receptions_max: 64,
             block_size: 0,
             separation: Separation(0),

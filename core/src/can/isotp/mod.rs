@@ -39,9 +39,6 @@ use crate::{Instant, Machine};
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
 
-/// What a message costs in its queue beside its bytes, so that short ones have a bound too.
-const OVERHEAD: usize = 32;
-
 /// Why a message is not taken to be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
@@ -143,7 +140,6 @@ pub struct IsoTp {
 struct Lane {
     current: Option<Transmission>,
     waiting: VecDeque<Bytes>,
-    cost: usize,
 }
 
 impl IsoTp {
@@ -185,13 +181,11 @@ impl IsoTp {
             return Err(TakeError::Length { length, limit });
         }
         let lane = self.outgoing.entry(to).or_default();
-        let cost = lane.cost + length + OVERHEAD;
         if lane.current.is_none() {
             lane.current = Some(Transmission::new(message, audience(to), &self.config, now));
-        } else if cost > self.config.queue_bytes {
+        } else if lane.waiting.len() >= self.config.queue_messages {
             return Err(TakeError::Full { to });
         } else {
-            lane.cost = cost;
             lane.waiting.push_back(message);
         }
         Ok(())
@@ -341,7 +335,6 @@ impl IsoTp {
         });
         match lane.waiting.pop_front() {
             Some(message) => {
-                lane.cost -= message.len() + OVERHEAD;
                 lane.current = Some(Transmission::new(message, audience(to), &self.config, now));
             }
             None => drop(self.outgoing.remove(&to)),

@@ -84,7 +84,7 @@ impl Bus {
 }
 
 fn large(format: Format) -> IsoTpConfig {
-    IsoTpConfig { format, message_max: 70_000, queue_bytes: 1 << 20, ..IsoTpConfig::default() }
+    IsoTpConfig { format, message_max: 70_000, queue_messages: 100, ..IsoTpConfig::default() }
 }
 
 /// From whom, and how much.
@@ -197,7 +197,7 @@ fn a_bus_that_takes_no_frames_is_noticed() {
 
 #[test]
 fn what_cannot_be_sent_is_refused_with_the_reason() {
-    let mut node = node(1, IsoTpConfig { queue_bytes: 3000, ..IsoTpConfig::default() });
+    let mut node = node(1, IsoTpConfig { queue_messages: 2, ..IsoTpConfig::default() });
     let mut check = |to, length, expected| {
         assert_eq!(node.handle_message(BusAddress(to), message(length, 0), at(1)), expected);
     };

@@ -17,6 +17,10 @@
 //! says nothing is thrown away up to its end, so that after garbage the next line is understood again;
 //! no line is longer than [`LINE_MAX`].
 
+mod dialogue;
+
+pub use dialogue::{AdapterError, Dialogue};
+
 use super::frame::{CanFrame, CanId, FD_MAX, Format};
 
 /// The longest line: a CAN FD frame of 64 bytes with a time.
@@ -68,7 +72,7 @@ pub enum DataRate {
 /// What is said to an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Be a quiet listener no more and no less: leave the bus.
+    /// Leave the bus.
     Close,
     /// Join the bus.
     Open,
