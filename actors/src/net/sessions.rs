@@ -205,7 +205,7 @@ impl Handler<PathReported> for Sessions {
                 if let Some(peer) = self.peers.get_mut(&id) {
                     peer.path = Some((incarnation, mtu));
                 }
-                self.report(SessionReported::Reachable { node });
+                self.report(SessionReported::Reachable { node, incarnation });
                 if let Some(session) = self.crowd.get_mut(id) {
                     session.handle_incarnation(incarnation, now);
                     session.handle_path(mtu, now);

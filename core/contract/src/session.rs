@@ -49,6 +49,8 @@ pub enum SessionReported {
     Reachable {
         /// Which.
         node: NodeName,
+        /// In which of its lives.
+        incarnation: Incarnation,
     },
     /// No path leads to it any more; its session waits for one for a while.
     Unreachable {
