@@ -81,6 +81,8 @@ pub enum SessionReported {
         message: Bytes,
         /// Why.
         why: Why,
+        /// Some of it was sent, so that it may have arrived; otherwise it has not.
+        sent: bool,
     },
     /// A session is over; what was unacknowledged has been returned.
     Ended {

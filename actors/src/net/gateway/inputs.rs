@@ -50,7 +50,7 @@ impl Handler<SessionReported> for Gateway {
             SessionReported::Message { peer, message } => {
                 self.exchange.handle_message(peer, message, platform::now());
             }
-            SessionReported::Returned { peer, message, why } => {
+            SessionReported::Returned { peer, message, why, .. } => {
                 let why = self.because(peer, why);
                 self.exchange.handle_returned(peer, message, why);
             }
