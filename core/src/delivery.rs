@@ -70,4 +70,18 @@ pub enum Why {
         /// What the codec said.
         reason: String,
     },
+    /// The receiver's node has ended in order; what is sent to it arrives nowhere until it is back.
+    #[error("node {node} has left in order")]
+    Left {
+        /// The node that was to be reached.
+        node: String,
+    },
+    /// The request was sent, and the way to its answer was lost. Whether it took effect is not known:
+    /// ask the receiver, or send it again under the same identity, or declare its contract
+    /// idempotent.
+    #[error("it is not known whether the request took effect: {reason}")]
+    OutcomeUnknown {
+        /// What became of the way.
+        reason: String,
+    },
 }
