@@ -2,7 +2,7 @@
 
 use super::builder::StartError;
 use crate::guardian::Guardian;
-use crate::net::{LinkSpec, NetworkSpec};
+use crate::net::{Interface, LinkSpec, NetworkSpec};
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::transport::{
@@ -39,6 +39,7 @@ pub struct Network {
     medium: Medium,
     links: Vec<Link>,
     faults: Option<u64>,
+    interface: Option<Interface>,
 }
 
 enum Medium {
@@ -89,12 +90,26 @@ impl Network {
     }
 
     fn over(name: &str, medium: Medium) -> Self {
-        Network { name: name.to_owned(), medium, links: Vec::new(), faults: None }
+        // A socket that is bound to one address uses the interface that has it.
+        let interface = match &medium {
+            Medium::Udp(config) => Interface::of(config.bind.ip()),
+            Medium::Tcp(config) => Interface::of(config.bind.ip()),
+            Medium::Memory(_) => None,
+        };
+        Network { name: name.to_owned(), medium, links: Vec::new(), faults: None, interface }
     }
 
     /// One more neighbour.
     pub fn link(mut self, link: Link) -> Self {
         self.links.push(link);
+        self
+    }
+
+    /// The network interface that is used, such as `eth0`. When it loses its carrier, its links are given
+    /// up at once instead of after some missing hellos. Where the socket is bound to an address of
+    /// one interface, this need not be said.
+    pub fn interface(mut self, name: &str) -> Self {
+        self.interface = Some(Interface::Named(name.to_owned()));
         self
     }
 
@@ -113,7 +128,7 @@ pub struct Link {
     name: Option<String>,
     neighbour: String,
     remote: MediumAddress,
-    cost: u16,
+    cost: Option<u16>,
     hello_interval: Duration,
 }
 
@@ -131,7 +146,7 @@ impl Link {
     fn at(neighbour: &str, remote: MediumAddress) -> Self {
         // A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so
         // long looks dead to its neighbours; on a computer that is never overloaded, less is fine.
-        let (cost, hello_interval) = (10, Duration::from_millis(50));
+        let (cost, hello_interval) = (None, Duration::from_millis(50));
         Link { name: None, neighbour: neighbour.to_owned(), remote, cost, hello_interval }
     }
 
@@ -142,13 +157,16 @@ impl Link {
         self
     }
 
-    /// How dear it is to use, 10 unless this says otherwise. Of two paths the cheaper is taken.
+    /// How dear it is to use. Of two paths the cheaper is taken. Unless this says otherwise, 10, and more
+    /// on a medium that carries less than a megabyte per second. A link that loses hellos costs more than
+    /// this for as long as it does.
     pub fn cost(mut self, cost: u16) -> Self {
-        self.cost = cost;
+        self.cost = Some(cost);
         self
     }
 
-    /// How often a hello is sent. Shorter finds a dead link sooner and costs more; the neighbour finds
+    /// How often a hello is sent; on a slow medium less often, so that hellos take no more than a twentieth
+    /// of it. Shorter finds a dead link sooner and costs more; the neighbour finds
     /// this end dead after three and a half of them.
     pub fn hello_every(mut self, interval: Duration) -> Self {
         self.hello_interval = interval;
@@ -198,7 +216,7 @@ impl Network {
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Laid, StartError> {
-        let Network { name, medium, links, faults } = self;
+        let Network { name, medium, links, faults, interface } = self;
         let object = ObjectName::new(&format!("transport/{name}"))?;
         let mut transports = vec![object.clone()];
         let mut transport = match medium {
@@ -237,7 +255,7 @@ impl Network {
             neighbours.push(node.clone());
             specs.push(LinkSpec { name, remote, neighbour: Some(node), cost, hello_interval });
         }
-        let spec = NetworkSpec { name: name.into(), transport, links: specs };
+        let spec = NetworkSpec { name: name.into(), transport, interface, links: specs };
         Ok(Laid { spec, cable, neighbours, transports })
     }
 }

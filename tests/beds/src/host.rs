@@ -9,6 +9,8 @@ use std::time::{Duration, Instant};
 #[derive(Default)]
 struct Lines {
     lines: Mutex<(Vec<String>, bool)>,
+    /// When each of them came.
+    times: Mutex<Vec<Instant>>,
     more: Condvar,
 }
 
@@ -47,6 +49,7 @@ impl Host {
         std::thread::spawn(move || {
             for line in stdout.into_iter().flat_map(|out| BufReader::new(out).lines()) {
                 let Ok(line) = line else { break };
+                kept.times.lock().unwrap_or_else(PoisonError::into_inner).push(Instant::now());
                 kept.lock().0.push(line);
                 kept.more.notify_all();
             }
@@ -103,6 +106,19 @@ impl Host {
     /// The first line that begins so, wherever it stands.
     pub(crate) fn has_said(&self, beginning: &str) -> Option<String> {
         self.lines.lock().0.iter().find(|line| line.starts_with(beginning)).cloned()
+    }
+
+    /// Its latest lines, for people.
+    pub(crate) fn last_words(&self, count: usize) -> String {
+        let times = self.lines.times.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let lines = self.lines.lock();
+        let last = lines.0.len().saturating_sub(count);
+        let told = lines.0.iter().zip(&times).skip(last);
+        told.map(|(line, at)| {
+            let ago = at.elapsed().as_millis();
+            format!("    {ago:>6} ms ago, {}: {line}\n", self.name)
+        })
+        .collect()
     }
 
     /// Ends it in order, or by force where that takes too long.

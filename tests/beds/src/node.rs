@@ -178,9 +178,23 @@ async fn tell_faults(node: Node) {
     }
 }
 
-async fn tell_links(node: Node) {
+/// Says how links and sessions are whenever that changes, and how many messages were accepted in vain.
+async fn tell_changes(node: Node) {
     let mut before: BTreeMap<String, String> = BTreeMap::new();
+    let mut dead = 0;
     loop {
+        let letters = node.dead_letters().total();
+        if std::mem::replace(&mut dead, letters) != letters {
+            for letter in node.dead_letters().latest().iter().rev().take(1) {
+                say(&format!("dead letters {letters}, the last: {letter:?}"));
+            }
+        }
+        for row in node.sessions().await {
+            let life = format!("{:?}", row.incarnation);
+            if before.insert(format!("with {}", row.node), life.clone()).as_ref() != Some(&life) {
+                say(&format!("session with {} {life}", row.node));
+            }
+        }
         for row in node.links().await {
             let state = row.state.to_string();
             if before.insert(row.link.to_string(), state.clone()).as_ref() != Some(&state) {
@@ -198,9 +212,11 @@ pub(crate) async fn run(arguments: &[String]) -> Result<(), String> {
     let ledger = Ledger::default();
     let kept = ledger.clone();
     let spec = ChildSpec::new("ledger", move || kept.clone());
+    // What an outage held back comes in one burst.
+    let spec = spec.queue(8192, WhenFull::Wait);
     let node = builder.child(spec).start().await.map_err(|error| error.to_string())?;
     tokio::task::spawn_local(tell_faults(node.clone()));
-    tokio::task::spawn_local(tell_links(node.clone()));
+    tokio::task::spawn_local(tell_changes(node.clone()));
 
     let stop = Arc::new(AtomicBool::new(false));
     let mut streams = Vec::new();
