@@ -80,7 +80,7 @@ impl<M: Contract> Answer<M> {
     pub(crate) fn awaited() -> (Answer<M>, Reply<M>) {
         let state = Mutex::new(State::Open(Listener::Nobody));
         let slot = Arc::new(ReplySlot { state });
-        (Answer(Some(slot.clone())), Reply { slot, limit: Limit::None })
+        (Answer(Some(slot.clone())), Reply { slot, limit: Limit::None, done: false })
     }
 
     /// A slot whose result goes to a callback.
@@ -130,6 +130,8 @@ impl<M: Contract> Drop for Answer<M> {
 pub(crate) struct Reply<M: Contract> {
     slot: Arc<ReplySlot<M>>,
     limit: Limit,
+    /// The result has been fetched.
+    done: bool,
 }
 
 enum Limit {
@@ -171,6 +173,8 @@ impl<M: Contract> Future for Reply<M> {
                 let State::Resolved(result) = std::mem::replace(&mut *state, State::Closed) else {
                     return Poll::Pending;
                 };
+                drop(state);
+                this.done = true;
                 return Poll::Ready(result);
             }
             State::Closed => return Poll::Pending,
@@ -194,6 +198,9 @@ impl<M: Contract> Future for Reply<M> {
 
 impl<M: Contract> Drop for Reply<M> {
     fn drop(&mut self) {
+        if self.done {
+            return;
+        }
         // The reply, if it is there, is the user's: it is dropped outside of the lock.
         let _left = std::mem::replace(&mut *self.slot.lock(), State::Closed);
     }
