@@ -158,6 +158,7 @@ impl Robot {
             NetworkSpec {
                 name: (*network).into(),
                 transport: Transport::from(cable),
+                interface: None,
                 links: links.collect(),
             }
         });
@@ -657,6 +658,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
         let spec = NetworkSpec {
             name: "ethernet".into(),
             transport: Transport::from(memory),
+            interface: None,
             links: vec![link("left"), link("right")],
         };
         let environment = NetEnvironment {

@@ -2,7 +2,7 @@
 
 use super::builder::StartError;
 use crate::guardian::Guardian;
-use crate::net::{LinkSpec, NetworkSpec};
+use crate::net::{Interface, LinkSpec, NetworkSpec};
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::transport::{
@@ -42,6 +42,7 @@ pub struct Network {
     medium: Medium,
     links: Vec<Link>,
     faults: Option<u64>,
+    interface: Option<Interface>,
 }
 
 enum Medium {
@@ -108,7 +109,13 @@ impl Network {
     }
 
     fn over(name: &str, medium: Medium) -> Self {
-        Network { name: name.to_owned(), medium, links: Vec::new(), faults: None }
+        // A socket that is bound to one address uses the interface that has it.
+        let interface = match &medium {
+            Medium::Udp(config) => Interface::of(config.bind.ip()),
+            Medium::Tcp(config) => Interface::of(config.bind.ip()),
+            Medium::Memory(_) => None,
+        };
+        Network { name: name.to_owned(), medium, links: Vec::new(), faults: None, interface }
     }
 
     /// One more neighbour, with everything usual: the node of this name, at this address as the medium
@@ -120,6 +127,14 @@ impl Network {
     /// One more neighbour.
     pub fn link(mut self, link: Link) -> Self {
         self.links.push(link);
+        self
+    }
+
+    /// The network interface that is used, such as `eth0`. When it loses its carrier, its links are given
+    /// up at once instead of after some missing hellos. Where the socket is bound to an address of
+    /// one interface, this need not be said.
+    pub fn interface(mut self, name: &str) -> Self {
+        self.interface = Some(Interface::Named(name.to_owned()));
         self
     }
 
@@ -148,6 +163,9 @@ enum Remote {
     At(MediumAddress),
     /// As its medium writes it.
     Written(String),
+    remote: MediumAddress,
+    cost: Option<u16>,
+    hello_interval: Duration,
 }
 
 impl Link {
@@ -172,6 +190,11 @@ impl Link {
     fn at(neighbour: &str, remote: Remote) -> Self {
         let neighbour = neighbour.to_owned();
         Link { name: None, neighbour, remote, cost: 10, hello_interval: None }
+    fn at(neighbour: &str, remote: MediumAddress) -> Self {
+        // A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so
+        // long looks dead to its neighbours; on a computer that is never overloaded, less is fine.
+        let (cost, hello_interval) = (None, Duration::from_millis(50));
+        Link { name: None, neighbour: neighbour.to_owned(), remote, cost, hello_interval }
     }
 
     /// How people call it. Unless this says otherwise, it has the network's name where it is the only
@@ -181,14 +204,18 @@ impl Link {
         self
     }
 
-    /// How dear it is to use, 10 unless this says otherwise. Of two paths the cheaper is taken.
+    /// How dear it is to use. Of two paths the cheaper is taken. Unless this says otherwise, 10, and more
+    /// on a medium that carries less than a megabyte per second. A link that loses hellos costs more than
+    /// this for as long as it does.
     pub fn cost(mut self, cost: u16) -> Self {
-        self.cost = cost;
+        self.cost = Some(cost);
         self
     }
 
     /// How often a hello is sent: every 50 ms unless this says otherwise, and on a slow serial line so
     /// that hellos take no more than a tenth of it. Shorter finds a dead link sooner and costs more; the neighbour finds
+    /// How often a hello is sent; on a slow medium less often, so that hellos take no more than a twentieth
+    /// of it. Shorter finds a dead link sooner and costs more; the neighbour finds
     /// this end dead after three and a half of them.
     pub fn hello_every(mut self, interval: Duration) -> Self {
         self.hello_interval = Some(interval);
@@ -320,7 +347,7 @@ impl Network {
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Laid, StartError> {
-        let Network { name, medium, links, faults } = self;
+        let Network { name, medium, links, faults, interface } = self;
         let object = ObjectName::new(&format!("transport/{name}"))?;
         let mut neighbours = Vec::new();
         let mut specs = Vec::new();
@@ -352,6 +379,17 @@ impl Network {
             }
         };
         let spec = NetworkSpec { name: name.into(), transport, links: specs };
+        let mut neighbours = Vec::new();
+        let mut specs = Vec::new();
+        let alone = links.len() == 1;
+        for Link { name: own, neighbour, remote, cost, hello_interval } in links {
+            let node = NodeName::new(&neighbour)?;
+            let usual = if alone { name.clone() } else { format!("{name}/{neighbour}") };
+            let name = own.unwrap_or(usual).into();
+            neighbours.push(node.clone());
+            specs.push(LinkSpec { name, remote, neighbour: Some(node), cost, hello_interval });
+        }
+        let spec = NetworkSpec { name: name.into(), transport, interface, links: specs };
         Ok(Laid { spec, cable, neighbours, transports })
     }
 }
