@@ -9,9 +9,10 @@ use crate::host::stamp::Stamp;
 use crate::reference::ActorRef;
 use crate::sender::{Detached, Sender};
 use crate::topic::Publisher;
+use crate::variable::{self, VariableRef};
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::{
-    Contract, Event, FaultKind, Incarnation, Lifecycle, NameError, ObjectName, Why,
+    Contract, Event, FaultKind, Incarnation, Lifecycle, NameError, ObjectName, Variable, Why,
 };
 use std::any::{Any, TypeId};
 use std::cell::RefCell;
@@ -66,6 +67,15 @@ impl<C: Component> Context<C> {
     /// [`Why::ContractDiffers`] if it knows another contract by this name.
     pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
         self.anchor.record.environment.registry.sender(name)
+    }
+
+    /// The variable `V` of the object of this name, the component's own or another's, here or on
+    /// another node.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where no object here has the name, or it owns no variables.
+    pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
+        variable::find(&self.anchor.record.environment.registry, object)
     }
 
     /// A sender for threads and blocking tasks that this life starts: what they still send after the

@@ -63,6 +63,7 @@
 //! | describe messages | [`Event`](derive@Event), [`Request`](derive@Request), [`Structure`] |
 //! | run components | [`Node`], [`NodeBuilder`], [`ChildSpec`], [`SupervisorSpec`] |
 //! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`Why`] |
+//! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`], [`Transaction`] |
 //! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`Row`] |
 //! | recover | [`core::recovery::Plan`], [`RecoveryStrategy`] |
 //! | connect nodes | [`Network`], [`Link`] |
@@ -78,6 +79,7 @@ mod chain;
 mod component;
 mod context;
 mod death_watch;
+mod desk;
 mod drive;
 mod guardian;
 mod host;
@@ -95,6 +97,7 @@ mod registry;
 mod reply;
 mod sender;
 mod topic;
+mod variable;
 
 #[cfg(panic = "abort")]
 compile_error!(
@@ -103,8 +106,8 @@ compile_error!(
 );
 
 // Messages, and what they are made of.
-pub use blastema_core::{Contract, Described, Event, Request};
-pub use blastema_macros::{Event, Request, Structure};
+pub use blastema_core::{Contract, Described, Event, Request, Variable};
+pub use blastema_macros::{Event, Request, Structure, Variable};
 pub use serde;
 
 // Components.
@@ -123,6 +126,10 @@ pub use host::office::DeadLetterOffice;
 pub use reference::ActorRef;
 pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
 pub use topic::Publisher;
+pub use variable::{
+    Decision, Reading, RestorePolicy, Transaction, ValueState, VariableRef, VariableSpec,
+    VariableWatch,
+};
 
 // Nodes, their trees and their networks.
 pub use blastema_contract::link::LinkRow;
@@ -154,7 +161,7 @@ pub mod prelude {
     pub use crate::{
         ActorRef, ChildSpec, Component, Context, Event, Failure, FaultKind, Handle, Node,
         NodeState, Ports, Publisher, Request, Sender, StartError, Structure, SupervisorSpec,
-        WhenFull, Why,
+        Variable, VariableRef, VariableSpec, WhenFull, Why,
     };
 }
 

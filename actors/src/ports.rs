@@ -4,7 +4,8 @@ use crate::component::{Component, Handle};
 use crate::host::anchor::Anchor;
 use crate::registry::Port;
 use crate::topic::{Condition, Listening, Subscription, Subscriptions, Topics};
-use blastema_core::{Event, Request, Why};
+use crate::variable::{Declared, VariableSpec};
+use blastema_core::{Event, Request, Variable, Why};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -15,12 +16,13 @@ type Bind<C> = Box<dyn FnOnce(&Topics) -> Result<Arc<dyn Subscription<C>>, Why>>
 pub struct Ports<C: Component> {
     open: Vec<OpenPort<C>>,
     listen: Vec<Bind<C>>,
+    variables: Vec<Declared>,
 }
 
 impl<C: Component> Ports<C> {
     /// What the component declares.
     pub(crate) fn of() -> Self {
-        let mut ports = Ports { open: Vec::new(), listen: Vec::new() };
+        let mut ports = Ports { open: Vec::new(), listen: Vec::new(), variables: Vec::new() };
         C::ports(&mut ports);
         ports
     }
@@ -50,6 +52,18 @@ impl<C: Component> Ports<C> {
         C: Handle<E>,
     {
         ListenPort { ports: self, topic: E::NAME.to_owned(), only_if: None }
+    }
+
+    /// Owns a variable: a value that any node may read, write and watch at the component's name. It
+    /// outlives the component's lives.
+    pub fn variable<V: Variable>(&mut self, spec: VariableSpec<V>) -> &mut Self {
+        self.variables.push(spec.declared());
+        self
+    }
+
+    /// The variables that were declared.
+    pub(crate) fn take_variables(&mut self) -> Vec<Declared> {
+        std::mem::take(&mut self.variables)
     }
 
     /// The doors by which others find the component, by contract.

@@ -70,4 +70,25 @@ pub enum Why {
         /// What the codec said.
         reason: String,
     },
+    /// What became of the variable's value when its owner's life ended awaits a decision. Decide by
+    /// `VariableRef::decide`.
+    #[error("{variable} awaits a decision: restore it, take its default, or give it a value")]
+    Undecided {
+        /// Which.
+        variable: String,
+    },
+    /// The variable is not what the writer took it for. Read it again.
+    #[error("{variable} has changed: its revision is {revision}")]
+    Changed {
+        /// Which.
+        variable: String,
+        /// Of which change its value is now.
+        revision: u64,
+    },
+    /// A check of the receiver's refused the value.
+    #[error("refused by a check: {reason}")]
+    CheckFailed {
+        /// What the check said.
+        reason: String,
+    },
 }

@@ -24,9 +24,12 @@ pub mod random;
 pub mod recovery;
 pub mod scanner;
 pub mod time;
+pub mod variables;
 
 pub use codec::{DecodeError, EncodeError};
-pub use contract::{Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request};
+pub use contract::{
+    Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,
+};
 pub use delivery::Why;
 pub use description::{DescriptionError, LayoutDescription};
 pub use difference::Difference;

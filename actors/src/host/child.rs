@@ -155,6 +155,7 @@ impl<C: Component> Drop for HostedChild<C> {
         self.anchor.end();
         let record = &self.anchor.record;
         record.environment.registry.release(&record.name);
+        record.environment.variables.withdraw(&record.name);
     }
 }
 

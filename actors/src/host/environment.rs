@@ -5,6 +5,7 @@ use super::office::DeadLetterOffice;
 use super::watch::WatchList;
 use crate::registry::Registry;
 use crate::topic::Topics;
+use crate::variable::Store;
 use actix::Recipient;
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 
@@ -25,6 +26,7 @@ pub(crate) struct HostEnvironment {
     pub(crate) topics: Topics,
     pub(crate) dead_letters: DeadLetterOffice,
     pub(crate) watch_list: WatchList,
+    pub(crate) variables: Store,
 }
 
 impl HostEnvironment {
@@ -38,6 +40,7 @@ impl HostEnvironment {
             topics: Topics::new(dead_letters.clone()),
             dead_letters,
             watch_list: WatchList::default(),
+            variables: Store::default(),
         }
     }
 }

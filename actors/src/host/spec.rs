@@ -33,6 +33,14 @@ pub enum SpecError {
         /// What differs.
         why: Why,
     },
+    /// One of its variables cannot be: its default is larger than its contract allows.
+    #[error("a variable of {name} cannot be: {why}")]
+    Variable {
+        /// The component.
+        name: ObjectName,
+        /// What is wrong.
+        why: Why,
+    },
     /// The root supervisor did not take it: it is ending, or has ended.
     #[error("the root supervisor does not take {name} now: it is ending, or has ended")]
     Refused {
@@ -211,12 +219,23 @@ impl<C: Component> ChildSpec<C> {
             ));
         }
         let name = ObjectName::new(&self.name)?;
-        let ports = Ports::<C>::of();
+        let mut ports = Ports::<C>::of();
         let record = Record::new(name.clone(), limits, environment.clone());
         let anchor = Arc::new(Anchor::new(record, self.queue, self.factory));
+        let variables = ports.take_variables();
         environment.registry.claim(&name, ports.doors(&anchor), anchor.clone())?;
         // From here on the child gives the name back when it is dropped.
         let child = HostedChild::new(anchor.clone());
+        if !variables.is_empty() {
+            let owner = anchor.clone();
+            let isolated = move || owner.record.is_isolated();
+            let port = environment
+                .variables
+                .declare(&name, variables, isolated)
+                .map_err(|why| SpecError::Variable { name: name.clone(), why })?;
+            environment.registry.open(&name, port);
+            environment.variables.mourn(&name, &environment.registry);
+        }
         let subscriptions = ports
             .subscriptions(&environment.topics)
             .map_err(|why| SpecError::Topic { name, why })?;

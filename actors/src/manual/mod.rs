@@ -10,6 +10,7 @@
 //! | [components] | the life of a component: hooks, ports, timers, tasks, checks |
 //! | [sending] | tell, deliver, ask; what every error means and what to do |
 //! | [events] | publish and subscribe: conditions and topics |
+//! | [variables] | values that outlive restarts: read, written and watched from any node |
 //! | [supervision] | who is restarted with whom, how often, and what follows then |
 //! | [faults] | the list of faults, the monitor's table, roots and symptoms |
 //! | [recovery] | which measure answers which fault; strategies of one's own |
@@ -35,6 +36,9 @@ pub mod sending {}
 
 #[doc = include_str!("events.md")]
 pub mod events {}
+
+#[doc = include_str!("variables.md")]
+pub mod variables {}
 
 #[doc = include_str!("supervision.md")]
 pub mod supervision {}

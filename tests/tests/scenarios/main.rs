@@ -22,3 +22,4 @@ mod silence;
 mod strategies;
 mod throwers;
 mod tree;
+mod variables;
