@@ -6,6 +6,7 @@ use crate::host::anchor::Anchor;
 use crate::host::life::{Life, Rhythm, TimerId};
 use crate::host::pulse;
 use crate::host::stamp::Stamp;
+use crate::lease::{self, Commander};
 use crate::reference::ActorRef;
 use crate::sender::{Detached, Sender};
 use crate::topic::Publisher;
@@ -76,6 +77,20 @@ impl<C: Component> Context<C> {
     /// [`Why::Unknown`] where no object here has the name, or it owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
         variable::find(&self.anchor.record.environment.registry, object)
+    }
+
+    /// Commands the actuator of this name, here or on another node. The lease is renewed by a task of
+    /// this life: it ends with the life, and when the component hangs.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where no object here has the name, or it is no actuator.
+    pub fn commander<M: Contract>(&mut self, actuator: &str) -> Result<Commander<M>, Why> {
+        let environment = &self.anchor.record.environment;
+        let own = environment.registry.full_name(self.name());
+        let who = (own, self.incarnation());
+        let (commander, renewing) = lease::commander(&environment.registry, actuator, who)?;
+        self.spawn(renewing);
+        Ok(commander)
     }
 
     /// A sender for threads and blocking tasks that this life starts: what they still send after the

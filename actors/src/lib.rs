@@ -64,6 +64,7 @@
 //! | run components | [`Node`], [`NodeBuilder`], [`ChildSpec`], [`SupervisorSpec`] |
 //! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`Why`] |
 //! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`], [`Transaction`] |
+//! | command actuators | [`ActuatorSpec`], [`Commander`] |
 //! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`Row`] |
 //! | recover | [`core::recovery::Plan`], [`RecoveryStrategy`] |
 //! | connect nodes | [`Network`], [`Link`] |
@@ -84,6 +85,7 @@ mod drive;
 mod guardian;
 mod host;
 mod lane;
+mod lease;
 mod letter;
 pub mod manual;
 mod net;
@@ -123,6 +125,7 @@ pub use blastema_core::dead_letters::DeadReason;
 pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
 pub use death_watch::{Down, Ending};
 pub use host::office::DeadLetterOffice;
+pub use lease::{ActuatorSpec, Commander};
 pub use reference::ActorRef;
 pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
 pub use topic::Publisher;

@@ -86,6 +86,11 @@ impl Port {
 }
 
 impl Port {
+    /// The way from outside.
+    pub(crate) fn into_doorway(self) -> Arc<dyn Doorway> {
+        self.doorway
+    }
+
     /// A contract that the node itself serves at the object's name.
     pub(crate) fn of_desk<M: Contract>(desk: Desk<M>) -> Self {
         Port {
@@ -332,6 +337,14 @@ impl Registry {
         let port = inner.objects.get(object).and_then(|entry| entry.ports.get(contract));
         let port = port.ok_or_else(|| Why::Unknown { name: object.to_string() })?;
         Ok((port.identity.clone(), port.doorway.clone()))
+    }
+
+    /// The object's name with its node's in front, where that is known.
+    pub(crate) fn full_name(&self, object: &ObjectName) -> String {
+        match &self.lock().node {
+            Some(node) => format!("{node}:{object}"),
+            None => object.to_string(),
+        }
     }
 
     /// This node, unless it is our own.

@@ -91,4 +91,19 @@ pub enum Why {
         /// What the check said.
         reason: String,
     },
+    /// Somebody else commands the actuator. Claim it when that lease has ended.
+    #[error("the actuator is commanded by {by}")]
+    Held {
+        /// Who does, and in which life.
+        by: String,
+    },
+    /// The lease under which this was sent has ended. Claim anew.
+    #[error("the lease has ended: claim anew")]
+    LeaseEnded,
+    /// Somebody else has taken over since; what is sent under an older epoch is refused.
+    #[error("superseded: epoch {epoch} holds now")]
+    Superseded {
+        /// The epoch that holds.
+        epoch: u64,
+    },
 }

@@ -15,6 +15,7 @@ pub mod field;
 pub mod identity;
 pub mod impairment;
 pub mod layout;
+pub mod lease;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;

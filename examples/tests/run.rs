@@ -197,3 +197,19 @@ fn variables_of_another_node_are_written_together_and_outlive_their_owner_as_dec
         ],
     );
 }
+
+#[test]
+fn commander_leaves_the_wheels_at_rest_when_its_cable_is_cut() {
+    check(
+        "commander",
+        &[
+            "the wheels turn at 1 m/s",
+            "the console is refused",
+            "-- the cable is cut",
+            "brakes on",
+            "the wheels turn at 0 m/s",
+            "the console commands: 0.1 m/s",
+        ],
+    );
+    check("commander", &["the planner hears: the lease has ended: claim anew"]);
+}

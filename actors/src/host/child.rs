@@ -156,6 +156,7 @@ impl<C: Component> Drop for HostedChild<C> {
         let record = &self.anchor.record;
         record.environment.registry.release(&record.name);
         record.environment.variables.withdraw(&record.name);
+        record.environment.actuators.withdraw(&record.name);
     }
 }
 

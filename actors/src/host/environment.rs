@@ -3,6 +3,7 @@
 use super::arbiters::Arbiters;
 use super::office::DeadLetterOffice;
 use super::watch::WatchList;
+use crate::lease::Yard;
 use crate::registry::Registry;
 use crate::topic::Topics;
 use crate::variable::Store;
@@ -27,6 +28,7 @@ pub(crate) struct HostEnvironment {
     pub(crate) dead_letters: DeadLetterOffice,
     pub(crate) watch_list: WatchList,
     pub(crate) variables: Store,
+    pub(crate) actuators: Yard,
 }
 
 impl HostEnvironment {
@@ -41,6 +43,7 @@ impl HostEnvironment {
             dead_letters,
             watch_list: WatchList::default(),
             variables: Store::default(),
+            actuators: Yard::default(),
         }
     }
 }

@@ -41,6 +41,14 @@ pub enum SpecError {
         /// What is wrong.
         why: Why,
     },
+    /// One of its actuators cannot be: its safe command is larger than its contract allows.
+    #[error("an actuator of {name} cannot be: {why}")]
+    Actuator {
+        /// The component.
+        name: ObjectName,
+        /// What is wrong.
+        why: Why,
+    },
     /// The root supervisor did not take it: it is ending, or has ended.
     #[error("the root supervisor does not take {name} now: it is ending, or has ended")]
     Refused {
@@ -222,7 +230,7 @@ impl<C: Component> ChildSpec<C> {
         let mut ports = Ports::<C>::of();
         let record = Record::new(name.clone(), limits, environment.clone());
         let anchor = Arc::new(Anchor::new(record, self.queue, self.factory));
-        let variables = ports.take_variables();
+        let (variables, actuators) = (ports.take_variables(), ports.take_actuators(&anchor));
         environment.registry.claim(&name, ports.doors(&anchor), anchor.clone())?;
         // From here on the child gives the name back when it is dropped.
         let child = HostedChild::new(anchor.clone());
@@ -235,6 +243,13 @@ impl<C: Component> ChildSpec<C> {
                 .map_err(|why| SpecError::Variable { name: name.clone(), why })?;
             environment.registry.open(&name, port);
             environment.variables.mourn(&name, &environment.registry);
+        }
+        if !actuators.is_empty() {
+            let port = environment
+                .actuators
+                .declare(&name, actuators)
+                .map_err(|why| SpecError::Actuator { name: name.clone(), why })?;
+            environment.registry.open(&name, port);
         }
         let subscriptions = ports
             .subscriptions(&environment.topics)

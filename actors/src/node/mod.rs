@@ -28,6 +28,7 @@ use crate::component::Component;
 use crate::host::environment::HostEnvironment;
 use crate::host::office::DeadLetterOffice;
 use crate::host::spec::{ChildSpec, SpecError};
+use crate::lease::{self, Commander};
 use crate::reference::ActorRef;
 use crate::sender::Sender;
 use crate::topic::Publisher;
@@ -158,6 +159,18 @@ impl Node {
     /// [`Why::Unknown`] where no object here has the name, or it owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
         variable::find(&self.0.environment.registry, object)
+    }
+
+    /// Commands the actuator of this name, here or on another node, under the name `own`. The lease is
+    /// renewed on this thread; a component commands by [`Context::commander`](crate::Context::commander).
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where no object here has the name, or it is no actuator.
+    pub fn commander<M: Contract>(&self, actuator: &str, own: &str) -> Result<Commander<M>, Why> {
+        let who = (format!("{}:{own}", self.0.name), self.0.incarnation);
+        let (commander, renewing) = lease::commander(&self.0.environment.registry, actuator, who)?;
+        actix_rt::spawn(renewing);
+        Ok(commander)
     }
 
     /// A reference to a component here whose type is known.

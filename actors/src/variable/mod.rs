@@ -25,11 +25,14 @@ use std::fmt;
 use std::marker::PhantomData;
 use std::time::Duration;
 
+/// Says why a value is refused.
+type ValueCheck<V> = Box<dyn Fn(&V) -> Result<(), String> + Send + Sync>;
+
 /// How a component owns a variable; given to [`Ports::variable`](crate::Ports::variable).
 pub struct VariableSpec<V: Variable> {
     default: V,
     policy: RestorePolicy,
-    check: Box<dyn Fn(&V) -> Result<(), String> + Send + Sync>,
+    check: ValueCheck<V>,
 }
 
 impl<V: Variable> VariableSpec<V> {

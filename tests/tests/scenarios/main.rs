@@ -5,6 +5,7 @@
 
 mod chain;
 mod chaos;
+mod commanders;
 mod declared;
 mod errors;
 mod escalation;
