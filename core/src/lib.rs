@@ -16,6 +16,7 @@ pub mod field;
 pub mod identity;
 pub mod impairment;
 pub mod layout;
+pub mod lease;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
@@ -26,9 +27,12 @@ pub mod recovery;
 pub mod scanner;
 pub mod spelling;
 pub mod time;
+pub mod variables;
 
 pub use codec::{DecodeError, EncodeError};
-pub use contract::{Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request};
+pub use contract::{
+    Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,
+};
 pub use delivery::Why;
 pub use description::{DescriptionError, LayoutDescription};
 pub use difference::Difference;

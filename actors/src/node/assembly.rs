@@ -419,6 +419,8 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     check_dependencies(&node, &harvest)?;
 
     let mut enrolments: Vec<Enrol> = Vec::new();
+    let leases = environment.actuators.start(named("leases"), &guardian, chain.arbiter.as_ref());
+    enrolments.push(middleware(named("leases"), Some(leases)));
     for (name, inquiries) in chain.inquiries.iter().cloned() {
         enrolments.push(middleware(name, Some(inquiries)));
     }
