@@ -110,11 +110,13 @@ impl Network {
 
     fn over(name: &str, medium: Medium) -> Self {
         // A socket that is bound to one address uses the interface that has it.
-        let interface = match &medium {
-            Medium::Udp(config) => Interface::of(config.bind.ip()),
-            Medium::Tcp(config) => Interface::of(config.bind.ip()),
-            Medium::Memory(_) => None,
+        let (named, bind) = match &medium {
+            Medium::At(Endpoint::Udp(config)) => (config.interface.clone(), Some(config.bind)),
+            Medium::At(Endpoint::Tcp(config)) => (config.interface.clone(), Some(config.bind)),
+            _ => (None, None),
         };
+        let by_address = || Interface::of(bind?.ip());
+        let interface = named.map(Interface::Named).or_else(by_address);
         Network { name: name.to_owned(), medium, links: Vec::new(), faults: None, interface }
     }
 
@@ -153,7 +155,7 @@ pub struct Link {
     name: Option<String>,
     neighbour: String,
     remote: Remote,
-    cost: u16,
+    cost: Option<u16>,
     hello_interval: Option<Duration>,
 }
 
@@ -163,9 +165,6 @@ enum Remote {
     At(MediumAddress),
     /// As its medium writes it.
     Written(String),
-    remote: MediumAddress,
-    cost: Option<u16>,
-    hello_interval: Duration,
 }
 
 impl Link {
@@ -189,12 +188,7 @@ impl Link {
 
     fn at(neighbour: &str, remote: Remote) -> Self {
         let neighbour = neighbour.to_owned();
-        Link { name: None, neighbour, remote, cost: 10, hello_interval: None }
-    fn at(neighbour: &str, remote: MediumAddress) -> Self {
-        // A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so
-        // long looks dead to its neighbours; on a computer that is never overloaded, less is fine.
-        let (cost, hello_interval) = (None, Duration::from_millis(50));
-        Link { name: None, neighbour: neighbour.to_owned(), remote, cost, hello_interval }
+        Link { name: None, neighbour, remote, cost: None, hello_interval: None }
     }
 
     /// How people call it. Unless this says otherwise, it has the network's name where it is the only
@@ -378,17 +372,6 @@ impl Network {
                 Some(Cable(faulty))
             }
         };
-        let spec = NetworkSpec { name: name.into(), transport, links: specs };
-        let mut neighbours = Vec::new();
-        let mut specs = Vec::new();
-        let alone = links.len() == 1;
-        for Link { name: own, neighbour, remote, cost, hello_interval } in links {
-            let node = NodeName::new(&neighbour)?;
-            let usual = if alone { name.clone() } else { format!("{name}/{neighbour}") };
-            let name = own.unwrap_or(usual).into();
-            neighbours.push(node.clone());
-            specs.push(LinkSpec { name, remote, neighbour: Some(node), cost, hello_interval });
-        }
         let spec = NetworkSpec { name: name.into(), transport, interface, links: specs };
         Ok(Laid { spec, cable, neighbours, transports })
     }
