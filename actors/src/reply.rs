@@ -5,8 +5,9 @@
 //! what it says after it was given up is refused. A slot takes one result, the first.
 
 use crate::host::pulse::{Deadline, Pulse};
+use crate::platform;
 use crate::sender::RequestError;
-use blastema_core::{Contract, Why};
+use blastema_core::{Contract, Instant, Why};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -72,7 +73,11 @@ impl<M: Contract> Revocable for ReplySlot<M> {
 }
 
 /// The callee's end of a slot. Dropped without an answer, it says that the callee was stopped.
-pub(crate) struct Answer<M: Contract>(Option<Arc<ReplySlot<M>>>);
+pub(crate) struct Answer<M: Contract> {
+    slot: Option<Arc<ReplySlot<M>>>,
+    /// Nobody wants it after this; boxed, since only requests from other nodes have one.
+    until: Option<Box<Instant>>,
+}
 
 impl<M: Contract> Answer<M> {
     /// A slot whose result is awaited.
@@ -80,26 +85,26 @@ impl<M: Contract> Answer<M> {
     pub(crate) fn awaited() -> (Answer<M>, Reply<M>) {
         let state = Mutex::new(State::Open(Listener::Nobody));
         let slot = Arc::new(ReplySlot { state });
-        (Answer(Some(slot.clone())), Reply { slot, limit: Limit::None })
+        (Answer { slot: Some(slot.clone()), until: None }, Reply { slot, limit: Limit::None })
     }
 
-    /// A slot whose result goes to a callback.
-    pub(crate) fn called_back(callback: Callback<M>) -> Answer<M> {
+    /// A slot whose result goes to a callback, and is wanted until then.
+    pub(crate) fn called_back(callback: Callback<M>, until: Option<Instant>) -> Answer<M> {
         let state = Mutex::new(State::Open(Listener::Callback(callback)));
-        Answer(Some(Arc::new(ReplySlot { state })))
+        Answer { slot: Some(Arc::new(ReplySlot { state })), until: until.map(Box::new) }
     }
 
     /// Puts the reply in, unless the slot was revoked.
     #[inline]
     pub(crate) fn give(mut self, reply: M::Reply) {
-        if let Some(slot) = self.0.take() {
+        if let Some(slot) = self.slot.take() {
             slot.resolve(Ok(reply));
         }
     }
 
     /// Says that there will be no reply, and gives the message back where it was not taken up.
     pub(crate) fn refuse(mut self, why: Why, message: Option<M>) {
-        if let Some(slot) = self.0.take() {
+        if let Some(slot) = self.slot.take() {
             slot.resolve(Err(RequestError { why, message }));
         }
     }
@@ -107,19 +112,22 @@ impl<M: Contract> Answer<M> {
     /// The end of the slot for whoever watches over the callee.
     #[inline]
     pub(crate) fn revocable(&self) -> Option<Arc<dyn Revocable>> {
-        self.0.clone().map(|slot| slot as Arc<dyn Revocable>)
+        self.slot.clone().map(|slot| slot as Arc<dyn Revocable>)
     }
 
-    /// The asker still waits.
+    /// The asker still waits, as far as is known.
     #[inline]
     pub(crate) fn is_wanted(&self) -> bool {
-        self.0.as_ref().is_some_and(|slot| matches!(*slot.lock(), State::Open(_)))
+        if self.until.as_ref().is_some_and(|until| **until <= platform::now()) {
+            return false;
+        }
+        self.slot.as_ref().is_some_and(|slot| matches!(*slot.lock(), State::Open(_)))
     }
 }
 
 impl<M: Contract> Drop for Answer<M> {
     fn drop(&mut self) {
-        if let Some(slot) = self.0.take() {
+        if let Some(slot) = self.slot.take() {
             slot.revoke(Why::Stopped);
         }
     }
