@@ -110,4 +110,40 @@ pub enum Why {
         /// What became of the way.
         reason: String,
     },
+    /// What became of the variable's value when its owner's life ended awaits a decision. Decide by
+    /// `VariableRef::decide`.
+    #[error("{variable} awaits a decision: restore it, take its default, or give it a value")]
+    Undecided {
+        /// Which.
+        variable: String,
+    },
+    /// The variable is not what the writer took it for. Read it again.
+    #[error("{variable} has changed: its revision is {revision}")]
+    Changed {
+        /// Which.
+        variable: String,
+        /// Of which change its value is now.
+        revision: u64,
+    },
+    /// A check of the receiver's refused the value.
+    #[error("refused by a check: {reason}")]
+    CheckFailed {
+        /// What the check said.
+        reason: String,
+    },
+    /// Somebody else commands the actuator. Claim it when that lease has ended.
+    #[error("the actuator is commanded by {by}")]
+    Held {
+        /// Who does, and in which life.
+        by: String,
+    },
+    /// The lease under which this was sent has ended. Claim anew.
+    #[error("the lease has ended: claim anew")]
+    LeaseEnded,
+    /// Somebody else has taken over since; what is sent under an older epoch is refused.
+    #[error("superseded: epoch {epoch} holds now")]
+    Superseded {
+        /// The epoch that holds.
+        epoch: u64,
+    },
 }

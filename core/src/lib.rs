@@ -3,6 +3,7 @@
 //! Nothing here performs IO, reads a clock or knows an actor. Time, randomness and identity are
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
+pub mod can;
 pub mod codec;
 pub mod contract;
 pub mod dead_letters;
@@ -16,6 +17,7 @@ pub mod former;
 pub mod identity;
 pub mod impairment;
 pub mod layout;
+pub mod lease;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
@@ -24,10 +26,14 @@ pub mod quarantine;
 pub mod random;
 pub mod recovery;
 pub mod scanner;
+pub mod spelling;
 pub mod time;
+pub mod variables;
 
 pub use codec::{DecodeError, EncodeError};
-pub use contract::{Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request};
+pub use contract::{
+    Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,
+};
 pub use delivery::{Delivery, Why};
 pub use description::{DescriptionError, LayoutDescription};
 pub use difference::Difference;

@@ -3,7 +3,7 @@
 
 use blastema_core::net::advertisement::{Advertisement, Edge, Routing, Stamp};
 use blastema_core::net::exchange::ExchangeOutput;
-use blastema_core::net::frame::{Echo, Frame, Hello};
+use blastema_core::net::frame::{Echo, Frame, Hello, Stance};
 use blastema_core::net::link::LinkConfig;
 use blastema_core::net::message::Message;
 use blastema_core::net::packet::{Packet, Payload};
@@ -33,6 +33,8 @@ fn genuine() -> Vec<Bytes> {
         incarnation: Incarnation(1),
         sequence: 7,
         interval_us: 10_000,
+        stance: Stance::Ready,
+        loss_permille: 3,
         echo: Some(Echo { incarnation: Incarnation(1), sequence: 1, held_us: 5 }),
     };
     let stamp =

@@ -162,6 +162,7 @@ impl Robot {
             NetworkSpec {
                 name: (*network).into(),
                 transport: Transport::from(cable),
+                interface: None,
                 links: links.collect(),
             }
         });
@@ -662,6 +663,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
         let spec = NetworkSpec {
             name: "ethernet".into(),
             transport: Transport::from(memory),
+            interface: None,
             links: vec![link("left"), link("right")],
         };
         let environment = NetEnvironment {

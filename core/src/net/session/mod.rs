@@ -530,6 +530,12 @@ impl Machine for Session {
     }
 
     fn handle_timeout(&mut self, now: Instant) {
+        /// Woken so late, it was this node that stood still, and the peer's words wait unread.
+        const STALL: Duration = Duration::from_millis(100);
+        let late = self.poll_timeout().map_or(Duration::ZERO, |due| now - due);
+        if late > STALL {
+            self.owed_since = self.owed_since.map(|since| since + late);
+        }
         self.now = now;
         let due = |at: Option<Instant>| at.is_some_and(|at| at <= now);
         if due(self.give_up_at()) {

@@ -278,6 +278,21 @@ fn a_short_outage_is_ridden_out_and_a_long_one_gives_everything_back() {
 }
 
 #[test]
+fn a_node_that_stood_still_blames_no_peer_for_it() {
+    let mut pair = Pair::open();
+    pair.lose = Box::new(|_, _| true);
+    pair.send(0, text("a"));
+    pair.run(5);
+
+    pair.now += 3500;
+    pair.lose = Box::new(|_, _| false);
+    pair.run(100);
+
+    assert_eq!(pair.take(1), [message(text("a"))]);
+    assert_eq!(pair.take(0), []);
+}
+
+#[test]
 fn a_peer_that_says_nothing_although_there_is_a_path_is_given_up() {
     let mut pair = Pair::open();
     pair.lose = Box::new(|_, _| true);
