@@ -1,8 +1,6 @@
 //! Whole networks of link, router and session machines over wires that lose, delay, reorder and
 //! double, are cut and mended, between nodes that die and live again: one seed, one run.
 
-#![allow(dead_code, reason = "each test needs a part of it")]
-
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
 use blastema_core::net::router::{Health, LinkStatus};
 use blastema_core::net::segment::Stream;

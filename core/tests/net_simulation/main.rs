@@ -1,10 +1,11 @@
 //! Whole networks over bad wires: what the sessions promise holds.
 
-mod simulation;
+mod redundant;
+mod world;
 
-use simulation::{CALM, MS, STORM, World, for_seeds};
 use std::hash::Hasher;
 use std::time::Duration;
+use world::{CALM, MS, STORM, World, for_seeds};
 
 /// The robot of the demonstration: module0 in the middle, and a second path everywhere.
 const ROBOT: [(usize, usize); 4] = [(0, 1), (0, 2), (0, 1), (1, 2)];
