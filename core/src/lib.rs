@@ -24,6 +24,7 @@ pub mod quarantine;
 pub mod random;
 pub mod recovery;
 pub mod scanner;
+pub mod service;
 pub mod time;
 pub mod variables;
 
