@@ -67,7 +67,7 @@
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
 //! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`Row`] |
 //! | recover | [`core::recovery::Plan`], [`RecoveryStrategy`] |
-//! | connect nodes | [`Network`], [`Link`] |
+//! | connect nodes | [`Network`], [`Link`], [`medium::FrameMedium`] |
 //!
 //! The [prelude] has what an application usually needs. Tests are written with the crate
 //! `blastema-testkit`.
@@ -141,6 +141,7 @@ pub use blastema_contract::session::SessionRow;
 pub use blastema_contract::supervisor::Branch;
 pub use blastema_core::net::Route;
 pub use blastema_macros::main;
+pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 pub use node::{
     Cable, Direction, FaultEvents, Impairment, Link, MemoryMedium, Network, Node, NodeBuilder,
     NodeState, StartError, SupervisorSpec,
@@ -153,6 +154,15 @@ pub use blastema_core::detection::{
 };
 pub use blastema_core::{Fault, FaultKind, Instant, Lifecycle, Place, Severity};
 pub use chain::strategy::{RecoveryStrategy, Tools};
+
+/// What an application needs for a medium of its own; it is given to [`Network::own`].
+pub mod medium {
+    pub use blastema_contract::transport::MediumAddress;
+    pub use blastema_transports::frame_medium::{
+        Arrival, FrameMedium, Opening, QueueLimits, Sending,
+    };
+    pub use bytes::Bytes;
+}
 
 /// The machines behind all of it, and their vocabulary; needed for plans, watches and limits.
 pub use blastema_core as core;

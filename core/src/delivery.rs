@@ -70,6 +70,20 @@ pub enum Why {
         /// What the codec said.
         reason: String,
     },
+    /// The receiver's node has ended in order; what is sent to it arrives nowhere until it is back.
+    #[error("node {node} has left in order")]
+    Left {
+        /// The node that was to be reached.
+        node: String,
+    },
+    /// The request was sent, and the way to its answer was lost. Whether it took effect is not known:
+    /// ask the receiver, or send it again under the same identity, or declare its contract
+    /// idempotent.
+    #[error("it is not known whether the request took effect: {reason}")]
+    OutcomeUnknown {
+        /// What became of the way.
+        reason: String,
+    },
     /// What became of the variable's value when its owner's life ended awaits a decision. Decide by
     /// `VariableRef::decide`.
     #[error("{variable} awaits a decision: restore it, take its default, or give it a value")]

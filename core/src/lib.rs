@@ -3,6 +3,7 @@
 //! Nothing here performs IO, reads a clock or knows an actor. Time, randomness and identity are
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
+pub mod can;
 pub mod codec;
 pub mod contract;
 pub mod dead_letters;
@@ -25,6 +26,7 @@ pub mod random;
 pub mod recovery;
 pub mod scanner;
 pub mod service;
+pub mod spelling;
 pub mod time;
 pub mod variables;
 

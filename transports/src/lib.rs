@@ -16,28 +16,44 @@
 
 #[cfg(any(feature = "udp", feature = "tcp"))]
 mod binding;
+pub mod endpoint;
 #[cfg(feature = "fault")]
 pub mod fault;
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
+pub mod frame_medium;
+mod frame_transport;
 mod medium;
 #[cfg(feature = "memory")]
 pub mod memory;
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
+#[cfg(feature = "udp")]
+mod multicast;
 mod outlet;
-#[cfg(any(feature = "udp", feature = "tcp"))]
+#[cfg(any(feature = "udp", feature = "tcp", feature = "unix"))]
 mod part;
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp"))]
 mod reopening;
+#[cfg(feature = "serial")]
+pub mod serial;
+#[cfg(any(feature = "tcp", feature = "unix"))]
+mod stream;
 #[cfg(feature = "tcp")]
 pub mod tcp;
 #[cfg(feature = "udp")]
 pub mod udp;
+#[cfg(feature = "unix")]
+pub mod unix;
+
+pub use endpoint::{CanConfig, CanNodeConfig, Endpoint, EndpointError, SlcanConfig};
 
 #[cfg(feature = "fault")]
 pub use fault::{Faulty, FaultyConfig};
+pub use frame_medium::FrameMedium;
+pub use frame_transport::FrameTransport;
 #[cfg(feature = "memory")]
 pub use memory::{Memory, MemoryConfig, MemoryMedium};
+#[cfg(feature = "serial")]
+pub use serial::{SerialConfig, SerialLine};
 #[cfg(feature = "tcp")]
 pub use tcp::{Tcp, TcpConfig};
 #[cfg(feature = "udp")]
 pub use udp::{Udp, UdpConfig};
+#[cfg(feature = "unix")]
+pub use unix::{Unix, UnixConfig};

@@ -17,6 +17,7 @@
 //! | [recovery] | which measure answers which fault; strategies of one's own |
 //! | [placement] | threads, handlers that hang, and what cannot be recovered |
 //! | [networks] | several nodes: links, routes, sessions, and cables that are cut |
+//! | [media] | what a network can be made of, written as one string; media of one's own |
 //! | [guarantees] | order, loss, restarts, and how soon what is found |
 //! | [limits] | every bound, its reason, and how to change it |
 //! | [testing] | components and whole nodes in virtual time |
@@ -58,6 +59,9 @@ pub mod placement {}
 
 #[doc = include_str!("networks.md")]
 pub mod networks {}
+
+#[doc = include_str!("media.md")]
+pub mod media {}
 
 #[doc = include_str!("guarantees.md")]
 pub mod guarantees {}

@@ -260,6 +260,7 @@ impl Networks {
     pub(super) fn stop(&self) {
         // On an arbiter that others use too, links would go on saying that the node lives.
         self.transports.iter().for_each(|transport| transport.do_send(Close));
+        self.handle.stop();
         if let Some(arbiter) = &self.arbiter {
             arbiter.stop();
         }

@@ -12,18 +12,21 @@ use crate::platform;
 use blastema_core::{Event, Incarnation, Instant, Why};
 use std::any::Any;
 use std::cell::{Cell, RefCell};
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::future::poll_fn;
+use std::hint::black_box;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::rc::{Rc, Weak};
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed};
 use std::sync::{Arc, Mutex};
 use std::task::Poll;
 
 /// Events that may wait for a hub's turn: a burst of several hundred from a publisher that does not
 /// yield, and still under 100 KiB of small events.
 const CAPACITY: usize = 1024;
-/// Events per poll; then the arbiter's other tasks have their turn.
+/// Events per poll; then the arbiter's other tasks have their turn. Each listener gets all of them in
+/// turn, so that what it consists of is fetched from memory once for all.
 const BUDGET: usize = 8;
 /// A hub's lane has one owner for ever.
 const OWNER: Incarnation = Incarnation::FIRST;
@@ -33,6 +36,12 @@ pub(crate) struct HubLane<E> {
     lane: Lane<Posted<E>>,
     id: u64,
     listeners: AtomicU64,
+    /// The events that are being handed out, for listeners that leave a hub that is stuck.
+    serving: Mutex<Arc<[Posted<E>]>>,
+    /// The number of the last ear that was offered them; ears have their turn by rising numbers.
+    reached: AtomicU64,
+    /// Which event that ear is looking at, or serves.
+    next: AtomicUsize,
 }
 
 #[derive(Clone)]
@@ -79,7 +88,14 @@ impl<E: Event> Topic<E> {
         let lane = Lane::new(CAPACITY, WhenFull::DropOldest);
         lane.give_to(Some(OWNER));
         let id = NEXT.fetch_add(1, Relaxed);
-        let shared = Arc::new(HubLane { lane, id, listeners: AtomicU64::new(0) });
+        let shared = Arc::new(HubLane {
+            lane,
+            id,
+            listeners: AtomicU64::new(0),
+            serving: Mutex::default(),
+            reached: AtomicU64::new(0),
+            next: AtomicUsize::new(0),
+        });
         let hub = Rc::new(Hub {
             shared: shared.clone(),
             locals: RefCell::default(),
@@ -116,44 +132,64 @@ impl Drop for Leave {
 
 async fn run<E: Event>(hub: Rc<Hub<E>>, _leave: Leave) {
     poll_fn(|cx| {
-        for _ in 0..BUDGET {
+        let mut events = Vec::new();
+        while events.len() < BUDGET {
             match hub.shared.lane.take(OWNER, cx.waker()) {
-                Taken::Got(posted) => hub.distribute(&posted),
-                Taken::Empty => return Poll::Pending,
+                Taken::Got(posted) => events.push(posted),
+                Taken::Empty => break,
                 Taken::Retired => return Poll::Ready(()),
             }
         }
-        cx.waker().wake_by_ref();
+        if events.is_empty() {
+            return Poll::Pending;
+        }
+        if events.len() == BUDGET {
+            cx.waker().wake_by_ref();
+        }
+        hub.distribute(events);
         Poll::Pending
     })
     .await;
 }
 
 impl<E: Event> Hub<E> {
-    fn distribute(&self, posted: &Posted<E>) {
+    fn distribute(&self, mut events: Vec<Posted<E>>) {
         let mut locals = self.locals.borrow_mut();
         locals.append(&mut self.newcomers.borrow_mut());
-        if E::MAX_AGE.is_some_and(|limit| platform::now() - posted.at > limit) {
-            locals.iter().for_each(|local| local.bury(&Why::Expired));
-            return;
+        if let Some(limit) = E::MAX_AGE {
+            let now = platform::now();
+            events.retain(|posted| {
+                let valid = now - posted.at <= limit;
+                if !valid {
+                    locals.iter().for_each(|local| local.bury(&Why::Expired));
+                }
+                valid
+            });
         }
+        let events: Arc<[Posted<E>]> = events.into();
+        self.shared.reached.store(0, Relaxed);
+        self.shared.next.store(0, Relaxed);
+        lock(&self.shared.serving).clone_from(&events);
         // A condition is the listener's code: where one panics, the listener is dead, and the event
         // goes on to the next.
-        let (at, gone) = (Cell::new(0), Cell::new(false));
+        let (at, gone, next) = (Cell::new(0), Cell::new(false), &self.shared.next);
         while at.get() < locals.len() {
             let guarded = Guarded::enter();
             let offered = catch_unwind(AssertUnwindSafe(|| {
-                for local in &locals[at.get()..] {
-                    gone.set(gone.get() | !local.offer(&posted.event, posted.at, self));
+                for (local, next_one) in locals[at.get()..].iter().zip(ahead(&locals, at.get())) {
+                    next_one.inspect(|local| local.call_up());
+                    gone.set(gone.get() | !local.offer(&events, next, self));
+                    next.store(0, Relaxed);
                     at.set(at.get() + 1);
                 }
             }));
             drop(guarded);
             if let Err(payload) = offered {
                 locals[at.get()].die(payload);
-                at.set(at.get() + 1);
+                step(next);
             }
         }
+        *lock(&self.shared.serving) = Arc::default();
         self.pulse.run(None);
         if gone.get() {
             locals.retain(|local| local.is_present());
@@ -161,10 +197,28 @@ impl<E: Event> Hub<E> {
     }
 }
 
+/// For each local from this one on, the one after it.
+fn ahead<E: Event>(
+    locals: &[Box<dyn Local<E>>],
+    from: usize,
+) -> impl Iterator<Item = Option<&dyn Local<E>>> {
+    let after = locals[from..].iter().skip(1).map(|local| Some(&**local));
+    after.chain(std::iter::once(None))
+}
+
+/// One writer only, so a plain store does.
+#[inline]
+fn step(next: &AtomicUsize) {
+    next.store(next.load(Relaxed) + 1, Relaxed);
+}
+
 /// One listener, as its hub sees it.
 trait Local<E: Event> {
-    /// Gives it the event if it wants it. Says whether it still listens here.
-    fn offer(&self, event: &E, at: Instant, hub: &Hub<E>) -> bool;
+    /// Gives it the events that it wants, beginning with that of number `next`. Says whether it still
+    /// listens here.
+    fn offer(&self, events: &[Posted<E>], next: &AtomicUsize, hub: &Hub<E>) -> bool;
+    /// Brings what it consists of nearer to the processor, while the one before it is served.
+    fn call_up(&self);
     fn is_present(&self) -> bool;
     fn die(&self, payload: Box<dyn Any + Send>);
     fn bury(&self, why: &Why);
@@ -194,33 +248,52 @@ impl<C: Handle<E>, E: Event> Ear<C, E> {
         self.slot.set(Some(pump.slot()));
         Some(then(&mut pump))
     }
+
+    /// The events that it wants, from `next` on; `next` is the one that is looked at.
+    #[inline]
+    fn wanted<'a>(
+        &'a self,
+        events: &'a [Posted<E>],
+        next: &'a AtomicUsize,
+    ) -> Option<&'a Posted<E>> {
+        while let Some(posted) = events.get(next.load(Relaxed)) {
+            if self.only_if.as_ref().is_none_or(|wanted| wanted(&posted.event)) {
+                return Some(posted);
+            }
+            step(next);
+        }
+        None
+    }
 }
 
 impl<C: Handle<E>, E: Event> Local<E> for Ear<C, E> {
     #[inline]
-    fn offer(&self, event: &E, at: Instant, hub: &Hub<E>) -> bool {
+    fn offer(&self, events: &[Posted<E>], next: &AtomicUsize, hub: &Hub<E>) -> bool {
         if !self.is_present() {
             return false;
         }
+        hub.shared.reached.store(self.number, Relaxed);
         hub.pulse.run(self.slot.get());
-        if let Some(wanted) = &self.only_if
-            && !wanted(event)
-        {
-            return true;
-        }
-        let event = event.clone();
-        let mut event = Some(event);
         self.with_pump(|pump| {
-            if pump.is_free()
-                && let Some(event) = event.take()
+            hub.pulse.run(Some(pump.slot()));
+            while pump.is_free()
+                && let Some(posted) = self.wanted(events, next)
             {
-                letter::pass(pump, event, at);
+                letter::pass(pump, posted.event.clone(), posted.at);
+                step(next);
             }
         });
-        if let Some(event) = event {
-            self.anchor.queue_event(event, at);
+        while let Some(posted) = self.wanted(events, next) {
+            self.anchor.queue_event(posted.event.clone(), posted.at);
+            step(next);
         }
         true
+    }
+
+    #[inline]
+    fn call_up(&self) {
+        let known = self.pump.borrow();
+        black_box((self.present.load(Relaxed), known.strong_count()));
     }
 
     #[inline]
@@ -262,7 +335,7 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
             return;
         }
         if let Some(old) = &*lane {
-            self.bring_along(anchor, old);
+            self.bring_along(anchor, old, self.present.load(Relaxed));
         }
         let number = NEXT.fetch_add(1, Relaxed);
         hub.newcomers.borrow_mut().push(Box::new(Ear {
@@ -294,10 +367,18 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
 
 impl<E: Event> Listening<E> {
     /// What still waits at the hub that the listener leaves: its arbiter is lost, or the listener
-    /// moves and would miss it.
-    fn bring_along<C: Handle<E>>(&self, anchor: &Arc<Anchor<C>>, old: &HubLane<E>) {
+    /// moves and would miss it. `ear` is its number there.
+    fn bring_along<C: Handle<E>>(&self, anchor: &Arc<Anchor<C>>, old: &HubLane<E>, ear: u64) {
         let wanted = |event: &E| self.only_if.as_ref().is_none_or(|wanted| wanted(event));
-        for Posted { event, at } in old.lane.snapshot() {
+        let serving = lock(&old.serving).clone();
+        let past = match ear.cmp(&old.reached.load(Relaxed)) {
+            Ordering::Less => serving.len(),
+            // What it served when it was given up is not served again.
+            Ordering::Equal => old.next.load(Relaxed) + 1,
+            Ordering::Greater => 0,
+        };
+        let serving = serving.iter().skip(past).cloned();
+        for Posted { event, at } in serving.chain(old.lane.snapshot()) {
             // A condition that panics now will do so again under the guard.
             if catch_unwind(AssertUnwindSafe(|| wanted(&event))).unwrap_or(true) {
                 anchor.queue_event(event, at);

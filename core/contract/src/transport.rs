@@ -9,6 +9,7 @@ use blastema_core::impairment::{Impairment, Injected};
 use bytes::Bytes;
 use std::fmt;
 use std::net::SocketAddr;
+use std::path::Path;
 use std::sync::Arc;
 
 /// An address as one medium writes it.
@@ -19,13 +20,36 @@ pub enum MediumAddress {
     Ip(SocketAddr),
     /// Memory: the name under which the other end opened.
     Memory(Arc<str>),
+    /// Unix-domain sockets: the path at which the other end listens.
+    Unix(Arc<Path>),
+    /// A line with two ends, such as a serial cable: whoever is at the other.
+    Line,
+    /// CAN: the node's number on the bus.
+    Can(u8),
+    /// A medium of the application's own: what that medium calls it.
+    Own(Arc<str>),
+}
+
+impl From<SocketAddr> for MediumAddress {
+    fn from(address: SocketAddr) -> Self {
+        MediumAddress::Ip(address)
+    }
+}
+
+impl From<Arc<Path>> for MediumAddress {
+    fn from(path: Arc<Path>) -> Self {
+        MediumAddress::Unix(path)
+    }
 }
 
 impl fmt::Display for MediumAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             MediumAddress::Ip(address) => write!(f, "{address}"),
-            MediumAddress::Memory(name) => write!(f, "{name}"),
+            MediumAddress::Memory(name) | MediumAddress::Own(name) => f.write_str(name),
+            MediumAddress::Unix(path) => write!(f, "{}", path.display()),
+            MediumAddress::Line => f.write_str("line"),
+            MediumAddress::Can(number) => write!(f, "{number}"),
         }
     }
 }
@@ -66,6 +90,12 @@ pub enum TransportReport {
     Closed {
         /// What happened, and what helps.
         reason: String,
+    },
+    /// How much the medium carries, where that is little: hellos are said less often on it, and it is
+    /// dearer to use. Reported after each opening.
+    Rate {
+        /// Bytes of frames in a second, both ways together.
+        bytes_per_second: u64,
     },
     /// A connection to this peer is gone (media with connections only).
     PeerLost {
