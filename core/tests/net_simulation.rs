@@ -1,6 +1,7 @@
 //! Whole networks of link, router and session machines over wires that lose, delay, reorder and
 //! double, are cut and mended, between nodes that die and live again: one seed, one run.
 
+use blastema_core::net::advertisement::{Advertisement, Edge, Routing, Stamp};
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
 use blastema_core::net::router::{Health, LinkStatus};
 use blastema_core::net::segment::Stream;
@@ -22,6 +23,8 @@ struct Wire {
     /// Which node and which of its links, at both ends.
     ends: [(usize, usize); 2],
     cut: bool,
+    /// How probably it loses a frame, beside the weather.
+    loss: f64,
     mtu: usize,
 }
 
@@ -66,6 +69,8 @@ struct World {
     lives: Vec<u64>,
     frames: Frames,
     count: u64,
+    /// How often some traffic went another way.
+    path_changes: u64,
     trace: DefaultHasher,
     sent: BTreeMap<(usize, u64, usize), u64>,
     /// What arrived, and in which life of the receiver.
@@ -85,7 +90,7 @@ impl World {
             let ends = [(a, links[a]), (b, links[b])];
             links[a] += 1;
             links[b] += 1;
-            Wire { ends, cut: false, mtu: 1400 }
+            Wire { ends, cut: false, loss: 0.0, mtu: 1400 }
         };
         let wires = wires.iter().map(wire).collect();
         let mut world = World {
@@ -98,6 +103,7 @@ impl World {
             lives: vec![0; nodes],
             frames: BTreeMap::new(),
             count: 0,
+            path_changes: 0,
             trace: DefaultHasher::new(),
             sent: BTreeMap::new(),
             delivered: BTreeMap::new(),
@@ -207,22 +213,22 @@ impl World {
             let (wire, side, _) = node.links[index];
             while let Some(output) = node.links[index].2.poll_output() {
                 busy = true;
-                let router = &mut node.router;
+                let (link, router) = (&node.links[index].2, &mut node.router);
                 match output {
                     LinkOutput::Transmit(frame) => self.throw(wire, side, &frame),
-                    LinkOutput::Changed { state, neighbour: Some(neighbour), .. } => {
-                        let health = match state {
+                    LinkOutput::Changed { .. } | LinkOutput::Quality(_) => {
+                        let Some(neighbour) = link.neighbour().cloned() else { continue };
+                        let health = match link.state() {
                             LinkState::Up => Health::Up,
                             LinkState::Suspect => Health::Suspect,
                             LinkState::Down | LinkState::Connecting => Health::Down,
                         };
-                        let mtu = self.wires[wire].mtu;
-                        let status = LinkStatus { neighbour, health, cost: 10, mtu };
+                        let (mtu, cost) = (self.wires[wire].mtu, link.quality().cost_percent / 10);
+                        let status = LinkStatus { neighbour, health, cost, mtu };
                         router.handle_link(number, status, self.now);
                     }
                     LinkOutput::Routing(bytes) => router.handle_routing(number, bytes, self.now),
                     LinkOutput::Packet(packet) => router.handle_packet(number, packet, self.now),
-                    LinkOutput::Changed { .. } | LinkOutput::Quality(_) => {}
                     LinkOutput::Refused(refusal) => panic!("{refusal}"),
                 }
             }
@@ -236,12 +242,12 @@ impl World {
 
     /// Lets the weather have a frame.
     fn throw(&mut self, wire: usize, side: usize, frame: &Bytes) {
-        let Wire { cut, mtu, .. } = self.wires[wire];
+        let Wire { cut, mtu, loss: own, .. } = self.wires[wire];
         assert!(frame.len() <= mtu, "{} bytes for an mtu of {mtu}", frame.len());
         (self.now, wire, frame).hash(&mut self.trace);
         let Weather { loss, double, delay: (least, most) } = self.weather;
         for _ in 0..1 + u64::from(self.random.chance(double)) {
-            let lost = self.random.chance(loss);
+            let lost = self.random.chance(loss) || own > 0.0 && self.random.chance(own);
             let spread = (most - least).as_nanos() as u64;
             let delay = least + Duration::from_nanos(self.random.below(spread + 1));
             if !lost && !cut {
@@ -275,6 +281,7 @@ impl World {
                     session.handle_path(mtu, now);
                 }
                 RouterOutput::PathChanged { node: peer, mtu } => {
+                    self.path_changes += 1;
                     sessions.get_mut(&peer).unwrap().handle_path(mtu, now);
                 }
                 RouterOutput::Lost { node: peer, .. } => {
@@ -282,7 +289,11 @@ impl World {
                     node.reachable.remove(&id);
                     sessions.get_mut(&id).unwrap().handle_no_path(now);
                 }
-                RouterOutput::Undelivered { .. } => {}
+                RouterOutput::Undelivered { destination, reason } => {
+                    if let Some(session) = sessions.get_mut(&destination) {
+                        session.handle_undelivered(reason, now);
+                    }
+                }
                 other => panic!("{other:?}"),
             }
         }
@@ -550,6 +561,68 @@ fn whatever_happens_no_message_is_doubled_or_vanishes() {
         world.wires.iter_mut().for_each(|wire| wire.cut = false);
         world.run(Duration::from_secs(8));
         world.check_complete();
+    });
+}
+
+#[test]
+fn a_cable_whose_quality_swings_moves_traffic_once_and_not_with_every_swing() {
+    for_seeds(40..45, |seed| {
+        let mut world = World::new(seed, 2, &[(0, 1), (0, 1)], CALM);
+        world.run(1000 * MS);
+        let before = world.path_changes;
+        for second in 0..60 {
+            // Three bad seconds, three good ones, and so on: each is seen in the loss.
+            world.wires[0].loss = if second / 3 % 2 == 0 { 0.15 } else { 0.0 };
+            for _ in 0..20 {
+                world.send(0, 1, 100);
+                world.run(50 * MS);
+            }
+        }
+        world.wires[0].loss = 0.0;
+        world.run(1000 * MS);
+
+        // Both ends count. A late hello moves it for a moment; the swings themselves, once in five
+        // seconds each way at most.
+        let changes = world.path_changes - before;
+        assert!(changes <= 2 * 60, "{changes} changes in a minute");
+        assert_eq!(world.delivered.len() as u64, world.count_sent());
+    });
+}
+
+#[test]
+fn announcements_that_lie_draw_no_traffic_and_are_outdone() {
+    for_seeds(50..55, |seed| {
+        // The way from 0 to 2 is over 3. Node 1 is next to 0 alone, and claims otherwise.
+        let mut world = World::new(seed, 4, &[(0, 1), (0, 3), (3, 2)], CALM);
+        world.run(1000 * MS);
+        let lie = |origin: usize, sequence: u32, to: &[usize]| {
+            let node = name(origin);
+            let (origin, incarnation) = (NodeId::of(&node), Incarnation(1));
+            let edge = |to: &usize| Edge { to: NodeId::of(&name(*to)), cost: 1, mtu: 9000 };
+            let edges = to.iter().map(edge).collect();
+            Advertisement { stamp: Stamp { origin, incarnation, sequence }, node, edges }
+        };
+        for n in 0..200u32 {
+            let told = [
+                lie(1, 1000 + n, &[0, 2, 3]),
+                // In the name of others: that 2 is next to the liar, and that 3 has no links at all.
+                lie(2, 1000 + n, &[1]),
+                lie(3, 1000 + n, &[]),
+            ];
+            let bytes = Routing::Announce(told.to_vec()).encode();
+            let now = world.now;
+            let node = world.nodes[0].as_mut().unwrap();
+            node.router.handle_routing(LinkNumber(0), bytes, now);
+            world.settle(0);
+            world.send(0, 2, 50);
+            world.run(20 * MS);
+        }
+        world.run(1000 * MS);
+
+        assert!(world.returned.is_empty());
+        assert_eq!(world.delivered.len() as u64, world.count_sent());
+        let node = world.nodes[0].as_ref().unwrap();
+        assert_eq!(node.router.route(NodeId::of(&name(2))).unwrap().next, LinkNumber(1));
     });
 }
 

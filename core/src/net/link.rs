@@ -42,6 +42,10 @@ pub struct Link {
     /// How often it went down lately, and when last.
     flaps: u32,
     last_down: Instant,
+    /// How often it was suspect lately, when last, and how many hellos have come since.
+    suspicions: u32,
+    last_suspicion: Instant,
+    calm: u32,
     gauge: Gauge,
     refused: Option<LinkRefusal>,
     refusals: Refusals,
@@ -96,6 +100,9 @@ impl Link {
             sent: VecDeque::with_capacity(Self::SENT_MAX),
             flaps: 0,
             last_down: Instant::ORIGIN,
+            suspicions: 0,
+            last_suspicion: Instant::ORIGIN,
+            calm: 0,
             gauge: Gauge::default(),
             refused: None,
             refusals: Refusals::default(),
@@ -247,6 +254,7 @@ impl Link {
             self.refusals.stale += 1;
             return;
         };
+        self.calm = after(self.calm, missed);
         self.listen(&hello, missed, now);
         self.judge_quality(now);
         if self.carries() && hello.stance == Stance::Down {
@@ -340,7 +348,7 @@ impl Link {
         }
         heard.proved = match heard.echoed {
             // A link that loses a third of what it carries never proves itself.
-            Some(_) => heard.proved.saturating_sub(missed.saturating_mul(2)).saturating_add(1),
+            Some(_) => after(heard.proved, missed),
             None => 0,
         };
     }
@@ -363,7 +371,10 @@ impl Link {
         match self.state {
             LinkState::Up => {}
             LinkState::Suspect => {
-                if self.due(self.config.suspect_after_percent).is_none_or(|due| due > now) {
+                let in_time =
+                    self.due(self.config.suspect_after_percent).is_none_or(|due| due > now);
+                // Twice as many for each time: traffic must not come and go with every lost hello.
+                if in_time && self.calm >= 1 << self.suspicions.saturating_sub(1) {
                     self.change(LinkState::Up, "the neighbour is heard again");
                 }
             }
@@ -420,6 +431,11 @@ impl Link {
     }
 
     fn change(&mut self, state: LinkState, reason: &'static str) {
+        if let (LinkState::Down | LinkState::Connecting, LinkState::Up, Some(heard)) =
+            (self.state, state, &mut self.neighbour)
+        {
+            heard.arrivals.forget_loss();
+        }
         self.state = state;
         let neighbour = self.neighbour().cloned();
         self.outputs.push_back(LinkOutput::Changed { state, neighbour, reason });
@@ -468,6 +484,10 @@ impl Link {
                 self.go_down("the neighbour is not heard, or does not hear", now);
             }
             LinkState::Up if past(self.due(self.config.suspect_after_percent)) => {
+                let lately = now - self.last_suspicion <= Self::FLAP_MEMORY;
+                let before = if lately { self.suspicions } else { 0 };
+                self.suspicions = (before + 1).min(Self::FLAPS_MAX + 1);
+                (self.last_suspicion, self.calm) = (now, 0);
                 self.change(LinkState::Suspect, "a hello is late");
             }
             LinkState::Connecting | LinkState::Down if down => {
@@ -518,6 +538,11 @@ impl Machine for Link {
         }
         self.judge_silence(now);
     }
+}
+
+/// One more good hello, and two less for each that was missing.
+fn after(good: u32, missed: u32) -> u32 {
+    good.saturating_sub(missed.saturating_mul(2)).saturating_add(1)
 }
 
 fn percent(span: Duration, percent: u32) -> Duration {

@@ -363,6 +363,19 @@ fn loss_alone_hardly_ever_takes_a_link_down() {
 }
 
 #[test]
+fn an_outage_counts_as_no_loss_once_it_is_over() {
+    let mut cable = running();
+    for _ in 0..3 {
+        cable.cut = [true; 2];
+        cable.run_until(cable.now + 45);
+        cable.cut = [false; 2];
+        cable.run_until(cable.now + 1000);
+    }
+    assert_eq!(cable.states(), [LinkState::Up; 2]);
+    assert_eq!(cable.ends[0].quality().loss_permille, 0);
+}
+
+#[test]
 fn a_link_that_loses_too_much_is_degraded_until_it_is_much_better() {
     let mut cable = running();
     let mut number = 0;

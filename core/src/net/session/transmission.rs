@@ -4,10 +4,20 @@ use super::assembly::pieces_of;
 use super::outbound::Part;
 use super::{STREAMS, Session, SessionConfig, SessionOutput, State};
 use crate::Instant;
-use crate::net::packet::Class;
+use crate::net::packet::{Class, Undelivered};
 use crate::net::segment::{Ack, DATA_HEADER, Data, Segment, Stream};
 
 impl Session {
+    /// Something of ours came back: it is repeated once the routers have had time to find another way,
+    /// and never faster than silence would be taken for loss.
+    pub fn handle_undelivered(&mut self, reason: Undelivered, now: Instant) {
+        self.now = now;
+        self.counters.returned += 1;
+        self.counters.last_return = Some(reason);
+        let soon = now + self.config.retransmit_min;
+        self.retransmit_at = self.retransmit_at.map(|at| at.min(soon));
+    }
+
     /// Sends the next part that may be sent: control first, and what was lost before what is new.
     pub(super) fn transmit_part(&mut self) -> bool {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return false };
