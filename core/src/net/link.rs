@@ -46,6 +46,8 @@ pub struct Link {
     suspicions: u32,
     last_suspicion: Instant,
     calm: u32,
+    /// It is suspect for what was, and not for what is.
+    proving: bool,
     gauge: Gauge,
     refused: Option<LinkRefusal>,
     refusals: Refusals,
@@ -103,6 +105,7 @@ impl Link {
             suspicions: 0,
             last_suspicion: Instant::ORIGIN,
             calm: 0,
+            proving: false,
             gauge: Gauge::default(),
             refused: None,
             refusals: Refusals::default(),
@@ -113,6 +116,11 @@ impl Link {
     /// The present state.
     pub fn state(&self) -> LinkState {
         self.state
+    }
+
+    /// Whether a link that is suspect is heard again, and only for how often it was not is not trusted.
+    pub fn is_proving(&self) -> bool {
+        self.state == LinkState::Suspect && self.proving
     }
 
     /// Who is, or was last, at the other end.
@@ -155,6 +163,11 @@ impl Link {
             self.change(LinkState::Up, "the neighbour uses it");
         }
         self.carries()
+    }
+
+    /// Whether a hello is not late at present.
+    fn relied_on(&self) -> bool {
+        self.state == LinkState::Up || self.is_proving()
     }
 
     fn carries(&self) -> bool {
@@ -371,11 +384,14 @@ impl Link {
         match self.state {
             LinkState::Up => {}
             LinkState::Suspect => {
-                let in_time =
-                    self.due(self.config.suspect_after_percent).is_none_or(|due| due > now);
+                if self.due(self.config.suspect_after_percent).is_some_and(|due| due <= now) {
+                    return;
+                }
                 // Twice as many for each time: traffic must not come and go with every lost hello.
-                if in_time && self.calm >= 1 << self.suspicions.saturating_sub(1) {
+                if self.calm >= 1 << self.suspicions.saturating_sub(1) {
                     self.change(LinkState::Up, "the neighbour is heard again");
+                } else if !std::mem::replace(&mut self.proving, true) {
+                    self.change(LinkState::Suspect, "heard again, and not yet trusted");
                 }
             }
             LinkState::Connecting | LinkState::Down => {
@@ -437,6 +453,7 @@ impl Link {
             heard.arrivals.forget_loss();
         }
         self.state = state;
+        self.proving &= state == LinkState::Suspect;
         let neighbour = self.neighbour().cloned();
         self.outputs.push_back(LinkOutput::Changed { state, neighbour, reason });
     }
@@ -483,7 +500,10 @@ impl Link {
             LinkState::Up | LinkState::Suspect if down => {
                 self.go_down("the neighbour is not heard, or does not hear", now);
             }
-            LinkState::Up if past(self.due(self.config.suspect_after_percent)) => {
+            LinkState::Up | LinkState::Suspect
+                if self.relied_on() && past(self.due(self.config.suspect_after_percent)) =>
+            {
+                self.proving = false;
                 let lately = now - self.last_suspicion <= Self::FLAP_MEMORY;
                 let before = if lately { self.suspicions } else { 0 };
                 self.suspicions = (before + 1).min(Self::FLAPS_MAX + 1);
@@ -516,8 +536,10 @@ impl Machine for Link {
 
     fn poll_timeout(&self) -> Option<Instant> {
         let silence = match self.state {
-            LinkState::Up => self.due(self.config.suspect_after_percent),
-            LinkState::Suspect => self.due(self.down_after_percent()),
+            LinkState::Up | LinkState::Suspect if self.relied_on() => {
+                self.due(self.config.suspect_after_percent)
+            }
+            LinkState::Up | LinkState::Suspect => self.due(self.down_after_percent()),
             // Looked at with the next hello: nobody depends on a link that is not up.
             LinkState::Connecting | LinkState::Down => None,
         };

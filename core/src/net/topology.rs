@@ -5,7 +5,7 @@ use super::frame::FRAME_HEADER;
 use super::link::Neighbour;
 use super::node_id::NodeId;
 use super::packet::PACKET_HEADER;
-use super::router::{LinkNumber, MTU_MIN};
+use super::router::{Health, LinkNumber, MTU_MIN};
 use crate::{Incarnation, Instant, NodeName};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -36,7 +36,7 @@ pub(crate) struct Adjacent {
     pub(crate) id: NodeId,
     pub(crate) cost: u16,
     pub(crate) mtu: u16,
-    pub(crate) suspect: bool,
+    pub(crate) health: Health,
     /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
     pub(crate) pending: BTreeMap<NodeId, Instant>,
     pub(crate) compare_at: Instant,
@@ -48,21 +48,20 @@ pub(crate) fn segment_limit(mtu: u16) -> usize {
 }
 
 impl Route {
-    /// The next hop if it is well, else the alternate, else either if it carries; never to `from`.
+    /// The next hop or the alternate, whichever is better off now, the next hop if both are alike; never
+    /// to `from`.
     pub(crate) fn choose(
         &self,
         links: &BTreeMap<LinkNumber, Adjacent>,
         from: Option<NodeId>,
     ) -> Option<LinkNumber> {
         let ways = [Some(self.next), self.alternate];
-        let usable = |well: bool| {
-            ways.into_iter().flatten().find(|link| {
-                links.get(link).is_some_and(|adjacent| {
-                    Some(adjacent.id) != from && (!well || !adjacent.suspect)
-                })
-            })
-        };
-        usable(true).or_else(|| usable(false))
+        let usable = ways.into_iter().flatten().filter_map(|link| {
+            let adjacent = links.get(&link).filter(|adjacent| Some(adjacent.id) != from)?;
+            Some((adjacent.health, link))
+        });
+        // The first of those that are alike.
+        usable.min_by_key(|(health, _)| *health).map(|(_, link)| link)
     }
 }
 

@@ -7,8 +7,9 @@
 //! `CUTS=n` sets how many there are of each kind.
 
 use crate::measure::Quantiles;
+use blastema::core::net::LinkNumber;
 use blastema::prelude::*;
-use blastema::{Cable, Direction, Link, Network};
+use blastema::{Cable, Direction, Link, LinkState, Network};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -104,10 +105,13 @@ impl Pair {
         loop {
             let mut chosen = Vec::new();
             for node in [&self.near, &self.far] {
-                let routes = node.routes().await;
+                let (routes, links) = (node.routes().await, node.links().await);
+                let up = |link: &LinkNumber| {
+                    links.get(usize::from(link.0)).is_some_and(|row| row.state == LinkState::Up)
+                };
                 let mut ready = routes.iter().filter(|route| {
                     // Where the alternate is in use already, the next one is still being sought.
-                    route.alternate.is_some() && route.chosen == Some(route.next)
+                    route.alternate.as_ref().is_some_and(up) && route.chosen == Some(route.next)
                 });
                 chosen.extend(ready.next().map(|route| route.next));
             }

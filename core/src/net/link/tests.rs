@@ -228,6 +228,29 @@ fn an_observer_that_is_a_little_late_first_reads_what_has_come() {
 }
 
 #[test]
+fn a_link_that_is_suspect_over_and_over_is_heard_longer_each_time_before_it_is_trusted() {
+    let mut cable = running();
+    let mut spans = vec![];
+    for _ in 0..4 {
+        cable.cut = [true; 2];
+        while cable.ends[0].state() != LinkState::Suspect {
+            cable.run_until(cable.now + 1);
+        }
+        assert!(!cable.ends[0].is_proving());
+        cable.cut = [false; 2];
+        let back = cable.now;
+        let mut proving = false;
+        while cable.ends[0].state() != LinkState::Up {
+            cable.run_until(cable.now + 1);
+            proving |= cable.ends[0].is_proving();
+        }
+        spans.push((cable.now - back, proving));
+        cable.run_until(cable.now + 200);
+    }
+    assert!(spans.is_sorted() && !spans[0].1 && spans[3].1 && spans[3].0 > 60, "{spans:?}");
+}
+
+#[test]
 fn a_restarted_neighbour_is_a_new_incarnation_and_the_old_one_is_never_heard_again() {
     let mut cable = running();
     let old_hello = Frame::Hello(Hello {

@@ -107,6 +107,21 @@ fn the_alternate_is_known_ahead_and_taken_without_any_computation() {
 }
 
 #[test]
+fn of_two_ways_that_are_not_well_the_better_one_is_taken() {
+    let mut router = between_two();
+    let mut chosen = |left, right| {
+        router.handle_link(FIRST, LinkStatus { health: left, ..up("left", 1) }, at(1020));
+        router.handle_link(SECOND, LinkStatus { health: right, ..up("right", 5) }, at(1020));
+        router.route(id("far")).unwrap().chosen
+    };
+
+    assert_eq!(chosen(Health::Suspect, Health::Proving), Some(SECOND));
+    assert_eq!(chosen(Health::Proving, Health::Suspect), Some(FIRST));
+    assert_eq!(chosen(Health::Proving, Health::Up), Some(SECOND));
+    assert_eq!(chosen(Health::Suspect, Health::Suspect), Some(FIRST));
+}
+
+#[test]
 fn a_way_that_would_lead_back_is_no_alternate() {
     let mut router = router();
     router.handle_link(FIRST, up("left", 1), at(1000));
