@@ -5,6 +5,7 @@
 
 use crate::component::Handle;
 use crate::death_watch::{Down, Ending, Mortal, Mourner};
+use crate::desk::Desk;
 use crate::host::anchor::Anchor;
 use crate::letter::arrived_posting_time;
 use crate::reply::{Answer, Reply};
@@ -84,6 +85,22 @@ impl Port {
     }
 }
 
+impl Port {
+    /// The way from outside.
+    pub(crate) fn into_doorway(self) -> Arc<dyn Doorway> {
+        self.doorway
+    }
+
+    /// A contract that the node itself serves at the object's name.
+    pub(crate) fn of_desk<M: Contract>(desk: Desk<M>) -> Self {
+        Port {
+            identity: ContractIdentity::of::<M>(),
+            sender: Box::new(Sender::<M>(Arc::new(desk.clone()))),
+            doorway: Arc::new(desk),
+        }
+    }
+}
+
 struct LocalDoor<C: Handle<M>, M: Contract> {
     anchor: Arc<Anchor<C>>,
     takes: PhantomData<fn(M)>,
@@ -116,7 +133,7 @@ impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
     }
 }
 
-fn encoded_reply<M: Contract>(reply: &M::Reply) -> Result<Bytes, Why> {
+pub(crate) fn encoded_reply<M: Contract>(reply: &M::Reply) -> Result<Bytes, Why> {
     let mut bytes = Vec::new();
     codec::encode_reply::<M>(reply, &mut bytes).map_err(|error| encoding(error, M::MAX_SIZE))?;
     Ok(bytes.into())
@@ -269,6 +286,13 @@ impl Registry {
         Ok(())
     }
 
+    /// One more contract is taken at an object's name.
+    pub(crate) fn open(&self, name: &ObjectName, port: Port) {
+        if let Some(entry) = self.lock().objects.get_mut(name) {
+            entry.ports.insert(port.identity.name, port);
+        }
+    }
+
     /// Takes the name away.
     pub(crate) fn release(&self, name: &ObjectName) {
         let mut inner = self.lock();
@@ -313,6 +337,19 @@ impl Registry {
         let port = inner.objects.get(object).and_then(|entry| entry.ports.get(contract));
         let port = port.ok_or_else(|| Why::Unknown { name: object.to_string() })?;
         Ok((port.identity.clone(), port.doorway.clone()))
+    }
+
+    /// The object's name with its node's in front, where that is known.
+    pub(crate) fn full_name(&self, object: &ObjectName) -> String {
+        match &self.lock().node {
+            Some(node) => format!("{node}:{object}"),
+            None => object.to_string(),
+        }
+    }
+
+    /// This node, unless it is our own.
+    pub(crate) fn elsewhere(&self, node: NodeName) -> Option<NodeName> {
+        (self.lock().node.as_ref() != Some(&node)).then_some(node)
     }
 
     /// Tells by a greater number that names were given or taken away.

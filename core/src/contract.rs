@@ -86,6 +86,29 @@ pub trait Event: Contract<Reply = ()> + Clone + Sync {}
 )]
 pub trait Request: Contract {}
 
+/// A value that an object owns, and that any node may read, write and watch.
+///
+/// # Examples
+/// ```
+/// # mod facade { pub(crate) use blastema_core::{self as core, serde}; }
+/// # use blastema_macros::Variable;
+/// /// How fast the arm may move.
+/// #[derive(Clone, Debug, Variable)]
+/// #[contract(name = "arm/speed-limit")]
+/// # #[contract(crate = "crate::facade")]
+/// struct SpeedLimit {
+///     #[contract(unit = "rad/s")]
+///     value: f32,
+/// }
+/// # fn main() {}
+/// ```
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no variable",
+    label = "can be neither owned nor written",
+    note = "write `#[derive(Clone, Variable)]` above the type"
+)]
+pub trait Variable: Contract<Reply = ()> + Clone + Sync {}
+
 /// What two parties compare when they bind.
 #[derive(Clone, Debug)]
 pub struct ContractIdentity {

@@ -70,4 +70,54 @@ pub enum Why {
         /// What the codec said.
         reason: String,
     },
+    /// The receiver's node has ended in order; what is sent to it arrives nowhere until it is back.
+    #[error("node {node} has left in order")]
+    Left {
+        /// The node that was to be reached.
+        node: String,
+    },
+    /// The request was sent, and the way to its answer was lost. Whether it took effect is not known:
+    /// ask the receiver, or send it again under the same identity, or declare its contract
+    /// idempotent.
+    #[error("it is not known whether the request took effect: {reason}")]
+    OutcomeUnknown {
+        /// What became of the way.
+        reason: String,
+    },
+    /// What became of the variable's value when its owner's life ended awaits a decision. Decide by
+    /// `VariableRef::decide`.
+    #[error("{variable} awaits a decision: restore it, take its default, or give it a value")]
+    Undecided {
+        /// Which.
+        variable: String,
+    },
+    /// The variable is not what the writer took it for. Read it again.
+    #[error("{variable} has changed: its revision is {revision}")]
+    Changed {
+        /// Which.
+        variable: String,
+        /// Of which change its value is now.
+        revision: u64,
+    },
+    /// A check of the receiver's refused the value.
+    #[error("refused by a check: {reason}")]
+    CheckFailed {
+        /// What the check said.
+        reason: String,
+    },
+    /// Somebody else commands the actuator. Claim it when that lease has ended.
+    #[error("the actuator is commanded by {by}")]
+    Held {
+        /// Who does, and in which life.
+        by: String,
+    },
+    /// The lease under which this was sent has ended. Claim anew.
+    #[error("the lease has ended: claim anew")]
+    LeaseEnded,
+    /// Somebody else has taken over since; what is sent under an older epoch is refused.
+    #[error("superseded: epoch {epoch} holds now")]
+    Superseded {
+        /// The epoch that holds.
+        epoch: u64,
+    },
 }

@@ -3,6 +3,7 @@
 //! Nothing here performs IO, reads a clock or knows an actor. Time, randomness and identity are
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
+pub mod can;
 pub mod codec;
 pub mod contract;
 pub mod dead_letters;
@@ -15,6 +16,7 @@ pub mod field;
 pub mod identity;
 pub mod impairment;
 pub mod layout;
+pub mod lease;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
@@ -25,9 +27,12 @@ pub mod recovery;
 pub mod scanner;
 pub mod spelling;
 pub mod time;
+pub mod variables;
 
 pub use codec::{DecodeError, EncodeError};
-pub use contract::{Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request};
+pub use contract::{
+    Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,
+};
 pub use delivery::Why;
 pub use description::{DescriptionError, LayoutDescription};
 pub use difference::Difference;

@@ -43,6 +43,9 @@ impl FrameTransport {
                 let Opening { local, mtu } = opening.clone();
                 self.open = Some(opening);
                 self.outlet.announce(TransportReport::Opened { local, mtu });
+                if let Some(rate) = self.medium.bytes_per_second() {
+                    self.outlet.announce_rate(rate);
+                }
             }
             Err(error) => self.lose("cannot be opened", &error),
         }

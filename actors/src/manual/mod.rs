@@ -10,6 +10,8 @@
 //! | [components] | the life of a component: hooks, ports, timers, tasks, checks |
 //! | [sending] | tell, deliver, ask; what every error means and what to do |
 //! | [events] | publish and subscribe: conditions and topics |
+//! | [variables] | values that outlive restarts: read, written and watched from any node |
+//! | [commanding] | actuators that come to rest by themselves when their commander goes |
 //! | [supervision] | who is restarted with whom, how often, and what follows then |
 //! | [faults] | the list of faults, the monitor's table, roots and symptoms |
 //! | [recovery] | which measure answers which fault; strategies of one's own |
@@ -36,6 +38,12 @@ pub mod sending {}
 
 #[doc = include_str!("events.md")]
 pub mod events {}
+
+#[doc = include_str!("variables.md")]
+pub mod variables {}
+
+#[doc = include_str!("commanding.md")]
+pub mod commanding {}
 
 #[doc = include_str!("supervision.md")]
 pub mod supervision {}

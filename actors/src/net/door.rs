@@ -44,6 +44,8 @@ pub(super) enum Condition {
     Open,
     /// It holds all that it should.
     Full,
+    /// Its node has ended in order.
+    Left,
 }
 
 impl Gate {
@@ -52,7 +54,8 @@ impl Gate {
             0 => Condition::Unreachable,
             1 => Condition::Opening,
             2 => Condition::Open,
-            _ => Condition::Full,
+            3 => Condition::Full,
+            _ => Condition::Left,
         }
     }
 
@@ -82,6 +85,7 @@ impl Gate {
             Condition::Unreachable => Err(Why::Unreachable { node: self.node.to_string() }),
             Condition::Opening => Err(Why::Restarting),
             Condition::Full => Err(Why::Full),
+            Condition::Left => Err(Why::Left { node: self.node.to_string() }),
             Condition::Open if self.under_way.load(Relaxed) >= UNDER_WAY_MAX => Err(Why::Full),
             Condition::Open => Ok(()),
         }

@@ -1,6 +1,7 @@
 //! Between the objects of this node and those of all others.
 
 mod errand;
+mod inputs;
 
 pub(super) use errand::{Notify, Ship};
 
@@ -14,15 +15,15 @@ use crate::registry::{Doorway, Registry, ReplyTo};
 use crate::topic::{Forward, ForwardId, TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::Confirmed;
-use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
+use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
-use blastema_contract::router::PanicOnPurpose;
-use blastema_contract::session::{BeginAnew, Leave, Say, SessionReported};
+use blastema_contract::session::{BeginAnew, Leave, Say};
+use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
-use blastema_core::net::exchange::{Call, Epoch, Exchange, ExchangeOutput, TopicContract};
+use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
-use blastema_core::{FaultKind, MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, Why};
+use blastema_core::{FaultKind, Incarnation, MessageId, NodeName, ObjectName, PeerIdentity, Why};
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
 use std::collections::BTreeMap;
@@ -30,7 +31,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::time::Duration;
 use tokio::sync::oneshot;
-use tracing::{debug, error, warn};
+use tracing::{debug, error, info, warn};
 
 /// How often the registry is looked at for objects that came or went.
 const NAMES_INTERVAL: Duration = Duration::from_millis(200);
@@ -44,6 +45,7 @@ struct Wiring {
     registry: Registry,
     topics: Topics,
     recoverer: Option<Recipient<Recover>>,
+    nodes: Option<Recipient<NodeReported>>,
     sessions: SessionPorts,
     doors: Arc<Doors>,
     dead_letters: DeadLetterOffice,
@@ -83,6 +85,10 @@ struct Peer {
     gate: Arc<Gate>,
     /// The number of the session that was opened last.
     session: u32,
+    /// The life that it is with, or was.
+    incarnation: Incarnation,
+    /// That life has ended in order.
+    left: bool,
 }
 
 struct Forwarded {
@@ -99,9 +105,10 @@ impl Gateway {
         sessions: SessionPorts,
         doors: Arc<Doors>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
-        let NetEnvironment { registry, topics, recoverer, dead_letters, .. } = environment.clone();
+        let NetEnvironment { registry, topics, recoverer, nodes, dead_letters, .. } =
+            environment.clone();
         move |_| Gateway {
-            wiring: Wiring { registry, topics, recoverer, sessions, doors, dead_letters },
+            wiring: Wiring { registry, topics, recoverer, nodes, sessions, doors, dead_letters },
             exchange: Exchange::default(),
             naming: Naming::default(),
             peers: BTreeMap::new(),
@@ -216,7 +223,7 @@ impl Gateway {
             ExchangeOutput::Names { peer, announcement } => {
                 self.naming.handle_announcement(peer, announcement);
             }
-            ExchangeOutput::Bye { peer } => debug!(%peer, "a node leaves in order"),
+            ExchangeOutput::Bye { peer } => self.handle_bye(peer),
             ExchangeOutput::Forget { peer } => self.forget(peer),
         }
     }
@@ -340,6 +347,27 @@ impl Gateway {
         });
     }
 
+    /// A node ends in order: that it will be silent is no fault.
+    fn handle_bye(&mut self, peer: NodeId) {
+        let Some(known) = self.peers.get_mut(&peer) else { return };
+        known.left = true;
+        known.gate.set(Condition::Left);
+        let (node, incarnation) = (known.node.clone(), known.incarnation);
+        info!(%node, %incarnation, "node leaves in order");
+        if let Some(nodes) = &self.wiring.nodes {
+            let condition = NodeCondition::Left;
+            nodes.do_send(NodeReported { node, incarnation, condition });
+        }
+    }
+
+    /// Why the session with a peer has ended, as its callers are told.
+    fn because(&self, peer: NodeId, why: Why) -> Why {
+        match self.peers.get(&peer) {
+            Some(Peer { node, left: true, .. }) => Why::Left { node: node.to_string() },
+            _ => why,
+        }
+    }
+
     /// The session is over: what the peer had here goes with it.
     fn forget(&mut self, peer: NodeId) {
         let all = (peer, 0)..=(peer, u32::MAX);
@@ -352,13 +380,21 @@ impl Gateway {
     fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<Gate>) {
         let peer = NodeId::of(node);
         let gate = self.wiring.doors.gate(node);
-        let known = Peer { node: node.clone(), gate: gate.clone(), session: 0 };
+        let known = Peer {
+            node: node.clone(),
+            gate: gate.clone(),
+            session: 0,
+            incarnation: Incarnation::default(),
+            left: false,
+        };
         self.peers.entry(peer).or_insert(known);
         (peer, gate)
     }
 
     fn set(&self, peer: NodeId, condition: Condition) {
-        if let Some(peer) = self.peers.get(&peer) {
+        if let Some(peer) = self.peers.get(&peer)
+            && !peer.left
+        {
             peer.gate.set(condition);
         }
     }
@@ -410,181 +446,10 @@ impl Supervised for Gateway {
         self.exchange = self.exchange.reborn();
         self.naming = Naming::default();
         self.revision = None;
-        self.peers.values().for_each(|peer| peer.gate.set(Condition::Opening));
+        self.peers.keys().for_each(|peer| self.set(*peer, Condition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();
         peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer, true));
         self.wiring.sessions.begin_anew.do_send(BeginAnew);
         self.started(context);
-    }
-}
-
-impl Handler<SessionReported> for Gateway {
-    type Result = ();
-
-    fn handle(&mut self, message: SessionReported, context: &mut Context<Self>) {
-        match message {
-            SessionReported::Reachable { node } => {
-                let (peer, gate) = self.meet(&node);
-                self.exchange.handle_reachable(peer, true);
-                if !gate.has_session() {
-                    gate.set(Condition::Opening);
-                }
-            }
-            SessionReported::Unreachable { node } => {
-                let (peer, gate) = self.meet(&node);
-                self.exchange.handle_reachable(peer, false);
-                if !gate.has_session() {
-                    gate.set(Condition::Unreachable);
-                }
-            }
-            SessionReported::Opened { node, incarnation, session } => {
-                let (peer, gate) = self.meet(&node);
-                self.peers.entry(peer).and_modify(|peer| peer.session = session);
-                self.exchange.handle_opened(peer, platform::now());
-                for announcement in self.naming.handle_opened(node, incarnation) {
-                    let now = platform::now();
-                    self.exchange.handle_own_names(Some(peer), &announcement, now);
-                }
-                gate.set(Condition::Open);
-            }
-            SessionReported::Message { peer, message } => {
-                self.exchange.handle_message(peer, message, platform::now());
-            }
-            SessionReported::Returned { peer, message, why } => {
-                self.exchange.handle_returned(peer, message, why);
-            }
-            SessionReported::Ended { peer, why } => {
-                let condition = match self.exchange.is_reachable(peer) {
-                    true => Condition::Opening,
-                    false => Condition::Unreachable,
-                };
-                self.set(peer, condition);
-                self.exchange.handle_ended(peer, &why);
-                self.naming.handle_ended(peer);
-            }
-            SessionReported::Full { peer } => self.set(peer, Condition::Full),
-            SessionReported::Room { peer } => self.set(peer, Condition::Open),
-        }
-        self.drive(context);
-    }
-}
-
-impl Handler<Ship> for Gateway {
-    type Result = ();
-
-    fn handle(&mut self, message: Ship, context: &mut Context<Self>) {
-        let Ship { to, contract, id, sent, payload, reply_to, gate } = message;
-        gate.taken();
-        let reply_as = reply_to.map(|reply_to| {
-            let number = self.number();
-            self.replies.insert(number, (to.node.clone(), reply_to));
-            number
-        });
-        let ObjectAddress { node, object } = to;
-        self.exchange.handle_call(Call { node, object, contract, id, sent, payload, reply_as });
-        self.drive(context);
-    }
-}
-
-impl Handler<Answered> for Gateway {
-    type Result = ();
-
-    fn handle(&mut self, message: Answered, context: &mut Context<Self>) {
-        let Answered { peer, epoch, call, result } = message;
-        self.exchange.handle_answer(peer, epoch, call, result);
-        self.drive(context);
-    }
-}
-
-impl Handler<Published> for Gateway {
-    type Result = ();
-
-    fn handle(&mut self, message: Published, context: &mut Context<Self>) {
-        let Published { peer, subscription, event, sent } = message;
-        if let Some(forwarded) = self.forwards.get(&(peer, subscription)) {
-            forwarded.waiting.fetch_sub(1, Relaxed);
-        }
-        match self.verify((peer, subscription)) {
-            Ok(()) => self.exchange.handle_event(peer, subscription, event, sent),
-            Err(why @ Why::ContractDiffers { .. }) => {
-                error!("a listener's contract differs: {why}");
-                self.end_forward((peer, subscription));
-                self.exchange.handle_subscribe_refused(peer, subscription, why);
-            }
-            Err(_) => self.lost += 1,
-        }
-        self.drive(context);
-    }
-}
-
-impl Handler<Interested> for Gateway {
-    type Result = ();
-
-    fn handle(&mut self, message: Interested, context: &mut Context<Self>) {
-        let Interested { key, more } = message;
-        let identity = self.wiring.topics.identity(&key).filter(|_| more);
-        self.exchange.handle_interest(topic(&key), identity);
-        self.drive(context);
-    }
-}
-
-impl Handler<Notify> for Gateway {
-    type Result = ();
-
-    fn handle(&mut self, message: Notify, context: &mut Context<Self>) {
-        let Notify { peer, payload, confirm } = message;
-        let number = self.number();
-        self.notices.insert(number, confirm);
-        self.exchange.handle_notice(peer, number, payload);
-        self.drive(context);
-    }
-}
-
-impl Handler<Noticed> for Gateway {
-    type Result = ();
-
-    fn handle(&mut self, message: Noticed, context: &mut Context<Self>) {
-        let Noticed { peer, epoch, number } = message;
-        self.exchange.handle_noticed(peer, epoch, number);
-        self.drive(context);
-    }
-}
-
-impl Handler<Leave> for Gateway {
-    type Result = ();
-
-    fn handle(&mut self, _: Leave, context: &mut Context<Self>) {
-        self.leaving = true;
-        context.run_later(LEAVE_PATIENCE, |gateway, _| gateway.leave());
-        self.drive(context);
-    }
-}
-
-impl Handler<FindObject> for Gateway {
-    type Result = MessageResult<FindObject>;
-
-    fn handle(&mut self, message: FindObject, _: &mut Context<Self>) -> Self::Result {
-        MessageResult(self.naming.find(&message.object))
-    }
-}
-
-impl Handler<ReadNames> for Gateway {
-    type Result = MessageResult<ReadNames>;
-
-    fn handle(&mut self, _: ReadNames, _: &mut Context<Self>) -> Self::Result {
-        let rows = self.naming.nodes().map(|(node, incarnation, objects)| {
-            let address = |object: &ObjectName| ObjectAddress::new(node.clone(), object.clone());
-            let objects = objects.iter().map(address).collect();
-            NodeRow { node: node.clone(), incarnation, objects }
-        });
-        MessageResult(rows.collect())
-    }
-}
-
-impl Handler<PanicOnPurpose> for Gateway {
-    type Result = ();
-
-    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
-        panic!("the gateway panics on purpose");
     }
 }

@@ -16,6 +16,7 @@
 //!   delivered; the others go on.
 //! * the gateway: every request is resolved, every session begins anew.
 
+mod carrier;
 mod door;
 mod gateway;
 mod links;
@@ -24,6 +25,8 @@ mod router;
 mod sessions;
 #[cfg(test)]
 mod tests;
+
+pub(crate) use carrier::Interface;
 
 use crate::guardian::Guardian;
 use crate::host::office::DeadLetterOffice;
@@ -53,6 +56,8 @@ pub(crate) struct NetworkSpec {
     pub(crate) name: Arc<str>,
     /// Its transport, already started on the network's arbiter, perhaps behind a faulty cable.
     pub(crate) transport: Transport,
+    /// The interface whose carrier tells of a pulled cable, where there is one.
+    pub(crate) interface: Option<Interface>,
     /// The neighbours.
     pub(crate) links: Vec<LinkSpec>,
 }
@@ -66,9 +71,9 @@ pub(crate) struct LinkSpec {
     pub(crate) remote: MediumAddress,
     /// Who must be there; `None` takes whoever speaks first.
     pub(crate) neighbour: Option<NodeName>,
-    /// How dear it is to use: of two paths the cheaper is taken.
-    pub(crate) cost: u16,
-    /// How often we say hello. A dead link is found after three and a half of the neighbour's.
+    /// How dear it is to use: of two paths the cheaper is taken. `None` is as its medium is.
+    pub(crate) cost: Option<u16>,
+    /// How often we say hello, unless the medium is too slow for that. A dead link is found after three and a half of the neighbour's.
     pub(crate) hello_interval: Duration,
 }
 
@@ -80,7 +85,7 @@ impl LinkSpec {
             name: name.into(),
             remote,
             neighbour: None,
-            cost: 10,
+            cost: None,
             hello_interval: Duration::from_millis(50),
         }
     }
@@ -140,6 +145,7 @@ pub(crate) struct NetHandle {
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
     doors: Arc<door::Doors>,
+    carrier: Arc<carrier::CarrierWatch>,
 }
 
 /// Starts the network of a node, and connects the registry and the topics to it.
@@ -180,7 +186,7 @@ pub(crate) fn start(
     let remote: Arc<dyn RemoteDoors> = doors.clone();
     environment.registry.connect(node, Some(remote));
 
-    let mut next = 0;
+    let (mut next, mut watched) = (0, Vec::new());
     let networks = networks.into_iter().map(|spec| {
         let name = named(&format!("links/{}", spec.name));
         let first = next;
@@ -198,12 +204,16 @@ pub(crate) fn start(
         };
         let address =
             guardian.start(name.clone(), place, move |_| links::Links::new(wiring, links));
+        if let Some(interface) = spec.interface {
+            watched.push(carrier::Watched { interface, told: address.clone().recipient() });
+        }
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
         router.do_send(AddLinks { links: numbers, carry, report });
         (name, address)
     });
     let networks = networks.collect();
-    Ok(NetHandle { gateway, sessions, router, networks, guardian, arbiter, doors })
+    let carrier = Arc::new(carrier::CarrierWatch::start(watched));
+    Ok(NetHandle { gateway, sessions, router, networks, guardian, arbiter, doors, carrier })
 }
 
 fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
@@ -301,6 +311,11 @@ impl NetHandle {
     /// Takes requests for another way, from the recovery strategy.
     pub(crate) fn reroute(&self) -> Recipient<Reroute> {
         self.router.clone().recipient()
+    }
+
+    /// Looks at no interface any more.
+    pub(crate) fn stop(&self) {
+        self.carrier.end();
     }
 
     /// Tells the peers that this node ends in order, delivers what was sent, and ends every session.

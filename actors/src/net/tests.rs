@@ -158,6 +158,7 @@ impl Robot {
             NetworkSpec {
                 name: (*network).into(),
                 transport: Transport::from(cable),
+                interface: None,
                 links: links.collect(),
             }
         });
@@ -591,7 +592,10 @@ fn a_node_that_leaves_in_order_delivers_first() {
 
         assert_eq!(right.log.take(), (0..10).collect::<Vec<_>>());
         let why = right.sender::<Add>("left:acc").ask(Add(1)).await.unwrap_err().why;
-        assert_eq!(why, Why::Restarting);
+        assert_eq!(why, Why::Left { node: "left".into() });
+        let told = right.nodes.drain().into_iter().map(|report| report.condition);
+        let told: Vec<_> = told.collect();
+        assert_eq!(told, [NodeCondition::Reachable, NodeCondition::Left]);
     });
 }
 
@@ -654,6 +658,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
         let spec = NetworkSpec {
             name: "ethernet".into(),
             transport: Transport::from(memory),
+            interface: None,
             links: vec![link("left"), link("right")],
         };
         let environment = NetEnvironment {

@@ -2,7 +2,7 @@
 
 use super::builder::StartError;
 use crate::guardian::Guardian;
-use crate::net::{LinkSpec, NetworkSpec};
+use crate::net::{Interface, LinkSpec, NetworkSpec};
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::transport::{
@@ -42,6 +42,7 @@ pub struct Network {
     medium: Medium,
     links: Vec<Link>,
     faults: Option<u64>,
+    interface: Option<Interface>,
 }
 
 enum Medium {
@@ -108,7 +109,15 @@ impl Network {
     }
 
     fn over(name: &str, medium: Medium) -> Self {
-        Network { name: name.to_owned(), medium, links: Vec::new(), faults: None }
+        // A socket that is bound to one address uses the interface that has it.
+        let (named, bind) = match &medium {
+            Medium::At(Endpoint::Udp(config)) => (config.interface.clone(), Some(config.bind)),
+            Medium::At(Endpoint::Tcp(config)) => (config.interface.clone(), Some(config.bind)),
+            _ => (None, None),
+        };
+        let by_address = || Interface::of(bind?.ip());
+        let interface = named.map(Interface::Named).or_else(by_address);
+        Network { name: name.to_owned(), medium, links: Vec::new(), faults: None, interface }
     }
 
     /// One more neighbour, with everything usual: the node of this name, at this address as the medium
@@ -120,6 +129,14 @@ impl Network {
     /// One more neighbour.
     pub fn link(mut self, link: Link) -> Self {
         self.links.push(link);
+        self
+    }
+
+    /// The network interface that is used, such as `eth0`. When it loses its carrier, its links are given
+    /// up at once instead of after some missing hellos. Where the socket is bound to an address of
+    /// one interface, this need not be said.
+    pub fn interface(mut self, name: &str) -> Self {
+        self.interface = Some(Interface::Named(name.to_owned()));
         self
     }
 
@@ -138,8 +155,8 @@ pub struct Link {
     name: Option<String>,
     neighbour: String,
     remote: Remote,
-    cost: u16,
-    hello_interval: Option<Duration>,
+    cost: Option<u16>,
+    hello_interval: Duration,
 }
 
 /// Where a neighbour is.
@@ -171,7 +188,7 @@ impl Link {
 
     fn at(neighbour: &str, remote: Remote) -> Self {
         let neighbour = neighbour.to_owned();
-        Link { name: None, neighbour, remote, cost: 10, hello_interval: None }
+        Link { name: None, neighbour, remote, cost: None, hello_interval: HELLO_INTERVAL }
     }
 
     /// How people call it. Unless this says otherwise, it has the network's name where it is the only
@@ -181,17 +198,19 @@ impl Link {
         self
     }
 
-    /// How dear it is to use, 10 unless this says otherwise. Of two paths the cheaper is taken.
+    /// How dear it is to use. Of two paths the cheaper is taken. Unless this says otherwise, 10, and more
+    /// on a medium that carries less than a megabyte per second. A link that loses hellos costs more than
+    /// this for as long as it does.
     pub fn cost(mut self, cost: u16) -> Self {
-        self.cost = cost;
+        self.cost = Some(cost);
         self
     }
 
-    /// How often a hello is sent: every 50 ms unless this says otherwise, and on a slow serial line so
-    /// that hellos take no more than a tenth of it. Shorter finds a dead link sooner and costs more; the neighbour finds
-    /// this end dead after three and a half of them.
+    /// How often a hello is sent, 50 ms unless this says otherwise; on a slow medium less often, so that
+    /// hellos take no more than a twentieth of it. Shorter finds a dead link sooner and costs more; the
+    /// neighbour finds this end dead after three and a half of them.
     pub fn hello_every(mut self, interval: Duration) -> Self {
-        self.hello_interval = Some(interval);
+        self.hello_interval = interval;
         self
     }
 }
@@ -246,10 +265,6 @@ pub(super) struct Laid {
 /// A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so long
 /// looks dead to its neighbours; on a computer that is never overloaded, less is fine.
 const HELLO_INTERVAL: Duration = Duration::from_millis(50);
-/// What a hello takes on a serial line, in bytes, with names of the usual length.
-const HELLO_LENGTH: usize = 64;
-/// Hellos may take so much of a slow line: one part in ten.
-const HELLO_SHARE: u32 = 10;
 
 impl Medium {
     /// The address of a neighbour as this medium has it.
@@ -263,16 +278,6 @@ impl Medium {
             }
             (Remote::Written(text), Medium::Own(_)) if text.is_empty() => Ok(MediumAddress::Line),
             (Remote::Written(text), Medium::Own(_)) => Ok(MediumAddress::Own(text.as_str().into())),
-        }
-    }
-
-    /// How often a hello is sent unless the link says otherwise.
-    fn hello_interval(&self) -> Duration {
-        match self {
-            Medium::At(Endpoint::Serial(config)) => {
-                HELLO_INTERVAL.max(config.time_of(HELLO_LENGTH) * HELLO_SHARE)
-            }
-            _ => HELLO_INTERVAL,
         }
     }
 
@@ -332,7 +337,7 @@ impl Network {
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Laid, StartError> {
-        let Network { name, medium, links, faults } = self;
+        let Network { name, medium, links, faults, interface } = self;
         let object = ObjectName::new(&format!("transport/{name}"))?;
         let mut neighbours = Vec::new();
         let mut specs = Vec::new();
@@ -344,7 +349,6 @@ impl Network {
             let remote = medium
                 .remote(remote)
                 .map_err(|error| StartError::Endpoint { network: name.clone(), error })?;
-            let hello_interval = hello_interval.unwrap_or_else(|| medium.hello_interval());
             neighbours.push(node.clone());
             let neighbour = Some(node);
             specs.push(LinkSpec { name: link, remote, neighbour, cost, hello_interval });
@@ -366,7 +370,7 @@ impl Network {
                 Some(Cable { faulty, neighbours: specs.iter().filter_map(there).collect() })
             }
         };
-        let spec = NetworkSpec { name: name.into(), transport, links: specs };
+        let spec = NetworkSpec { name: name.into(), transport, interface, links: specs };
         Ok(Laid { spec, cable, neighbours, transports })
     }
 }

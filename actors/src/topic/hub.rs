@@ -15,6 +15,7 @@ use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::future::poll_fn;
+use std::hint::black_box;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::rc::{Rc, Weak};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed};
@@ -175,7 +176,8 @@ impl<E: Event> Hub<E> {
         while at.get() < locals.len() {
             let guarded = Guarded::enter();
             let offered = catch_unwind(AssertUnwindSafe(|| {
-                for local in &locals[at.get()..] {
+                for (local, next_one) in locals[at.get()..].iter().zip(ahead(&locals, at.get())) {
+                    next_one.inspect(|local| local.call_up());
                     gone.set(gone.get() | !local.offer(&events, next, self));
                     next.store(0, Relaxed);
                     at.set(at.get() + 1);
@@ -195,6 +197,15 @@ impl<E: Event> Hub<E> {
     }
 }
 
+/// For each local from this one on, the one after it.
+fn ahead<E: Event>(
+    locals: &[Box<dyn Local<E>>],
+    from: usize,
+) -> impl Iterator<Item = Option<&dyn Local<E>>> {
+    let after = locals[from..].iter().skip(1).map(|local| Some(&**local));
+    after.chain(std::iter::once(None))
+}
+
 /// One writer only, so a plain store does.
 #[inline]
 fn step(next: &AtomicUsize) {
@@ -206,6 +217,8 @@ trait Local<E: Event> {
     /// Gives it the events that it wants, beginning with that of number `next`. Says whether it still
     /// listens here.
     fn offer(&self, events: &[Posted<E>], next: &AtomicUsize, hub: &Hub<E>) -> bool;
+    /// Brings what it consists of nearer to the processor, while the one before it is served.
+    fn call_up(&self);
     fn is_present(&self) -> bool;
     fn die(&self, payload: Box<dyn Any + Send>);
     fn bury(&self, why: &Why);
@@ -275,6 +288,12 @@ impl<C: Handle<E>, E: Event> Local<E> for Ear<C, E> {
             step(next);
         }
         true
+    }
+
+    #[inline]
+    fn call_up(&self) {
+        let known = self.pump.borrow();
+        black_box((self.present.load(Relaxed), known.strong_count()));
     }
 
     #[inline]

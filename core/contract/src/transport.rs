@@ -116,6 +116,12 @@ pub enum TransportReport {
         /// What happened, and what helps.
         reason: String,
     },
+    /// How much the medium carries, where that is little: hellos are said less often on it, and it is
+    /// dearer to use. Reported after each opening.
+    Rate {
+        /// Bytes of frames in a second, both ways together.
+        bytes_per_second: u64,
+    },
     /// A connection to this peer is gone (media with connections only).
     PeerLost {
         /// Who.

@@ -19,6 +19,7 @@ pub(crate) enum Derive {
     Structure,
     Event,
     Request,
+    Variable,
 }
 
 /// What `#[contract(..)]` says about a type.
@@ -132,6 +133,12 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
         ("crate", _) => None,
         ("reply", Derive::Event) => {
             Some("an event has no reply: derive `Request` instead, or remove `reply`".into())
+        }
+        ("reply", Derive::Variable) => {
+            Some("a variable has no reply: it is read and written; remove `reply`".into())
+        }
+        ("max_age", Derive::Variable) => {
+            Some("a variable shows its age to whoever reads it; remove `max_age`".into())
         }
         ("max_age", Derive::Request) => {
             Some("a request has no max_age: the asker states a deadline; remove `max_age`".into())

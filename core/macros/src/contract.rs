@@ -1,21 +1,32 @@
-//! `#[derive(Event)]` and `#[derive(Request)]`.
+//! `#[derive(Event)]`, `#[derive(Request)]` and `#[derive(Variable)]`.
 
 use crate::attributes::{Derive, TypeAttributes, wrong_name};
 use crate::structure::{described_generics, expand};
 use proc_macro2::TokenStream;
 use quote::quote;
 use syn::ext::IdentExt;
-use syn::{DeriveInput, Error, Generics, Result, parse_quote};
+use syn::{DeriveInput, Error, Generics, Path, Result, parse_quote};
 
 pub(crate) fn derive_event(input: &DeriveInput) -> Result<TokenStream> {
-    let attributes = TypeAttributes::parse(&input.attrs, Derive::Event)?;
+    without_reply(input, Derive::Event, |facade| quote!(#facade::core::Event))
+}
+
+pub(crate) fn derive_variable(input: &DeriveInput) -> Result<TokenStream> {
+    without_reply(input, Derive::Variable, |facade| quote!(#facade::core::Variable))
+}
+
+fn without_reply(
+    input: &DeriveInput,
+    derive: Derive,
+    kind: impl Fn(&Path) -> TokenStream,
+) -> Result<TokenStream> {
+    let attributes = TypeAttributes::parse(&input.attrs, derive)?;
     let structure = expand(input, &attributes)?;
     let contract = contract(input, &attributes, &quote!(()))?;
-    let facade = &attributes.facade;
     let kind = marker(
         input,
         &attributes,
-        &quote!(#facade::core::Event),
+        &kind(&attributes.facade),
         &quote!(::std::clone::Clone + ::std::marker::Send + ::std::marker::Sync),
     );
     Ok(quote!(#structure #contract #kind))

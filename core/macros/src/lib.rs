@@ -77,6 +77,25 @@ pub fn request(input: TokenStream) -> TokenStream {
     tokens(contract::derive_request(&input))
 }
 
+/// Makes a type a variable: a value that an object owns, and that any node may read, write and watch.
+///
+/// `name`, `version` and `max_size` are those of [`Event`].
+///
+/// ```text
+/// /// How fast the arm may move.
+/// #[derive(Clone, Debug, Variable)]
+/// #[contract(name = "arm/speed-limit")]
+/// struct SpeedLimit {
+///     #[contract(unit = "rad/s")]
+///     value: f32,
+/// }
+/// ```
+#[proc_macro_derive(Variable, attributes(contract, serde))]
+pub fn variable(input: TokenStream) -> TokenStream {
+    let input = parse_macro_input!(input as DeriveInput);
+    tokens(contract::derive_variable(&input))
+}
+
 /// Runs an async `main` in the middleware's runtime, by `::blastema::run`.
 ///
 /// ```

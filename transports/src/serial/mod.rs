@@ -28,6 +28,8 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Sleep;
 use tokio_serial::{ClearBuffer, DataBits, ErrorKind, FlowControl, SerialPort, SerialStream};
 
+/// A line that carries so many bytes in a second is not slow: hellos are nothing to it.
+const FAST: u64 = 1_000_000;
 /// So many bytes are read at once: what the system holds of a terminal.
 const CHUNK: usize = 4096;
 /// So much time of the line is written at once. Shorter wakes us more often, longer lets more wait in
@@ -90,6 +92,11 @@ impl FrameMedium for SerialLine {
         let bytes = self.config.bytes_in(self.config.queue_time).max(least);
         // Each frame costs as much as a small one, so that empty frames have a bound too.
         QueueLimits { frames: bytes.div_ceil(16), bytes }
+    }
+
+    fn bytes_per_second(&self) -> Option<u64> {
+        let one_way = self.config.bytes_in(Duration::from_secs(1)) as u64;
+        Some(2 * one_way).filter(|rate| *rate < FAST)
     }
 
     fn open(&mut self) -> io::Result<Opening> {

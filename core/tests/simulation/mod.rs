@@ -1,0 +1,415 @@
+//! Whole networks of link, router and session machines over wires that lose, delay, reorder and
+//! double, are cut and mended, between nodes that die and live again: one seed, one run.
+
+#![allow(dead_code, reason = "each test needs a part of it")]
+
+use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
+use blastema_core::net::router::{Health, LinkStatus};
+use blastema_core::net::segment::Stream;
+use blastema_core::net::{
+    Link, LinkNumber, NodeId, Router, RouterConfig, RouterOutput, Session, SessionConfig,
+    SessionOutput,
+};
+use blastema_core::random::Random;
+use blastema_core::{Incarnation, Instant, Machine, NodeName};
+use bytes::{BufMut, Bytes, BytesMut};
+use std::collections::{BTreeMap, BTreeSet};
+use std::hash::{DefaultHasher, Hash};
+use std::time::Duration;
+
+pub(crate) const MS: Duration = Duration::from_millis(1);
+
+#[derive(Clone, Copy)]
+pub(crate) struct Wire {
+    /// Which node and which of its links, at both ends.
+    pub(crate) ends: [(usize, usize); 2],
+    pub(crate) cut: bool,
+    pub(crate) mtu: usize,
+}
+
+/// What wires do to frames, and how probably.
+#[derive(Clone, Copy)]
+pub(crate) struct Weather {
+    pub(crate) loss: f64,
+    pub(crate) double: f64,
+    pub(crate) delay: (Duration, Duration),
+}
+
+pub(crate) const CALM: Weather =
+    Weather { loss: 0.0, double: 0.0, delay: (Duration::from_micros(100), MS) };
+pub(crate) const STORM: Weather = Weather {
+    loss: 0.15,
+    double: 0.1,
+    delay: (Duration::from_micros(100), Duration::from_millis(8)),
+};
+
+pub(crate) struct Node {
+    pub(crate) name: NodeName,
+    pub(crate) incarnation: u64,
+    /// The wire, the side of the wire, the link.
+    pub(crate) links: Vec<(usize, usize, Link)>,
+    pub(crate) router: Router,
+    pub(crate) sessions: BTreeMap<NodeId, Session>,
+    pub(crate) reachable: BTreeSet<NodeId>,
+}
+
+/// Which message: from whom in which life, to whom, the n-th.
+pub(crate) type Key = (usize, u64, usize, u64);
+/// Frames on their way: to which wire's which side.
+pub(crate) type Frames = BTreeMap<(Instant, u64), (usize, usize, Bytes)>;
+
+pub(crate) struct World {
+    pub(crate) now: Instant,
+    pub(crate) random: Random,
+    pub(crate) weather: Weather,
+    pub(crate) wires: Vec<Wire>,
+    pub(crate) nodes: Vec<Option<Node>>,
+    /// When each node wants to be woken.
+    pub(crate) due: Vec<Option<Instant>>,
+    pub(crate) lives: Vec<u64>,
+    pub(crate) frames: Frames,
+    pub(crate) count: u64,
+    pub(crate) trace: DefaultHasher,
+    pub(crate) sent: BTreeMap<(usize, u64, usize), u64>,
+    /// What arrived, and in which life of the receiver.
+    pub(crate) delivered: BTreeMap<Key, u64>,
+    pub(crate) last: BTreeMap<(usize, u64, usize, u64, Stream), u64>,
+    /// When a message of the redundant stream came last, and the longest time between two.
+    pub(crate) arrival: Option<Instant>,
+    pub(crate) gap: Duration,
+    pub(crate) returned: BTreeSet<Key>,
+}
+
+pub(crate) fn name(index: usize) -> NodeName {
+    NodeName::new(&format!("module{index}")).unwrap()
+}
+
+impl World {
+    pub(crate) fn new(seed: u64, nodes: usize, wires: &[(usize, usize)], weather: Weather) -> Self {
+        let mut links = vec![0; nodes];
+        let wire = |&(a, b): &(usize, usize)| {
+            let ends = [(a, links[a]), (b, links[b])];
+            links[a] += 1;
+            links[b] += 1;
+            Wire { ends, cut: false, mtu: 1400 }
+        };
+        let wires = wires.iter().map(wire).collect();
+        let mut world = World {
+            now: Instant::from_millis(1_000_000),
+            random: Random::new(seed),
+            weather,
+            wires,
+            nodes: (0..nodes).map(|_| None).collect(),
+            due: vec![None; nodes],
+            lives: vec![0; nodes],
+            frames: BTreeMap::new(),
+            count: 0,
+            trace: DefaultHasher::new(),
+            sent: BTreeMap::new(),
+            delivered: BTreeMap::new(),
+            last: BTreeMap::new(),
+            arrival: None,
+            gap: Duration::ZERO,
+            returned: BTreeSet::new(),
+        };
+        (0..nodes).for_each(|node| world.start(node));
+        world
+    }
+
+    pub(crate) fn start(&mut self, index: usize) {
+        self.lives[index] += 1;
+        let incarnation = Incarnation(self.lives[index]);
+        let now = self.now;
+        let mut links = vec![];
+        for (number, wire) in self.wires.iter().enumerate() {
+            for (side, end) in wire.ends.iter().enumerate() {
+                if end.0 == index {
+                    let usual = LinkConfig::new(name(index), incarnation);
+                    let config = LinkConfig { hello_interval: 20 * MS, ..usual };
+                    links.push((number, side, Link::new(config, now)));
+                }
+            }
+        }
+        let router = Router::new(RouterConfig::new(name(index), incarnation), now);
+        let sessions = (0..self.lives.len()).filter(|peer| *peer != index).map(|peer| {
+            let config = SessionConfig::new(name(index), incarnation, name(peer));
+            (NodeId::of(&name(peer)), Session::new(config, now))
+        });
+        self.nodes[index] = Some(Node {
+            name: name(index),
+            incarnation: incarnation.0,
+            links,
+            router,
+            sessions: sessions.collect(),
+            reachable: BTreeSet::new(),
+        });
+        self.settle(index);
+    }
+
+    pub(crate) fn kill(&mut self, index: usize) {
+        self.nodes[index] = None;
+        self.due[index] = None;
+    }
+
+    pub(crate) fn send(&mut self, from: usize, to: usize, length: usize) -> bool {
+        self.send_on(Stream::Data, from, to, length)
+    }
+
+    pub(crate) fn send_on(
+        &mut self,
+        stream: Stream,
+        from: usize,
+        to: usize,
+        length: usize,
+    ) -> bool {
+        let now = self.now;
+        let Some(node) = &mut self.nodes[from] else { return false };
+        let life = node.incarnation;
+        let number = self.sent.entry((from, life, to)).or_insert(0);
+        let mut message = BytesMut::new();
+        message.put_u64(from as u64);
+        message.put_u64(life);
+        message.put_u64(to as u64);
+        message.put_u64(*number);
+        message.resize(32 + length, 0xee);
+        let session = node.sessions.get_mut(&NodeId::of(&name(to))).unwrap();
+        let accepted = session.handle_send(stream, message.freeze(), now).is_ok();
+        *number += u64::from(accepted);
+        self.settle(from);
+        accepted
+    }
+
+    /// Runs until nothing is due before `end`.
+    pub(crate) fn run_until(&mut self, end: Instant) {
+        loop {
+            let frame = self.frames.keys().next().map(|(at, _)| *at);
+            let timer = (0..self.nodes.len()).filter_map(|n| Some((self.due[n]?, n))).min();
+            let next = [frame, timer.map(|(at, _)| at)].into_iter().flatten().min();
+            let Some(next) = next.filter(|next| *next <= end) else { break };
+            self.now = self.now.max(next);
+            let now = self.now;
+            if frame.is_some_and(|at| at <= now) {
+                let (_, (wire, side, frame)) = self.frames.pop_first().unwrap();
+                let (node, link) = self.wires[wire].ends[side];
+                if let Some(node) = &mut self.nodes[node] {
+                    node.links[link].2.handle_frame(frame, now);
+                }
+                self.settle(node);
+            } else if let Some((_, node)) = timer {
+                self.nodes[node].as_mut().unwrap().handle_timeout(now);
+                self.settle(node);
+            }
+        }
+        self.now = end;
+    }
+
+    pub(crate) fn run(&mut self, span: Duration) {
+        self.run_until(self.now + span);
+    }
+
+    /// Carries out everything that a node's machines want.
+    fn settle(&mut self, index: usize) {
+        let Some(mut node) = self.nodes[index].take() else { return };
+        while self.settle_links(&mut node)
+            | self.settle_router(&mut node)
+            | self.settle_sessions(index, &mut node)
+        {}
+        self.due[index] = node.poll_timeout();
+        self.nodes[index] = Some(node);
+    }
+
+    fn settle_links(&mut self, node: &mut Node) -> bool {
+        let mut busy = false;
+        for index in 0..node.links.len() {
+            let number = LinkNumber(index as u16);
+            let (wire, side, _) = node.links[index];
+            while let Some(output) = node.links[index].2.poll_output() {
+                busy = true;
+                let router = &mut node.router;
+                match output {
+                    LinkOutput::Transmit(frame) => self.throw(wire, side, &frame),
+                    LinkOutput::Changed { state, neighbour: Some(neighbour), .. } => {
+                        let health = match state {
+                            LinkState::Up => Health::Up,
+                            LinkState::Suspect => Health::Suspect,
+                            LinkState::Down | LinkState::Connecting => Health::Down,
+                        };
+                        let mtu = self.wires[wire].mtu;
+                        let status = LinkStatus { neighbour, health, cost: 10, mtu };
+                        router.handle_link(number, status, self.now);
+                    }
+                    LinkOutput::Routing(bytes) => router.handle_routing(number, bytes, self.now),
+                    LinkOutput::Packet(packet) => router.handle_packet(number, packet, self.now),
+                    LinkOutput::Changed { .. } | LinkOutput::Quality(_) => {}
+                    LinkOutput::Refused(refusal) => panic!("{refusal}"),
+                }
+            }
+        }
+        if node.router.poll_timeout().is_some_and(|due| due <= self.now) {
+            node.router.handle_timeout(self.now);
+            busy = true;
+        }
+        busy
+    }
+
+    /// Lets the weather have a frame.
+    fn throw(&mut self, wire: usize, side: usize, frame: &Bytes) {
+        let Wire { cut, mtu, .. } = self.wires[wire];
+        assert!(frame.len() <= mtu, "{} bytes for an mtu of {mtu}", frame.len());
+        (self.now, wire, frame).hash(&mut self.trace);
+        let Weather { loss, double, delay: (least, most) } = self.weather;
+        for _ in 0..1 + u64::from(self.random.chance(double)) {
+            let lost = self.random.chance(loss);
+            let spread = (most - least).as_nanos() as u64;
+            let delay = least + Duration::from_nanos(self.random.below(spread + 1));
+            if !lost && !cut {
+                self.count += 1;
+                self.frames.insert((self.now + delay, self.count), (wire, 1 - side, frame.clone()));
+            }
+        }
+    }
+
+    fn settle_router(&mut self, node: &mut Node) -> bool {
+        let mut busy = false;
+        while let Some(output) = node.router.poll_output() {
+            busy = true;
+            let now = self.now;
+            let sessions = &mut node.sessions;
+            match output {
+                RouterOutput::Routing { link, bytes } => {
+                    node.links[link.0 as usize].2.handle_routing(bytes);
+                }
+                RouterOutput::Packet { link, packet } => {
+                    node.links[link.0 as usize].2.handle_packet(packet);
+                }
+                RouterOutput::Segment { source, segment } => {
+                    sessions.get_mut(&source).unwrap().handle_segment(segment, now);
+                }
+                RouterOutput::Reachable { node: peer, incarnation, mtu } => {
+                    let id = NodeId::of(&peer);
+                    node.reachable.insert(id);
+                    let session = sessions.get_mut(&id).unwrap();
+                    session.handle_incarnation(incarnation, now);
+                    session.handle_path(mtu, now);
+                }
+                RouterOutput::PathChanged { node: peer, mtu } => {
+                    sessions.get_mut(&peer).unwrap().handle_path(mtu, now);
+                }
+                RouterOutput::Lost { node: peer, .. } => {
+                    let id = NodeId::of(&peer);
+                    node.reachable.remove(&id);
+                    sessions.get_mut(&id).unwrap().handle_no_path(now);
+                }
+                RouterOutput::Undelivered { .. } => {}
+                other => panic!("{other:?}"),
+            }
+        }
+        busy
+    }
+
+    fn settle_sessions(&mut self, index: usize, node: &mut Node) -> bool {
+        let mut busy = false;
+        for (peer, session) in &mut node.sessions {
+            while let Some(output) = session.poll_output() {
+                busy = true;
+                match output {
+                    SessionOutput::Transmit { class, segment, everywhere } => {
+                        if everywhere {
+                            node.router.handle_copies(*peer, class, &segment);
+                        } else {
+                            node.router.handle_segment(*peer, class, segment);
+                        }
+                    }
+                    SessionOutput::Message { stream, message } => {
+                        if stream == Stream::Redundant {
+                            let before = self.arrival.replace(self.now).unwrap_or(self.now);
+                            self.gap = self.gap.max(self.now - before);
+                        }
+                        let key = read(&message);
+                        let (from, life, to, number) = key;
+                        assert_eq!(to, index, "{} got another's message", node.name);
+                        assert_eq!(*peer, NodeId::of(&name(from)));
+                        let before = self.delivered.insert(key, node.incarnation);
+                        assert_eq!(before, None, "doubled: {key:?}");
+                        let sequel = (from, life, to, node.incarnation, stream);
+                        let last = self.last.entry(sequel).or_insert(0);
+                        assert!(number >= *last, "out of order: {key:?}");
+                        *last = number;
+                        (self.now, key).hash(&mut self.trace);
+                    }
+                    SessionOutput::Returned { message, .. } => {
+                        self.returned.insert(read(&message));
+                    }
+                    SessionOutput::Incompatible { .. } => panic!("one version only"),
+                    SessionOutput::Opened { .. }
+                    | SessionOutput::Ended { .. }
+                    | SessionOutput::Full { .. }
+                    | SessionOutput::Room { .. }
+                    | SessionOutput::Newest { .. } => {}
+                }
+            }
+        }
+        busy
+    }
+
+    /// Every message that a living sender was allowed to send has arrived or has come back.
+    pub(crate) fn check_complete(&self) {
+        for (&(from, life, to), &count) in &self.sent {
+            let alive = self.nodes[from].as_ref().is_some_and(|node| node.incarnation == life);
+            let missing: Vec<_> = (0..count)
+                .map(|number| (from, life, to, number))
+                .filter(|key| !self.delivered.contains_key(key) && !self.returned.contains(key))
+                .collect();
+            assert!(!alive || missing.is_empty(), "lost: {missing:?}");
+        }
+    }
+
+    pub(crate) fn count_sent(&self) -> u64 {
+        self.sent.values().sum()
+    }
+}
+
+impl Node {
+    fn poll_timeout(&self) -> Option<Instant> {
+        let links = self.links.iter().filter_map(|(_, _, link)| link.poll_timeout());
+        let sessions = self.sessions.values().filter_map(Session::poll_timeout);
+        links.chain(sessions).chain(self.router.poll_timeout()).min()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        fn wake(machine: &mut impl Machine, now: Instant) {
+            if machine.poll_timeout().is_some_and(|due| due <= now) {
+                machine.handle_timeout(now);
+            }
+        }
+        self.links.iter_mut().for_each(|(_, _, link)| wake(link, now));
+        self.sessions.values_mut().for_each(|session| wake(session, now));
+        wake(&mut self.router, now);
+    }
+}
+
+pub(crate) fn read(message: &Bytes) -> Key {
+    let word = |n: usize| u64::from_be_bytes(message[n * 8..][..8].try_into().unwrap());
+    assert!(message[32..].iter().all(|byte| *byte == 0xee));
+    (word(0) as usize, word(1), word(2) as usize, word(3))
+}
+
+/// Runs a scenario for many seeds; the seed of a failure is printed.
+pub(crate) fn for_seeds(seeds: std::ops::Range<u64>, scenario: impl Fn(u64)) {
+    struct Tell(u64);
+    impl Drop for Tell {
+        #[expect(clippy::print_stderr, reason = "whoever sees the test fail needs the seed")]
+        fn drop(&mut self) {
+            if std::thread::panicking() {
+                eprintln!("the failing seed is {}", self.0);
+            }
+        }
+    }
+    // `BLASTEMA_SEED=n` adds one seed to those that every run has.
+    let chosen = std::env::var("BLASTEMA_SEED").ok().map(|text| text.parse().expect("a number"));
+    for seed in seeds.chain(chosen) {
+        let tell = Tell(seed);
+        scenario(seed);
+        drop(tell);
+    }
+}
