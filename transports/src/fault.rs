@@ -164,11 +164,15 @@ impl Handler<TransportReport> for Faulty {
     type Result = ();
 
     fn handle(&mut self, message: TransportReport, _: &mut Context<Self>) {
-        if matches!(message, TransportReport::PeerLost { .. }) {
-            self.outlet.report(message);
-        } else {
-            self.state = Some(message);
-            self.announce();
+        match message {
+            TransportReport::PeerLost { .. } => self.outlet.report(message),
+            TransportReport::Rate { bytes_per_second } => {
+                self.outlet.announce_rate(bytes_per_second);
+            }
+            TransportReport::Opened { .. } | TransportReport::Closed { .. } => {
+                self.state = Some(message);
+                self.announce();
+            }
         }
     }
 }

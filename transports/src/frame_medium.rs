@@ -19,6 +19,12 @@ pub trait FrameMedium: Send + 'static {
         QueueLimits::default()
     }
 
+    /// How much it carries in a second, both ways together, where that is little: hellos are said less
+    /// often then, and it is dearer to use than others.
+    fn bytes_per_second(&self) -> Option<u64> {
+        None
+    }
+
     /// Opens it, or opens it again after it was lost or closed.
     ///
     /// # Errors

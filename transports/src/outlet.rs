@@ -26,6 +26,8 @@ pub(crate) struct Outlet {
     pub(crate) counters: TransportCounters,
     attach: Option<Attach>,
     state: Option<TransportReport>,
+    /// How much the medium carries, where that is little.
+    rate: Option<u64>,
     unconfirmed: VecDeque<Pin<Box<RecipientRequest<Received>>>>,
     in_batch: usize,
 }
@@ -36,8 +38,22 @@ impl Outlet {
         self.attach = Some(attach);
         self.unconfirmed.clear();
         self.in_batch = 0;
-        if let Some(state) = self.state.clone() {
-            self.report(state);
+        self.report_state();
+    }
+
+    /// The medium carries so much; it is reported now, and after each opening.
+    pub(crate) fn announce_rate(&mut self, bytes_per_second: u64) {
+        if self.rate.replace(bytes_per_second) != Some(bytes_per_second) {
+            self.report(TransportReport::Rate { bytes_per_second });
+        }
+    }
+
+    fn report_state(&self) {
+        let Some(state) = self.state.clone() else { return };
+        let open = matches!(state, TransportReport::Opened { .. });
+        self.report(state);
+        if let Some(bytes_per_second) = self.rate.filter(|_| open) {
+            self.report(TransportReport::Rate { bytes_per_second });
         }
     }
 
@@ -58,8 +74,8 @@ impl Outlet {
     pub(crate) fn announce(&mut self, state: TransportReport) {
         if self.state.as_ref() != Some(&state) {
             tracing::debug!(?state, "a transport reports");
-            self.state = Some(state.clone());
-            self.report(state);
+            self.state = Some(state);
+            self.report_state();
         }
     }
 

@@ -146,6 +146,15 @@ fn a_cut_that_is_noticed_is_reported_and_so_is_its_end() {
 
         bench.cable.do_send(Restore);
         assert_eq!(bench.reports.expect().await, closed);
+
+        // How much it carries is no state of its own.
+        let rate = TransportReport::Rate { bytes_per_second: 100 };
+        bench.medium.report(rate.clone());
+        assert_eq!(bench.reports.expect().await, rate);
+        bench.cable.do_send(Cut { direction: Direction::Both, reported: true });
+        bench.reports.expect().await;
+        bench.cable.do_send(Restore);
+        assert_eq!(bench.reports.expect().await, closed);
     });
 }
 

@@ -51,9 +51,10 @@ impl Node {
     }
 
     async fn closed(&self) -> String {
-        match self.reports.expect().await {
+        let closed = |report: &TransportReport| matches!(report, TransportReport::Closed { .. });
+        match self.reports.wait(closed).await {
             TransportReport::Closed { reason } => reason,
-            other => panic!("{other:?}"),
+            other => unreachable!("{other:?} was not waited for"),
         }
     }
 
@@ -151,7 +152,8 @@ fn garbage_on_the_line_is_counted_and_takes_no_frame_along() {
         }
         let TransportCounters { received, refused, .. } = right.counters().await;
         assert_eq!((received, refused), (50, 40), "empty frames between zeros are no noise");
-        assert!(right.reports.drain().is_empty());
+        let lost = |report: &TransportReport| matches!(report, TransportReport::Closed { .. });
+        assert!(!right.reports.drain().iter().any(lost));
     });
 }
 
@@ -173,6 +175,26 @@ fn a_wrong_speed_is_noise_and_nothing_else_until_it_is_put_right() {
         let right = Node::open(cable.right(), 115_200).await;
         left.send("understood");
         assert_eq!(right.frames.wait(|_| true).await.frame, "understood");
+    });
+}
+
+#[test]
+fn a_slow_line_says_how_much_it_carries_to_whoever_attaches() {
+    run(async {
+        let cable = Cable::new();
+        let slow = Node::open(cable.left(), 9_600).await;
+        let expected = TransportReport::Rate { bytes_per_second: 1_920 };
+        assert_eq!(slow.reports.expect().await, expected);
+
+        let (frames, reports) = (Probe::<Received>::start(), Probe::start());
+        let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+        slow.transport.do_send(attach);
+        assert!(matches!(reports.expect().await, TransportReport::Opened { .. }));
+        assert_eq!(reports.expect().await, expected);
+
+        let fast = Node::open(cable.right(), 50_000_000).await;
+        fast.counters().await;
+        assert_eq!(fast.reports.recorded(), 0);
     });
 }
 

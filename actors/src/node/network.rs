@@ -156,7 +156,7 @@ pub struct Link {
     neighbour: String,
     remote: Remote,
     cost: Option<u16>,
-    hello_interval: Option<Duration>,
+    hello_interval: Duration,
 }
 
 /// Where a neighbour is.
@@ -188,7 +188,7 @@ impl Link {
 
     fn at(neighbour: &str, remote: Remote) -> Self {
         let neighbour = neighbour.to_owned();
-        Link { name: None, neighbour, remote, cost: None, hello_interval: None }
+        Link { name: None, neighbour, remote, cost: None, hello_interval: HELLO_INTERVAL }
     }
 
     /// How people call it. Unless this says otherwise, it has the network's name where it is the only
@@ -206,13 +206,11 @@ impl Link {
         self
     }
 
-    /// How often a hello is sent: every 50 ms unless this says otherwise, and on a slow serial line so
-    /// that hellos take no more than a tenth of it. Shorter finds a dead link sooner and costs more; the neighbour finds
-    /// How often a hello is sent; on a slow medium less often, so that hellos take no more than a twentieth
-    /// of it. Shorter finds a dead link sooner and costs more; the neighbour finds
-    /// this end dead after three and a half of them.
+    /// How often a hello is sent, 50 ms unless this says otherwise; on a slow medium less often, so that
+    /// hellos take no more than a twentieth of it. Shorter finds a dead link sooner and costs more; the
+    /// neighbour finds this end dead after three and a half of them.
     pub fn hello_every(mut self, interval: Duration) -> Self {
-        self.hello_interval = Some(interval);
+        self.hello_interval = interval;
         self
     }
 }
@@ -267,10 +265,6 @@ pub(super) struct Laid {
 /// A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so long
 /// looks dead to its neighbours; on a computer that is never overloaded, less is fine.
 const HELLO_INTERVAL: Duration = Duration::from_millis(50);
-/// What a hello takes on a serial line, in bytes, with names of the usual length.
-const HELLO_LENGTH: usize = 64;
-/// Hellos may take so much of a slow line: one part in ten.
-const HELLO_SHARE: u32 = 10;
 
 impl Medium {
     /// The address of a neighbour as this medium has it.
@@ -284,16 +278,6 @@ impl Medium {
             }
             (Remote::Written(text), Medium::Own(_)) if text.is_empty() => Ok(MediumAddress::Line),
             (Remote::Written(text), Medium::Own(_)) => Ok(MediumAddress::Own(text.as_str().into())),
-        }
-    }
-
-    /// How often a hello is sent unless the link says otherwise.
-    fn hello_interval(&self) -> Duration {
-        match self {
-            Medium::At(Endpoint::Serial(config)) => {
-                HELLO_INTERVAL.max(config.time_of(HELLO_LENGTH) * HELLO_SHARE)
-            }
-            _ => HELLO_INTERVAL,
         }
     }
 
@@ -365,7 +349,6 @@ impl Network {
             let remote = medium
                 .remote(remote)
                 .map_err(|error| StartError::Endpoint { network: name.clone(), error })?;
-            let hello_interval = hello_interval.unwrap_or_else(|| medium.hello_interval());
             neighbours.push(node.clone());
             let neighbour = Some(node);
             specs.push(LinkSpec { name: link, remote, neighbour, cost, hello_interval });

@@ -208,7 +208,7 @@ impl Handler<Report> for Medium {
     type Result = ();
 
     fn handle(&mut self, Report(report): Report, _: &mut Context<Self>) {
-        if !matches!(report, TransportReport::PeerLost { .. }) {
+        if matches!(report, TransportReport::Opened { .. } | TransportReport::Closed { .. }) {
             self.state = report.clone();
         }
         self.report(report);

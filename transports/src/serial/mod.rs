@@ -28,6 +28,8 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Sleep;
 use tokio_serial::{ClearBuffer, DataBits, ErrorKind, FlowControl, SerialPort, SerialStream};
 
+/// A line that carries so many bytes in a second is not slow: hellos are nothing to it.
+const FAST: u64 = 1_000_000;
 /// So many bytes are read at once: what the system holds of a terminal.
 const CHUNK: usize = 4096;
 /// So much time of the line is written at once. Shorter wakes us more often, longer lets more wait in
@@ -92,6 +94,11 @@ impl FrameMedium for SerialLine {
         QueueLimits { frames: bytes.div_ceil(16), bytes }
     }
 
+    fn bytes_per_second(&self) -> Option<u64> {
+        let one_way = self.config.bytes_in(Duration::from_secs(1)) as u64;
+        Some(2 * one_way).filter(|rate| *rate < FAST)
+    }
+
     fn open(&mut self) -> io::Result<Opening> {
         self.close();
         let SerialConfig { path, baud, parity, stop_bits, hardware_flow, .. } = &self.config;
@@ -138,7 +145,7 @@ impl FrameMedium for SerialLine {
             ready!(self.pace.poll_due(task));
             let end = self.outgoing.len().min(self.written + piece);
             let rest = &self.outgoing[self.written..end];
-            match ready!(Pin::new(&mut *port).poll_write(task, rest))? {
+            match ready!(Pin::new(&mut *port).poll_write(task, rest)).map_err(lost)? {
                 0 => return Poll::Ready(Err(unplugged())),
                 written => {
                     self.written += written;
@@ -165,7 +172,7 @@ impl FrameMedium for SerialLine {
             }
             let Some(port) = &mut self.port else { return Poll::Ready(Err(unplugged())) };
             let mut buffer = ReadBuf::new(&mut self.chunk);
-            ready!(Pin::new(port).poll_read(task, &mut buffer))?;
+            ready!(Pin::new(port).poll_read(task, &mut buffer)).map_err(lost)?;
             self.unread = 0..buffer.filled().len();
             if self.unread.is_empty() {
                 // A port that was unplugged reads so for ever.
@@ -188,9 +195,15 @@ impl FrameMedium for SerialLine {
     }
 }
 
+/// What helps when a port reads or writes no more.
+const CURE: &str = "it was unplugged, or the other program at its end is gone: plug it in again";
+
 fn unplugged() -> io::Error {
-    let text = "it was unplugged, or the other program at its end is gone: plug it in again";
-    io::Error::new(io::ErrorKind::UnexpectedEof, text)
+    io::Error::new(io::ErrorKind::UnexpectedEof, CURE)
+}
+
+fn lost(error: io::Error) -> io::Error {
+    io::Error::new(error.kind(), format!("{error}: {CURE}"))
 }
 
 /// Keeps a writer at the speed of its line.
