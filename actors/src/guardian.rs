@@ -40,6 +40,7 @@ pub(crate) fn alive() -> Alive {
         state: Lifecycle::Active,
         queued: 0,
         oldest: Duration::ZERO,
+        served: 0,
         long_operation: false,
     }
 }

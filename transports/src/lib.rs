@@ -32,11 +32,13 @@ pub mod memory;
 #[cfg(feature = "udp")]
 mod multicast;
 mod outlet;
-#[cfg(any(feature = "udp", feature = "tcp"))]
+#[cfg(any(feature = "udp", feature = "tcp", feature = "unix"))]
 mod part;
 mod reopening;
 #[cfg(feature = "serial")]
 pub mod serial;
+#[cfg(any(feature = "tcp", feature = "unix"))]
+mod stream;
 #[cfg(feature = "slcan")]
 pub mod slcan;
 #[cfg(feature = "tcp")]
@@ -65,4 +67,4 @@ pub use tcp::{Tcp, TcpConfig};
 #[cfg(feature = "udp")]
 pub use udp::{Udp, UdpConfig};
 #[cfg(feature = "unix")]
-pub use unix::UnixConfig;
+pub use unix::{Unix, UnixConfig};

@@ -24,10 +24,12 @@ use std::cell::Cell;
 use std::future::Future;
 use std::io::Write;
 use std::net::{SocketAddr, TcpStream, UdpSocket};
+use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::pin::Pin;
 use std::rc::Rc;
 use std::task::{self, Poll};
+use tempfile::TempDir;
 
 /// How the suite opens ends of one medium.
 trait Medium: Default + 'static {
@@ -298,6 +300,46 @@ impl Medium for OverTcp {
             [&b""[..], b"B", b"GET / HTTP/1.1\r\n\r\n", &[0xFF; 4096], b"BLST\x01\0\0\x07\xFF"]
         {
             let mut stranger = TcpStream::connect(ip(to)).unwrap();
+            // It may be thrown out before it has said everything.
+            let _ = stranger.write_all(bytes);
+        }
+    }
+}
+
+struct OverUnix(TempDir, Cell<u32>);
+
+impl Default for OverUnix {
+    fn default() -> Self {
+        OverUnix(TempDir::new().unwrap(), Cell::new(0))
+    }
+}
+
+impl Medium for OverUnix {
+    const CONNECTS: bool = true;
+    const HELD: u64 = 256;
+
+    fn run(test: impl Future<Output = ()>) {
+        in_real_time(test);
+    }
+
+    fn open(&self, at: Option<MediumAddress>) -> Opened {
+        let path = match at {
+            Some(MediumAddress::Unix(path)) => path.to_path_buf(),
+            _ => {
+                self.1.set(self.1.get() + 1);
+                self.0.path().join(self.1.get().to_string())
+            }
+        };
+        let (address, panic) = start(Unix::new(UnixConfig::new(path)));
+        Opened { transport: address.into(), wrapper: None, panic }
+    }
+
+    fn garbage(&self, to: &MediumAddress) {
+        let MediumAddress::Unix(path) = to else { panic!("{to} is no path") };
+        for bytes in
+            [&b""[..], b"B", b"GET / HTTP/1.1\r\n\r\n", &[0xFF; 4096], b"BLST\x01\x01\0\x02/x\xFF"]
+        {
+            let mut stranger = UnixStream::connect(path).unwrap();
             // It may be thrown out before it has said everything.
             let _ = stranger.write_all(bytes);
         }
@@ -688,11 +730,13 @@ conformance! {
     udp: OverUdp,
     multicast: OverMulticast,
     tcp: OverTcp,
+    unix: OverUnix,
     serial: OverSerial,
     slcan: OverSlcan,
     memory_behind_the_wrapper: Behind<OverMemory>,
     udp_behind_the_wrapper: Behind<OverUdp>,
     tcp_behind_the_wrapper: Behind<OverTcp>,
+    unix_behind_the_wrapper: Behind<OverUnix>,
     serial_behind_the_wrapper: Behind<OverSerial>,
     slcan_behind_the_wrapper: Behind<OverSlcan>,
 }

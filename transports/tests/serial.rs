@@ -204,7 +204,7 @@ fn a_slow_line_drops_and_counts_what_it_cannot_carry_and_keeps_nobody_waiting() 
         }
         let TransportCounters { sent, dropped, .. } = left.counters().await;
 
-        assert!(dropped >= 995, "{dropped} dropped, {sent} sent");
+        assert!(dropped >= 980, "{dropped} dropped, {sent} sent");
         // What was taken arrives, and a late one is not kept behind a thousand others.
         for _ in 0..1_000 - dropped {
             assert_eq!(right.frames.expect().await.frame, vec![7; 100]);

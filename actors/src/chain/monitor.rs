@@ -55,8 +55,8 @@ impl Monitor {
 }
 
 fn progress(alive: Alive) -> Progress {
-    let Alive { incarnation, state, queued, oldest, long_operation } = alive;
-    Progress { incarnation, state, queued, oldest, long_operation }
+    let Alive { incarnation, state, queued, oldest, served, long_operation } = alive;
+    Progress { incarnation, state, queued, oldest, served, long_operation }
 }
 
 impl Body for Monitor {

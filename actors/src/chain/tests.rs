@@ -176,6 +176,7 @@ fn an_object_that_is_asked_and_answers_is_trusted_and_its_queue_is_shown() {
             state: Lifecycle::Active,
             queued: 4,
             oldest: Duration::from_millis(3),
+            served: 0,
             long_operation: false,
         });
         let enrolment = Enrolment::new(object("arm")).watch(Watch::pull(TENTH, TENTH));

@@ -9,7 +9,7 @@ use super::environment::HostEnvironment;
 use super::life::LifeToken;
 use super::pulse;
 use super::spec::Limits;
-use super::stamp::Place;
+use super::stamp::{Place, StampReading};
 use super::watch::Glimpsed;
 use crate::component::{Component, Handle};
 use crate::death_watch::Mourners;
@@ -139,13 +139,14 @@ impl Record {
         self.gate.load(Relaxed) & ISOLATED != 0
     }
 
-    /// The message in service is one whose sender waits, or one that may come again.
+    /// The message in service is one whose sender waits, or one that may come again. An asker may be
+    /// left here: a request takes one result only, and it has it when it was served.
     #[inline]
     pub(crate) fn follow(&self, asker: Option<Arc<dyn Revocable>>, id: Option<MessageId>) {
         *lock(&self.service) = Followed { asker, id };
     }
 
-    /// It has been served.
+    /// It has been served, and is not to be blamed for what comes after.
     #[inline]
     pub(crate) fn unfollow(&self) {
         let followed = std::mem::take(&mut *lock(&self.service));
@@ -257,14 +258,15 @@ impl<C: Component> Anchor<C> {
     }
 
     /// The answer to "are you alive?".
-    pub(crate) fn alive(&self, long_operation: bool) -> Alive {
+    pub(crate) fn alive(&self, stamp: StampReading) -> Alive {
         let posted_at = self.lane.with_oldest(|mail| mail.brief().posted_at);
         Alive {
             incarnation: self.record.incarnation(),
             state: self.record.state(),
             queued: self.lane.depth(),
             oldest: posted_at.map_or(Duration::ZERO, |posted_at| platform::now() - posted_at),
-            long_operation,
+            served: stamp.turn / 2,
+            long_operation: !stamp.allowance.is_zero(),
         }
     }
 
@@ -298,8 +300,8 @@ impl<C: Component> Anchor<C> {
 
 impl<C: Component> Glimpsed for Anchor<C> {
     fn glimpse(&self) -> Alive {
-        let allowance = self.record.seat().map(|seated| seated.slot.stamp.read().allowance);
-        self.alive(allowance.is_some_and(|allowance| !allowance.is_zero()))
+        let stamp = self.record.seat().map(|seated| seated.slot.stamp.read());
+        self.alive(stamp.unwrap_or_default())
     }
 }
 
@@ -319,7 +321,13 @@ impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
     }
 
     #[inline]
-    fn ask(&self, message: M, id: Option<MessageId>) -> Result<Reply<M>, RequestError<M>> {
+    fn ask(
+        &self,
+        message: M,
+        id: Option<MessageId>,
+        // Whoever waits is next door: a request that nobody waits for is not begun.
+        _: Option<Duration>,
+    ) -> Result<Reply<M>, RequestError<M>> {
         let (answer, reply) = Answer::awaited();
         match self.post(message, answer, id) {
             Ok(()) => Ok(reply),

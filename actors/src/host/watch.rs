@@ -16,7 +16,7 @@ use blastema_core::scanner::{
     Judged, MaxSilence, PulseReading, Scanner, ScannerConfig, Sighting, StampReading,
 };
 use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName, Place};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::JoinHandle;
@@ -201,7 +201,7 @@ struct Eyes {
     version: u64,
     scanner: Scanner,
     looks: u64,
-    stamps: BTreeMap<u32, Known>,
+    stamps: Stamps,
     pulses: BTreeMap<u64, Arc<Pulse>>,
     arbiters: Arbiters,
     monitor: Recipient<Sighted>,
@@ -211,6 +211,32 @@ struct Known {
     object: ObjectName,
     arbiter: u64,
     stamp: &'static Stamp,
+}
+
+/// What is known by slot. Slots are dense, and all of them are looked at ten times a second.
+#[derive(Default)]
+struct Stamps(Vec<Option<Known>>);
+
+impl Stamps {
+    fn get(&self, slot: u32) -> Option<&Known> {
+        self.0.get(slot as usize)?.as_ref()
+    }
+
+    fn enter(&mut self, slot: u32, known: Known) {
+        let at = slot as usize;
+        if self.0.len() <= at {
+            self.0.resize_with(at + 1, || None);
+        }
+        self.0[at] = Some(known);
+    }
+
+    fn retain(&mut self, mut keeps: impl FnMut(u32, &Known) -> bool) {
+        for (slot, place) in (0..).zip(&mut self.0) {
+            if place.as_ref().is_some_and(|known| !keeps(slot, known)) {
+                *place = None;
+            }
+        }
+    }
 }
 
 impl Eyes {
@@ -225,7 +251,7 @@ impl Eyes {
             version: u64::MAX,
             scanner: Scanner::new(config),
             looks: 0,
-            stamps: BTreeMap::new(),
+            stamps: Stamps::default(),
             pulses: BTreeMap::new(),
             arbiters,
             monitor,
@@ -241,7 +267,7 @@ impl Eyes {
         self.scanner.handle_look(now);
         for (id, pulse) in &self.pulses {
             let running = pulse.running();
-            let turn = running.and_then(|slot| self.stamps.get(&slot));
+            let turn = running.and_then(|slot| self.stamps.get(slot));
             let reading = PulseReading {
                 beat: pulse.beats(),
                 running,
@@ -252,7 +278,7 @@ impl Eyes {
         }
         if self.looks.is_multiple_of(STAMPS) {
             let stamps = &self.stamps;
-            self.scanner.handle_stamps(now, |slot| read(stamps.get(&slot)));
+            self.scanner.handle_stamps(now, |slot| read(stamps.get(slot)));
             let busy = self.scanner.busy().collect();
             *self.list.0.busy.lock().unwrap_or_else(PoisonError::into_inner) = busy;
         }
@@ -270,29 +296,30 @@ impl Eyes {
         let entries = list.lock();
         let scanner = &mut self.scanner;
         self.stamps.retain(|slot, known| {
-            let entry = entries.get(slot);
+            let entry = entries.get(&slot);
             let same = entry.is_some_and(|entry| {
                 entry.object == known.object && entry.pulse.id() == known.arbiter
             });
             if !same {
-                scanner.handle_leave(*slot);
+                scanner.handle_leave(slot);
             }
             same
         });
         for (slot, entry) in entries.iter() {
-            if self.stamps.contains_key(slot) {
+            if self.stamps.get(*slot).is_some() {
                 continue;
             }
             scanner.handle_enter(*slot, entry.judged(), now);
             let (object, arbiter) = (entry.object.clone(), entry.pulse.id());
-            self.stamps.insert(*slot, Known { object, arbiter, stamp: entry.stamp });
+            self.stamps.enter(*slot, Known { object, arbiter, stamp: entry.stamp });
             self.pulses.insert(arbiter, entry.pulse.clone());
         }
-        let stamps = &self.stamps;
+        let arbiters: BTreeSet<u64> =
+            self.stamps.0.iter().flatten().map(|known| known.arbiter).collect();
         self.pulses.retain(|id, pulse| {
             // A fenced arbiter is followed until it comes back or is lost, also if nobody is left.
             let awaited = pulse.is_fenced() && !pulse.is_lost();
-            let kept = awaited || stamps.values().any(|known| known.arbiter == *id);
+            let kept = awaited || arbiters.contains(id);
             if !kept {
                 scanner.handle_gone(*id);
             }
@@ -302,13 +329,13 @@ impl Eyes {
 
     fn translate(&self, sighting: Sighting) -> Option<Sighted> {
         let during = |slot| {
-            let known = self.stamps.get(&slot);
+            let known = self.stamps.get(slot);
             label::name(known.map_or(u32::MAX, |known| known.stamp.read().during))
         };
         Some(match sighting {
             Sighting::Hangs { slot, object, age, victims } => Sighted::Hangs {
                 object,
-                incarnation: read(self.stamps.get(&slot)).incarnation,
+                incarnation: read(self.stamps.get(slot)).incarnation,
                 during: during(slot),
                 age,
                 victims: victims.into(),

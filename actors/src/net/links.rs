@@ -5,7 +5,9 @@ use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
-use blastema_contract::link::{Arrived, Carry, LinkChanged, LinkRow, Load, ReadLinks, ReportLinks};
+use blastema_contract::link::{
+    Arrived, CarrierChanged, Carry, LinkChanged, LinkRow, Load, ReadLinks, ReportLinks,
+};
 use blastema_contract::monitor::LinkReported;
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{
@@ -20,8 +22,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use tracing::{error, info, warn};
 
-/// A degraded link costs this many times as much: any other way is taken first.
-const DEGRADED: u16 = 8;
+/// What a link costs that nobody has given a cost, over a medium of a megabyte per second and more.
+const USUAL_COST: u64 = 10;
+/// What it costs at most for its medium's slowness: a way over many fast links may still be too long.
+const SLOW_COST: u64 = 1000;
 
 /// Who stands around the links.
 pub(super) struct Wiring {
@@ -43,6 +47,8 @@ pub(super) struct Links {
     wake: Wake,
     /// The largest frame; `None` while the medium is closed.
     mtu: Option<usize>,
+    /// How much the medium carries; `None` where it is plenty.
+    bytes_per_second: Option<u64>,
     /// What the router was told last: it must be taken back when the links begin anew.
     told: BTreeMap<LinkNumber, LinkStatus>,
     strangers: u64,
@@ -58,6 +64,7 @@ impl Links {
             crowd: Crowd::default(),
             wake: Wake::default(),
             mtu: None,
+            bytes_per_second: None,
             told: BTreeMap::new(),
             strangers: 0,
         };
@@ -75,7 +82,11 @@ impl Links {
                 hello_interval: spec.hello_interval,
                 ..LinkConfig::new(node.clone(), *incarnation)
             };
-            self.crowd.insert(*number, Link::new(config, now));
+            let mut link = Link::new(config, now);
+            if let Some(rate) = self.bytes_per_second {
+                link.handle_rate(rate);
+            }
+            self.crowd.insert(*number, link);
         }
     }
 
@@ -84,12 +95,21 @@ impl Links {
         self.wiring.transport.attach.do_send(Attach { frames, reports });
     }
 
+    /// What a link costs at present.
+    fn cost(&self, number: LinkNumber, link: &Link) -> u16 {
+        let of_medium = self.bytes_per_second.map_or(USUAL_COST, |rate| {
+            (USUAL_COST * 1_000_000 / rate.max(1)).clamp(USUAL_COST, SLOW_COST)
+        });
+        let own = self.specs.get(&number).and_then(|spec| spec.cost);
+        let cost = own.map_or(of_medium, u64::from);
+        let percent = u64::from(link.quality().cost_percent);
+        u16::try_from(cost * percent / 100).unwrap_or(u16::MAX).max(1)
+    }
+
     fn tell_router(&mut self, number: LinkNumber) {
         let Some(link) = self.crowd.get(number) else { return };
         let Some(neighbour) = link.neighbour().cloned() else { return };
-        let cost = self.specs.get(&number).map_or(1, |spec| spec.cost);
-        let degraded = link.quality().degraded;
-        let cost = if degraded { cost.saturating_mul(DEGRADED) } else { cost };
+        let cost = self.cost(number, link);
         let health = match (link.state(), self.mtu) {
             (LinkState::Up, Some(_)) => Health::Up,
             (LinkState::Suspect, Some(_)) => Health::Suspect,
@@ -117,6 +137,13 @@ impl Links {
                 }
             }
         }
+    }
+
+    /// A medium without a neighbour has no link whose fault it could be; it is its own then.
+    fn tell_of_lonely_medium(&self, condition: LinkCondition) {
+        let (Some(monitor), true) = (&self.wiring.monitor, self.specs.is_empty()) else { return };
+        let (node, link) = (self.wiring.node.clone(), self.wiring.network.clone());
+        monitor.do_send(LinkReported { node, link, neighbour: None, condition });
     }
 
     fn tell_monitor(&self, number: LinkNumber, condition: LinkCondition) {
@@ -245,17 +272,48 @@ impl Handler<TransportReport> for Links {
                 info!(network = %self.wiring.network, %local, mtu, "open");
                 self.mtu = Some(mtu);
                 self.tell_router_all();
+                self.tell_of_lonely_medium(LinkCondition::Up);
             }
             TransportReport::Closed { reason } => {
                 error!(network = %self.wiring.network, "{reason}");
                 self.mtu = None;
                 self.lose_all(&reason, now);
+                self.tell_of_lonely_medium(LinkCondition::Down { reason });
+            }
+            TransportReport::Rate { bytes_per_second } => {
+                self.bytes_per_second = Some(bytes_per_second);
+                let numbers: Vec<_> = self.specs.keys().copied().collect();
+                for number in numbers {
+                    if let Some(link) = self.crowd.get_mut(number) {
+                        link.handle_rate(bytes_per_second);
+                    }
+                }
+                self.tell_router_all();
             }
             TransportReport::PeerLost { peer } => {
                 let number = self.by_remote.get(&peer);
                 if let Some(link) = number.and_then(|number| self.crowd.get_mut(*number)) {
                     link.handle_loss(now);
                 }
+            }
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<CarrierChanged> for Links {
+    type Result = ();
+
+    fn handle(&mut self, message: CarrierChanged, context: &mut Context<Self>) {
+        // That a carrier is back says nothing about the neighbour: hellos do.
+        if message.present {
+            return;
+        }
+        let now = platform::now();
+        let numbers: Vec<_> = self.specs.keys().copied().collect();
+        for number in numbers {
+            if let Some(link) = self.crowd.get_mut(number) {
+                link.handle_no_carrier(now);
             }
         }
         self.drive(context);
@@ -288,6 +346,7 @@ impl Handler<ReadLinks> for Links {
     type Result = MessageResult<ReadLinks>;
 
     fn handle(&mut self, _: ReadLinks, _: &mut Context<Self>) -> Self::Result {
+        let now = platform::now();
         let row = |(number, link): (LinkNumber, &Link)| {
             let spec = self.specs.get(&number)?;
             Some(LinkRow {
@@ -296,6 +355,9 @@ impl Handler<ReadLinks> for Links {
                 state: link.state(),
                 neighbour: link.neighbour().cloned(),
                 quality: link.quality(),
+                hello_interval: link.hello_interval(),
+                phi: link.phi(now),
+                cost: self.cost(number, link),
                 refusals: link.refusals(),
             })
         };

@@ -16,6 +16,7 @@
 //!   delivered; the others go on.
 //! * the gateway: every request is resolved, every session begins anew.
 
+mod carrier;
 mod door;
 mod gateway;
 mod links;
@@ -24,6 +25,8 @@ mod router;
 mod sessions;
 #[cfg(test)]
 mod tests;
+
+pub(crate) use carrier::Interface;
 
 use crate::guardian::Guardian;
 use crate::host::office::DeadLetterOffice;
@@ -35,7 +38,7 @@ use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::naming::{NodeRow, ReadNames};
 use blastema_contract::recoverer::Recover;
-use blastema_contract::reports::AreYouAlive;
+use blastema_contract::reports::{AreYouAlive, FaultDeclared};
 use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
 use blastema_contract::session::{AddGateway, Leave, ReadSessions, SessionRow};
 use blastema_contract::strategy::Reroute;
@@ -53,6 +56,8 @@ pub(crate) struct NetworkSpec {
     pub(crate) name: Arc<str>,
     /// Its transport, already started on the network's arbiter, perhaps behind a faulty cable.
     pub(crate) transport: Transport,
+    /// The interface whose carrier tells of a pulled cable, where there is one.
+    pub(crate) interface: Option<Interface>,
     /// The neighbours.
     pub(crate) links: Vec<LinkSpec>,
 }
@@ -66,9 +71,9 @@ pub(crate) struct LinkSpec {
     pub(crate) remote: MediumAddress,
     /// Who must be there; `None` takes whoever speaks first.
     pub(crate) neighbour: Option<NodeName>,
-    /// How dear it is to use: of two paths the cheaper is taken.
-    pub(crate) cost: u16,
-    /// How often we say hello. A dead link is found after three and a half of the neighbour's.
+    /// How dear it is to use: of two paths the cheaper is taken. `None` is as its medium is.
+    pub(crate) cost: Option<u16>,
+    /// How often we say hello, unless the medium is too slow for that. A dead link is found after three and a half of the neighbour's.
     pub(crate) hello_interval: Duration,
 }
 
@@ -80,7 +85,7 @@ impl LinkSpec {
             name: name.into(),
             remote,
             neighbour: None,
-            cost: 10,
+            cost: None,
             hello_interval: Duration::from_millis(50),
         }
     }
@@ -109,6 +114,8 @@ pub(crate) struct NetEnvironment {
     pub(crate) links: Option<Recipient<LinkReported>>,
     /// Is told how nodes are.
     pub(crate) nodes: Option<Recipient<NodeReported>>,
+    /// Is told of faults that are found in what other nodes send.
+    pub(crate) faults: Option<Recipient<FaultDeclared>>,
 }
 
 /// Why a network cannot be started.
@@ -140,6 +147,7 @@ pub(crate) struct NetHandle {
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
     doors: Arc<door::Doors>,
+    carrier: Arc<carrier::CarrierWatch>,
 }
 
 /// Starts the network of a node, and connects the registry and the topics to it.
@@ -170,6 +178,7 @@ pub(crate) fn start(
     let doors = Arc::new(door::Doors::default());
     let to_sessions = gateway::SessionPorts {
         say: sessions.clone().recipient(),
+        say_newest: sessions.clone().recipient(),
         leave: sessions.clone().recipient(),
         begin_anew: sessions.clone().recipient(),
     };
@@ -180,7 +189,7 @@ pub(crate) fn start(
     let remote: Arc<dyn RemoteDoors> = doors.clone();
     environment.registry.connect(node, Some(remote));
 
-    let mut next = 0;
+    let (mut next, mut watched) = (0, Vec::new());
     let networks = networks.into_iter().map(|spec| {
         let name = named(&format!("links/{}", spec.name));
         let first = next;
@@ -198,12 +207,16 @@ pub(crate) fn start(
         };
         let address =
             guardian.start(name.clone(), place, move |_| links::Links::new(wiring, links));
+        if let Some(interface) = spec.interface {
+            watched.push(carrier::Watched { interface, told: address.clone().recipient() });
+        }
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
         router.do_send(AddLinks { links: numbers, carry, report });
         (name, address)
     });
     let networks = networks.collect();
-    Ok(NetHandle { gateway, sessions, router, networks, guardian, arbiter, doors })
+    let carrier = Arc::new(carrier::CarrierWatch::start(watched));
+    Ok(NetHandle { gateway, sessions, router, networks, guardian, arbiter, doors, carrier })
 }
 
 fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
@@ -301,6 +314,11 @@ impl NetHandle {
     /// Takes requests for another way, from the recovery strategy.
     pub(crate) fn reroute(&self) -> Recipient<Reroute> {
         self.router.clone().recipient()
+    }
+
+    /// Looks at no interface any more.
+    pub(crate) fn stop(&self) {
+        self.carrier.end();
     }
 
     /// Tells the peers that this node ends in order, delivers what was sent, and ends every session.

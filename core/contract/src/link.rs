@@ -10,6 +10,7 @@ use blastema_core::net::router::LinkStatus;
 use blastema_core::net::{LinkNumber, LinkState, Neighbour, Quality, Refusals};
 use bytes::Bytes;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// What a link carries.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -55,6 +56,14 @@ pub struct LinkChanged {
 #[rtype(result = "()")]
 pub struct ReportLinks;
 
+/// The interface that a network uses has lost its carrier, or has it again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct CarrierChanged {
+    /// Whether it is there now.
+    pub present: bool,
+}
+
 /// The links of a network present themselves to the router.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "()")]
@@ -73,7 +82,7 @@ pub struct AddLinks {
 pub struct ReadLinks;
 
 /// One link, for people.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct LinkRow {
     /// The network's name in the configuration.
     pub network: Arc<str>,
@@ -85,6 +94,13 @@ pub struct LinkRow {
     pub neighbour: Option<Neighbour>,
     /// How good it is.
     pub quality: Quality,
+    /// How often hellos are said on it: as configured, or as often as the medium can bear.
+    pub hello_interval: Duration,
+    /// How surprising the neighbour's silence is by now, as φ (Hayashibara et al.): below 1 it is usual,
+    /// from 8 on it is no accident. It decides nothing.
+    pub phi: f32,
+    /// What it costs at present: its own cost, and more while its quality is poor.
+    pub cost: u16,
     /// What was refused on it.
     pub refusals: Refusals,
 }

@@ -38,6 +38,8 @@ pub struct Alive {
     pub queued: usize,
     /// How long the oldest of them has waited, to the precision of the arbiter's beat.
     pub oldest: Duration,
+    /// How much it has done so far: a count that rises while it works.
+    pub served: u64,
     /// It has declared that its present handler takes long.
     pub long_operation: bool,
 }

@@ -5,8 +5,9 @@
 
 use actix::dev::ToEnvelope;
 use actix::{Actor, Addr, Handler, Message, Recipient};
-use blastema_core::impairment::{Impairment, Injected};
+use blastema_core::impairment::{Carried, Impairment, Injected};
 use bytes::Bytes;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -28,6 +29,18 @@ pub enum MediumAddress {
     Can(u8),
     /// A medium of the application's own: what that medium calls it.
     Own(Arc<str>),
+}
+
+impl From<SocketAddr> for MediumAddress {
+    fn from(address: SocketAddr) -> Self {
+        MediumAddress::Ip(address)
+    }
+}
+
+impl From<Arc<Path>> for MediumAddress {
+    fn from(path: Arc<Path>) -> Self {
+        MediumAddress::Unix(path)
+    }
 }
 
 impl fmt::Display for MediumAddress {
@@ -62,6 +75,30 @@ pub struct Received {
     pub frame: Bytes,
 }
 
+impl Carried for Transmit {
+    type Peer = MediumAddress;
+
+    fn peer(&self) -> &MediumAddress {
+        &self.to
+    }
+
+    fn bytes(&mut self) -> &mut Bytes {
+        &mut self.frame
+    }
+}
+
+impl Carried for Received {
+    type Peer = MediumAddress;
+
+    fn peer(&self) -> &MediumAddress {
+        &self.from
+    }
+
+    fn bytes(&mut self) -> &mut Bytes {
+        &mut self.frame
+    }
+}
+
 /// What a transport has to say about its medium.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
@@ -78,6 +115,12 @@ pub enum TransportReport {
     Closed {
         /// What happened, and what helps.
         reason: String,
+    },
+    /// How much the medium carries, where that is little: hellos are said less often on it, and it is
+    /// dearer to use. Reported after each opening.
+    Rate {
+        /// Bytes of frames in a second, both ways together.
+        bytes_per_second: u64,
     },
     /// A connection to this peer is gone (media with connections only).
     PeerLost {
@@ -205,7 +248,18 @@ pub struct Cut {
     pub reported: bool,
 }
 
-/// Mends everything: no cut and no impairment, in both directions.
+/// Puts these peers, and no others, on the other side of a partition: nothing passes to and from them, and
+/// nobody is told. For what stands between link and transport.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Partition {
+    /// Which way.
+    pub direction: Direction,
+    /// Whom.
+    pub peers: BTreeSet<MediumAddress>,
+}
+
+/// Mends everything: no cut, no partition and no impairment, in both directions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Restore;

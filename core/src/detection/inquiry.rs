@@ -12,8 +12,8 @@ use std::time::Duration;
 ///  ├── T over ─► Suspect ── tolerance × T over ─► Failed
 ///
 /// answer ── oldest message young, or a long operation declared ─► flows        at work?
-///        ├─ oldest message too old, but the head of the queue moves ─► overloaded
-///        └─ oldest message too old, and the head has not moved for as long ─► stuck
+///        ├─ oldest message too old, but messages are served ─► overloaded
+///        └─ oldest message too old, and none was served for as long ─► stuck
 /// ```
 /// Alive and at work are two facts: an object that answers is not dead, however long its queue. There is
 /// one open question per object, so that a stuck one is not buried under questions.
@@ -35,7 +35,7 @@ pub enum InquiryOutput {
     },
     /// The opinion about its being alive has changed.
     Verdict(Verdict),
-    /// It answers, but the head of its queue does not move, and waits too long.
+    /// It answers, but serves nothing, and its messages wait too long.
     Stuck {
         /// Who.
         object: ObjectName,
@@ -67,8 +67,8 @@ struct Asked {
     open: bool,
     next: Instant,
     last: Option<(Instant, Progress)>,
-    /// When the message at the head of the queue came, and when it was first seen there.
-    head: Option<(Instant, Instant)>,
+    /// How much it had served while messages waited, and since when it is no more.
+    stands: Option<(u64, Instant)>,
     flow: Flow,
     look: Option<Instant>,
     reprieves: u32,
@@ -94,7 +94,7 @@ impl Asked {
             open: false,
             next: now,
             last: None,
-            head: None,
+            stands: None,
             flow: Flow::Flows,
             look: None,
             reprieves: 0,
@@ -268,19 +268,15 @@ impl Inquiry {
 
 fn flow(asked: &mut Asked, progress: &Progress, now: Instant) -> Flow {
     let patience = asked.pull.patience;
-    let came = Instant::ORIGIN + (now - Instant::ORIGIN).saturating_sub(progress.oldest);
-    // Ages are as precise as the arbiter's beat, for which half an interval is ample. A queue whose
-    // head moves by less than that in all its patience stands still.
-    let moved = asked.head.is_none_or(|(head, _)| came - head > asked.pull.interval / 2);
     if progress.queued == 0 {
-        asked.head = None;
-    } else if moved {
-        asked.head = Some((came, now));
+        asked.stands = None;
+    } else if asked.stands.is_none_or(|(served, _)| served != progress.served) {
+        asked.stands = Some((progress.served, now));
     }
     if progress.oldest <= patience || progress.queued == 0 || progress.long_operation {
         return Flow::Flows;
     }
-    match asked.head {
+    match asked.stands {
         Some((_, since)) if now - since >= patience => Flow::Stuck,
         _ => Flow::Overloaded,
     }
@@ -355,7 +351,8 @@ mod tests {
 
     fn progress(incarnation: Incarnation, queued: usize, oldest: u64) -> Progress {
         let oldest = Duration::from_millis(oldest);
-        Progress { incarnation, state: Lifecycle::Active, queued, oldest, long_operation: false }
+        let (state, long_operation) = (Lifecycle::Active, false);
+        Progress { incarnation, state, queued, oldest, served: 0, long_operation }
     }
 
     /// Wakes the machine exactly when it wants, up to `until`; an ask reads "ask".
@@ -455,23 +452,20 @@ mod tests {
     }
 
     #[test]
-    fn a_queue_whose_head_moves_is_overloaded_and_one_whose_head_stands_is_stuck() {
+    fn a_queue_that_is_served_is_overloaded_and_one_that_is_not_is_stuck() {
         let mut inquiry = inquiry();
         let mut told = Vec::new();
-        // The head moves at half the rate until second 2, then stands, then all is worked off.
+        // All came in one burst: it is worked off until second 2, then nothing moves, then all is done.
         for turn in 0..=40u64 {
             let now = turn * 100;
             told.extend(run(&mut inquiry, now));
-            let oldest = match turn {
-                0..=20 => now / 2,
-                21..=35 => 1000 + (now - 2000),
-                _ => 0,
-            };
-            inquiry.handle_answer(&map(), progress(ONE, 5, oldest), at(now));
+            let queued = if turn <= 35 { 5 } else { 0 };
+            let answer = Progress { served: turn.min(20), ..progress(ONE, queued, now) };
+            inquiry.handle_answer(&map(), answer, at(now));
         }
         told.retain(|(_, text)| text != "ask" && text != "trusted");
 
-        assert_eq!(told, texts([(1200, "overloaded"), (2600, "stuck"), (3700, "flows")]));
+        assert_eq!(told, texts([(700, "overloaded"), (2600, "stuck"), (3700, "flows")]));
     }
 
     #[test]

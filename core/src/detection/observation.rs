@@ -136,6 +136,8 @@ pub struct Progress {
     pub queued: usize,
     /// How long the oldest of them has waited.
     pub oldest: Duration,
+    /// How much it has done in its lives so far, counted in whatever way only rises while it works.
+    pub served: u64,
     /// It has declared that its present handler takes long.
     pub long_operation: bool,
 }
@@ -169,4 +171,7 @@ pub enum NodeCondition {
     },
     /// It was heard under a new incarnation: its process died and began again.
     Restarted,
+    /// It said that it ends in order: that it is silent from now on is no fault, and its return is an
+    /// ordinary one.
+    Left,
 }

@@ -6,16 +6,17 @@
 //! │ 1011 v │  kind  │ hello, routing or data       │   v = version of the protocol, 1
 //! └────────┴────────┴──────────────────────────────┘
 //!
-//! hello, kind 0, 36 bytes and the name:
-//!      2         10         14           18               26      30      34    35
-//! ┌────────┬───────────┬──────────┬─────────────┬──────────────┬───────┬──────┬───┬──────┐
-//! │ 1011 v │incarnation│ sequence │ interval µs │ echoed       │echoed │held  │ n │ name │
-//! │   0    │     8     │    4     │     4       │ incarnation 8│ seq. 4│ µs 4 │ 1 │  n   │
-//! └────────┴───────────┴──────────┴─────────────┴──────────────┴───────┴──────┴───┴──────┘
+//! hello, kind 0, 38 bytes and the name:
+//!      2         10         14           18     19       21               29      33      37    38
+//! ┌────────┬───────────┬──────────┬─────────────┬──────┬──────┬──────────────┬───────┬──────┬───┬──────┐
+//! │ 1011 v │incarnation│ sequence │ interval µs │stance│loss ‰│ echoed       │echoed │held  │ n │ name │
+//! │   0    │     8     │    4     │     4       │  1   │  2   │ incarnation 8│ seq. 4│ µs 4 │ 1 │  n   │
+//! └────────┴───────────┴──────────┴─────────────┴──────┴──────┴──────────────┴───────┴──────┴───┴──────┘
 //! ```
 //!
 //! The echo says which hello of the neighbour arrived last and how long ago: the neighbour learns
-//! that it is heard, and the round trip without any clock in common. Numbers are big-endian.
+//! that it is heard, and the round trip without any clock in common. Stance and loss say what this end
+//! thinks of the link, so that both ends use it, or neither. Numbers are big-endian.
 //! A frame ends where the transport says that it ends; integrity is the transport's business.
 
 use super::wire::{Reader, WireError, Write};
@@ -55,8 +56,24 @@ pub struct Hello {
     pub sequence: u32,
     /// How long an interval is, in microseconds.
     pub interval_us: u32,
+    /// Whether it would use the link.
+    pub stance: Stance,
+    /// How many of a thousand of the other's hellos it has lost lately.
+    pub loss_permille: u16,
     /// What it last heard of the one that it speaks to; `None` if nothing yet.
     pub echo: Option<Echo>,
+}
+
+/// What one end of a link thinks of it. Both ends must be ready before either uses it, and one that
+/// gives it up takes the other along: no end sends what the other would not take (as in BFD, RFC 5880).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stance {
+    /// It knows nothing yet: it has just begun, or begun anew.
+    Unproved,
+    /// It has given the link up, which has not proved itself since.
+    Down,
+    /// It uses the link, or would if the other did.
+    Ready,
 }
 
 /// What a node last heard of its neighbour.
@@ -115,12 +132,14 @@ impl Hello {
     fn encode(&self) -> Bytes {
         let nothing = Echo { incarnation: Incarnation(0), sequence: 0, held_us: 0 };
         let echo = self.echo.unwrap_or(nothing);
-        let mut bytes = BytesMut::with_capacity(35 + self.node.as_str().len());
+        let mut bytes = BytesMut::with_capacity(38 + self.node.as_str().len());
         bytes.put_u8(MAGIC | VERSION);
         bytes.put_u8(HELLO);
         bytes.put_u64(self.incarnation.0);
         bytes.put_u32(self.sequence);
         bytes.put_u32(self.interval_us);
+        bytes.put_u8(self.stance as u8);
+        bytes.put_u16(self.loss_permille);
         bytes.put_u64(echo.incarnation.0);
         bytes.put_u32(echo.sequence);
         bytes.put_u32(echo.held_us);
@@ -132,6 +151,13 @@ impl Hello {
         let incarnation = Incarnation(reader.u64()?);
         let sequence = reader.u32()?;
         let interval_us = reader.u32()?;
+        let stance = match reader.u8()? {
+            0 => Stance::Unproved,
+            1 => Stance::Down,
+            2 => Stance::Ready,
+            _ => return Err(WireError::Malformed { what: "a hello's stance" }),
+        };
+        let loss_permille = reader.u16()?;
         let echo = Echo {
             incarnation: Incarnation(reader.u64()?),
             sequence: reader.u32()?,
@@ -143,7 +169,7 @@ impl Hello {
             return Err(WireError::Malformed { what: "an incarnation" });
         }
         let echo = (echo.incarnation != Incarnation(0)).then_some(echo);
-        Ok(Hello { node, incarnation, sequence, interval_us, echo })
+        Ok(Hello { node, incarnation, sequence, interval_us, stance, loss_permille, echo })
     }
 }
 
@@ -157,6 +183,8 @@ mod tests {
             incarnation: Incarnation(0x0102),
             sequence: 3,
             interval_us: 50_000,
+            stance: Stance::Ready,
+            loss_permille: 0x0102,
             echo: Some(Echo { incarnation: Incarnation(0x0a), sequence: 9, held_us: 0x100 }),
         }
     }
@@ -164,8 +192,8 @@ mod tests {
     #[test]
     fn the_bytes_of_a_frame_are_these_for_ever() {
         let golden: &[u8] = &[
-            0xb1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 0, 0, 0, 3, 0, 0, 0xc3, 0x50, 0, 0, 0, 0, 0, 0, 0,
-            0x0a, 0, 0, 0, 9, 0, 0, 1, 0, 2, b'm', b'1',
+            0xb1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 0, 0, 0, 3, 0, 0, 0xc3, 0x50, 2, 1, 2, 0, 0, 0, 0, 0,
+            0, 0, 0x0a, 0, 0, 0, 9, 0, 0, 1, 0, 2, b'm', b'1',
         ];
         assert_eq!(&Frame::Hello(hello()).encode()[..], golden);
         assert_eq!(&Frame::Data(Bytes::from_static(b"xy")).encode()[..], b"\xb1\x02xy");

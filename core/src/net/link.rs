@@ -3,167 +3,32 @@
 //! ```text
 //!              N hellos, heard both ways
 //! Connecting ───────────────────────────► Up ⇄ Suspect     a hello is late / is here again
-//!                                          ▲      │ still none
-//!                 2N, 4N … hellos          │      ▼
+//!                                          ▲      │ still none, no carrier, or the neighbour
+//!                 2N, 4N … hellos          │      ▼ has given it up
 //!                └─────────────────────────┴──── Down      it must prove itself again
 //! ```
 //!
+//! Each end says in its hellos whether it would use the link, and uses it only while the other would:
+//! what one end sends, the other takes.
+//!
 //! A link does not queue, repeat or order anything: that is the session's business, end to end.
 
+mod quality;
+mod vocabulary;
+
+pub use self::quality::Quality;
+pub use self::vocabulary::{LinkConfig, LinkOutput, LinkRefusal, LinkState, Neighbour};
+
+use self::quality::{Gauge, Limits};
+
 use super::arrival::{Arrival, Arrivals};
-use super::frame::{Echo, Frame, Hello};
+use super::frame::{Echo, Frame, Hello, Stance};
 use super::node_id::NodeId;
 use super::wire::{Refusals, WireError};
-use crate::{Incarnation, Instant, Machine, NodeName};
+use crate::{Instant, Machine};
 use bytes::Bytes;
 use std::collections::VecDeque;
-use std::fmt;
 use std::time::Duration;
-
-/// How a link behaves.
-#[derive(Clone, Debug)]
-pub struct LinkConfig {
-    /// Our own name.
-    pub node: NodeName,
-    /// Our own life.
-    pub incarnation: Incarnation,
-    /// Who must be at the other end; `None` takes whoever speaks first.
-    pub expected: Option<NodeName>,
-    /// How often we say hello. Shorter finds a dead link sooner and costs more.
-    pub hello_interval: Duration,
-    /// So many percent of an interval after its time, a missing hello makes the link suspect: traffic
-    /// avoids it where it can. Lower fails over sooner, and more often for nothing.
-    pub suspect_after_percent: u32,
-    /// So many percent of an interval after its time, a missing hello takes the link down. On a link
-    /// that loses hellos anyway, more must be missing, so that loss alone takes it down once in some
-    /// 100,000 hellos.
-    pub down_after_percent: u32,
-    /// So many hellos in a row bring a new link up; a link that was down needs twice as many for
-    /// each time that it went down lately.
-    pub proof: u32,
-    /// A link that loses more than this of a thousand hellos is degraded.
-    pub degraded_loss_permille: u16,
-    /// A link whose round trip takes longer than this is degraded.
-    pub degraded_round_trip: Duration,
-}
-
-impl LinkConfig {
-    /// The usual behaviour for this node.
-    pub fn new(node: NodeName, incarnation: Incarnation) -> Self {
-        LinkConfig {
-            node,
-            incarnation,
-            expected: None,
-            // A process that shares its cores stands still for some 100 ms when they are overloaded;
-            // with 50 ms, such a link is suspect, and not yet down.
-            hello_interval: Duration::from_millis(50),
-            // Expected at 1, suspect at 2, down at 3.5 intervals after the last hello: two lost in a
-            // row divert traffic, three take the link down (ITU-T G.8013: 3.5 intervals).
-            suspect_after_percent: 100,
-            down_after_percent: 250,
-            proof: 3,
-            degraded_loss_permille: 100,
-            degraded_round_trip: Duration::from_millis(250),
-        }
-    }
-}
-
-/// What is known of a link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum LinkState {
-    /// Nobody has proved yet to be at the other end.
-    Connecting,
-    /// The neighbour is heard and hears.
-    Up,
-    /// A hello is late. Traffic goes elsewhere where it can; nothing is torn down.
-    Suspect,
-    /// The neighbour is not heard, or does not hear; it must prove itself again.
-    Down,
-}
-
-impl fmt::Display for LinkState {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            LinkState::Connecting => "connecting",
-            LinkState::Up => "up",
-            LinkState::Suspect => "suspect",
-            LinkState::Down => "down",
-        })
-    }
-}
-
-/// Who is at the other end of a link.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Neighbour {
-    /// Its name.
-    pub node: NodeName,
-    /// Which of its lives.
-    pub incarnation: Incarnation,
-}
-
-/// How good a link is, as measured.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Quality {
-    /// The smoothed round trip; `None` before the first.
-    pub round_trip: Option<Duration>,
-    /// Its smoothed deviation.
-    pub jitter: Duration,
-    /// How many of a thousand of the neighbour's hellos were lost, over the last 64.
-    pub loss_permille: u16,
-    /// One of them is beyond its limit.
-    pub degraded: bool,
-}
-
-/// Why a link does not take the one who speaks on it.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum LinkRefusal {
-    /// Two nodes have one name. Give one of them another.
-    #[error("another node is also called {node}")]
-    NameTaken {
-        /// The name.
-        node: NodeName,
-    },
-    /// Two names give one number. Give one of the nodes another name.
-    #[error("the names {node} and {other} give the same node number {}", NodeId::of(.node))]
-    NumberTaken {
-        /// Our name.
-        node: NodeName,
-        /// The other's.
-        other: NodeName,
-    },
-    /// The cable is plugged in elsewhere, or the configured address is another node's.
-    #[error("{found} is at the other end, {expected} is expected")]
-    WrongNeighbour {
-        /// Who should be there.
-        expected: NodeName,
-        /// Who is.
-        found: NodeName,
-    },
-}
-
-/// What a link wants done.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum LinkOutput {
-    /// Give this frame to the transport.
-    Transmit(Bytes),
-    /// The link is now in another state.
-    Changed {
-        /// Which.
-        state: LinkState,
-        /// Who is, or was, at the other end.
-        neighbour: Option<Neighbour>,
-        /// Why, for people.
-        reason: &'static str,
-    },
-    /// The link became degraded, or good again.
-    Quality(Quality),
-    /// Whoever is at the other end is not taken.
-    Refused(LinkRefusal),
-    /// For the router: what the neighbour's router says.
-    Routing(Bytes),
-    /// For the router: a packet.
-    Packet(Bytes),
-}
 
 /// The machine of one link.
 #[derive(Debug)]
@@ -177,7 +42,7 @@ pub struct Link {
     /// How often it went down lately, and when last.
     flaps: u32,
     last_down: Instant,
-    quality: Quality,
+    gauge: Gauge,
     refused: Option<LinkRefusal>,
     refusals: Refusals,
     outputs: VecDeque<LinkOutput>,
@@ -189,12 +54,18 @@ struct Heard {
     neighbour: Neighbour,
     arrivals: Arrivals,
     last: Instant,
-    /// Hellos since the last silence, while it hears us.
+    /// Hellos since the last silence, while it hears us, less two for each that was missing.
     proved: u32,
+    /// What it thinks of the link.
+    stance: Stance,
+    /// How much of what we send is lost on the way there, as it says.
+    loss_there: u16,
     /// When its echo last told something new, and which of our hellos that was.
     echoed: Option<(u32, Instant)>,
     /// Silence before this does not count: we ourselves stood still.
     excused_until: Instant,
+    /// How often that was so since its last hello.
+    excuses: u32,
 }
 
 impl Link {
@@ -202,6 +73,12 @@ impl Link {
     const INTERVAL_MIN: Duration = Duration::from_millis(1);
     /// The longest: a link must be known to be dead within a minute.
     const INTERVAL_MAX: Duration = Duration::from_secs(15);
+    /// What a medium adds to a frame: a UDP header, or a serial line's framing.
+    const FRAMING: u64 = 8;
+    /// Woken so late, what has come meanwhile is still unread. Timers alone are up to 1 ms late.
+    const LATE: Duration = Duration::from_millis(2);
+    /// Four times running is no accident.
+    const EXCUSES_MAX: u32 = 4;
     /// Remembered hellos: enough for round trips of so many intervals.
     const SENT_MAX: usize = 64;
     /// A link that stayed up for so long has proved itself; earlier flaps are forgotten.
@@ -219,7 +96,7 @@ impl Link {
             sent: VecDeque::with_capacity(Self::SENT_MAX),
             flaps: 0,
             last_down: Instant::ORIGIN,
-            quality: Quality::default(),
+            gauge: Gauge::default(),
             refused: None,
             refusals: Refusals::default(),
             outputs: VecDeque::new(),
@@ -238,7 +115,7 @@ impl Link {
 
     /// How good it is.
     pub fn quality(&self) -> Quality {
-        self.quality
+        self.gauge.quality()
     }
 
     /// What was refused so far.
@@ -264,6 +141,15 @@ impl Link {
         }
     }
 
+    /// Whether what comes is taken. A neighbour that sends something is ready, whether its hello
+    /// that says so has come or not.
+    fn takes(&mut self) -> bool {
+        if !self.carries() && self.has_proved() {
+            self.change(LinkState::Up, "the neighbour uses it");
+        }
+        self.carries()
+    }
+
     fn carries(&self) -> bool {
         matches!(self.state, LinkState::Up | LinkState::Suspect)
     }
@@ -272,7 +158,7 @@ impl Link {
     pub fn handle_frame(&mut self, frame: Bytes, now: Instant) {
         match Frame::decode(frame) {
             Ok(Frame::Hello(hello)) => self.handle_hello(hello, now),
-            Ok(Frame::Routing(_) | Frame::Data(_)) if !self.carries() => {
+            Ok(Frame::Routing(_) | Frame::Data(_)) if !self.takes() => {
                 self.refusals.unexpected += 1;
             }
             Ok(Frame::Routing(bytes)) => self.outputs.push_back(LinkOutput::Routing(bytes)),
@@ -288,11 +174,57 @@ impl Link {
         }
     }
 
+    /// The interface has lost its carrier: the cable is pulled, or the other end is switched off. What
+    /// is heard later proves the contrary.
+    pub fn handle_no_carrier(&mut self, now: Instant) {
+        if self.carries() {
+            self.go_down("the interface has lost its carrier", now);
+        } else if let Some(heard) = &mut self.neighbour {
+            heard.forget_proof();
+        }
+    }
+
+    /// The medium carries so many bytes in a second. Hellos take a twentieth of that at most.
+    pub fn handle_rate(&mut self, bytes_per_second: u64) {
+        let hello = self.hello(Instant::ORIGIN, 0);
+        let length = Frame::Hello(hello).encode().len() as u64 + Self::FRAMING;
+        let nanos = (length * 20).saturating_mul(1_000_000_000) / bytes_per_second.max(1);
+        let slowest = Duration::from_nanos(nanos).min(Self::INTERVAL_MAX);
+        if slowest > self.config.hello_interval {
+            self.config.hello_interval = slowest;
+            // Hellos are numbered by their interval: echoes of the old numbers say nothing any more.
+            self.sent.clear();
+            if let Some(heard) = &mut self.neighbour {
+                heard.echoed = None;
+            }
+        }
+    }
+
+    /// How often hellos are said.
+    pub fn hello_interval(&self) -> Duration {
+        self.config.hello_interval
+    }
+
+    /// How surprising the neighbour's silence is by now, as φ: 1 is one in ten, 8 one in 10⁸, were
+    /// delays normally distributed. A score for people; it decides nothing.
+    pub fn phi(&self, now: Instant) -> f32 {
+        self.neighbour.as_ref().map_or(0.0, |heard| heard.arrivals.phi(now))
+    }
+
     /// We ourselves were not scheduled until `now`: every silence up to now is void.
     pub fn handle_stall(&mut self, now: Instant) {
-        let patience = self.down_after_percent();
-        if let Some(heard) = &mut self.neighbour {
-            heard.excused_until = now + percent(heard.arrivals.interval(), patience);
+        let interval = self.neighbour.as_ref().map(|heard| heard.arrivals.interval());
+        self.excuse(percent(interval.unwrap_or_default(), self.down_after_percent()), now);
+    }
+
+    /// Silence counts only from a while after `now`. Whoever stands still over and over again still
+    /// finds in the end that nobody speaks.
+    fn excuse(&mut self, a_while: Duration, now: Instant) {
+        if let Some(heard) = &mut self.neighbour
+            && heard.excuses < Self::EXCUSES_MAX
+        {
+            heard.excuses += 1;
+            heard.excused_until = heard.excused_until.max(now + a_while);
         }
     }
 
@@ -310,12 +242,16 @@ impl Link {
         let known = self.neighbour.as_ref().map(|heard| &heard.neighbour);
         let ended = known
             .is_some_and(|known| known.node == hello.node && hello.incarnation < known.incarnation);
-        if ended || self.meet(&hello, interval, now) == Arrival::Old {
+        let arrival = if ended { Arrival::Old } else { self.meet(&hello, interval, now) };
+        let Arrival::New { missed } = arrival else {
             self.refusals.stale += 1;
             return;
+        };
+        self.listen(&hello, missed, now);
+        self.judge_quality(now);
+        if self.carries() && hello.stance == Stance::Down {
+            self.go_down("the neighbour has given it up", now);
         }
-        self.listen(&hello, now);
-        self.judge_quality();
         self.rise(now);
     }
 
@@ -372,19 +308,25 @@ impl Link {
                     arrivals,
                     last: now,
                     proved: 0,
+                    stance: hello.stance,
+                    loss_there: 0,
                     echoed: None,
                     excused_until,
+                    excuses: 0,
                 };
                 self.neighbour = Some(heard);
-                self.quality = Quality::default();
+                self.gauge = Gauge::default();
             }
         }
-        Arrival::New
+        Arrival::New { missed: 0 }
     }
 
-    fn listen(&mut self, hello: &Hello, now: Instant) {
+    fn listen(&mut self, hello: &Hello, missed: u32, now: Instant) {
         let Some(heard) = &mut self.neighbour else { return };
         heard.last = now;
+        heard.excuses = 0;
+        heard.stance = hello.stance;
+        heard.loss_there = hello.loss_permille;
         if let Some(echo) = hello.echo.filter(|echo| echo.incarnation == self.config.incarnation) {
             let newest = heard
                 .echoed
@@ -393,29 +335,25 @@ impl Link {
             if let (true, Some((_, sent))) = (newest, sent) {
                 heard.echoed = Some((echo.sequence, now));
                 let held = Duration::from_micros(echo.held_us.into());
-                measure(&mut self.quality, (now - *sent).saturating_sub(held));
+                self.gauge.handle_round_trip((now - *sent).saturating_sub(held));
             }
         }
-        heard.proved = if heard.echoed.is_some() { heard.proved.saturating_add(1) } else { 0 };
+        heard.proved = match heard.echoed {
+            // A link that loses a third of what it carries never proves itself.
+            Some(_) => heard.proved.saturating_sub(missed.saturating_mul(2)).saturating_add(1),
+            None => 0,
+        };
     }
 
-    fn judge_quality(&mut self) {
-        let Some(loss) = self.neighbour.as_ref().and_then(|heard| heard.arrivals.loss_permille())
-        else {
-            return;
+    fn judge_quality(&mut self, now: Instant) {
+        let Some(heard) = &self.neighbour else { return };
+        let Some(loss) = heard.arrivals.loss_permille() else { return };
+        let limits = Limits {
+            loss_permille: self.config.degraded_loss_permille,
+            round_trip: self.config.degraded_round_trip,
         };
-        self.quality.loss_permille = loss;
-        let LinkConfig { degraded_loss_permille, degraded_round_trip, .. } = self.config;
-        let round_trip = self.quality.round_trip.unwrap_or_default();
-        // Half the limit clears it, so that a link at its limit does not report all day.
-        let degraded = if self.quality.degraded {
-            loss > degraded_loss_permille / 2 || round_trip > degraded_round_trip / 2
-        } else {
-            loss > degraded_loss_permille || round_trip > degraded_round_trip
-        };
-        if degraded != self.quality.degraded {
-            self.quality.degraded = degraded;
-            self.outputs.push_back(LinkOutput::Quality(self.quality));
+        if self.gauge.judge(loss.max(heard.loss_there), limits, now) {
+            self.outputs.push_back(LinkOutput::Quality(self.gauge.quality()));
         }
     }
 
@@ -433,10 +371,24 @@ impl Link {
                 if now - self.last_down > Self::FLAP_MEMORY {
                     self.flaps = 0;
                 }
-                if heard.proved >= self.config.proof << self.flaps {
+                if self.has_proved() && heard.stance == Stance::Ready {
                     self.change(LinkState::Up, "the neighbour is heard and hears");
                 }
             }
+        }
+    }
+
+    fn has_proved(&self) -> bool {
+        let needed = self.config.proof << self.flaps;
+        self.neighbour.as_ref().is_some_and(|heard| heard.proved >= needed)
+    }
+
+    fn stance(&self) -> Stance {
+        match self.state {
+            LinkState::Up | LinkState::Suspect => Stance::Ready,
+            LinkState::Connecting | LinkState::Down if self.has_proved() => Stance::Ready,
+            LinkState::Connecting => Stance::Unproved,
+            LinkState::Down => Stance::Down,
         }
     }
 
@@ -452,7 +404,7 @@ impl Link {
     }
 
     fn down_after_percent(&self) -> u32 {
-        self.config.down_after_percent + 100 * hellos_beyond_three(self.quality.loss_permille)
+        self.config.down_after_percent + 100 * hellos_beyond_three(self.quality().loss_permille)
     }
 
     fn go_down(&mut self, reason: &'static str, now: Instant) {
@@ -462,8 +414,7 @@ impl Link {
         self.flaps = (self.flaps + 1).min(Self::FLAPS_MAX);
         self.last_down = now;
         if let Some(heard) = &mut self.neighbour {
-            heard.proved = 0;
-            heard.echoed = None;
+            heard.forget_proof();
         }
         self.change(LinkState::Down, reason);
     }
@@ -482,23 +433,31 @@ impl Link {
         let nanos = interval.as_nanos() as u64;
         let number = now.as_nanos() / nanos;
         self.next_hello = Instant::from_nanos((number + 1).saturating_mul(nanos));
-        let echo = self.neighbour.as_ref().map(|heard| Echo {
-            incarnation: heard.neighbour.incarnation,
-            sequence: heard.arrivals.highest(),
-            held_us: u32::try_from((now - heard.last).as_micros()).unwrap_or(u32::MAX),
-        });
-        let hello = Hello {
-            node: self.config.node.clone(),
-            incarnation: self.config.incarnation,
-            sequence: number as u32,
-            interval_us: u32::try_from(interval.as_micros()).unwrap_or(u32::MAX),
-            echo,
-        };
+        let hello = self.hello(now, number as u32);
         if self.sent.len() == Self::SENT_MAX {
             self.sent.pop_front();
         }
         self.sent.push_back((hello.sequence, now));
         self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).encode()));
+    }
+
+    fn hello(&self, now: Instant, sequence: u32) -> Hello {
+        let echo = self.neighbour.as_ref().map(|heard| Echo {
+            incarnation: heard.neighbour.incarnation,
+            sequence: heard.arrivals.highest(),
+            held_us: u32::try_from((now - heard.last).as_micros()).unwrap_or(u32::MAX),
+        });
+        let interval = self.config.hello_interval.max(Self::INTERVAL_MIN);
+        let lost = self.neighbour.as_ref().and_then(|heard| heard.arrivals.loss_permille());
+        Hello {
+            node: self.config.node.clone(),
+            incarnation: self.config.incarnation,
+            sequence,
+            interval_us: u32::try_from(interval.as_micros()).unwrap_or(u32::MAX),
+            stance: self.stance(),
+            loss_permille: lost.unwrap_or(0),
+            echo,
+        }
     }
 
     fn judge_silence(&mut self, now: Instant) {
@@ -513,12 +472,18 @@ impl Link {
             }
             LinkState::Connecting | LinkState::Down if down => {
                 if let Some(heard) = &mut self.neighbour {
-                    heard.proved = 0;
-                    heard.echoed = None;
+                    heard.forget_proof();
                 }
             }
             _ => {}
         }
+    }
+}
+
+impl Heard {
+    fn forget_proof(&mut self) {
+        self.proved = 0;
+        self.echoed = None;
     }
 }
 
@@ -542,8 +507,11 @@ impl Machine for Link {
     fn handle_timeout(&mut self, now: Instant) {
         let due = self.poll_timeout().unwrap_or(now);
         // Woken so late, we are the one who stood still; the neighbour's hellos wait unread.
-        if now - due > self.config.hello_interval {
+        let late = now - due;
+        if late > self.config.hello_interval {
             self.handle_stall(now);
+        } else if late > Self::LATE {
+            self.excuse(late, now);
         }
         if self.next_hello <= now {
             self.say_hello(now);
@@ -566,21 +534,6 @@ fn hellos_beyond_three(loss_permille: u16) -> u32 {
         201..=300 => 6,
         // Beyond, the link is of little use, and it is not worth finding its end any later.
         _ => 9,
-    }
-}
-
-/// RFC 6298's smoothing: an eighth of each new round trip, a quarter of each deviation.
-fn measure(quality: &mut Quality, sample: Duration) {
-    match quality.round_trip {
-        None => {
-            quality.round_trip = Some(sample);
-            quality.jitter = sample / 2;
-        }
-        Some(smoothed) => {
-            let deviation = smoothed.abs_diff(sample);
-            quality.jitter = (quality.jitter * 3 + deviation) / 4;
-            quality.round_trip = Some((smoothed * 7 + sample) / 8);
-        }
     }
 }
 

@@ -10,7 +10,7 @@ struct Place {
 }
 
 /// The map of the README as data, from the bottom to the top.
-const PLACES: [Place; 11] = [
+const PLACES: [Place; 12] = [
     Place { package: "blastema-macros", below: &[], below_in_tests: &[] },
     // The derives are written for the core's traits, so the core's tests try them.
     Place { package: "blastema-core", below: &[], below_in_tests: &["blastema-macros"] },
@@ -46,6 +46,8 @@ const PLACES: [Place; 11] = [
     Place { package: "blastema-cli", below: &["blastema"], below_in_tests: &[] },
     Place { package: "blastema-tests", below: EVERYTHING, below_in_tests: EVERYTHING },
     Place { package: "blastema-bench", below: EVERYTHING, below_in_tests: EVERYTHING },
+    // Its nodes are those of a user.
+    Place { package: "blastema-beds", below: &["blastema"], below_in_tests: &[] },
     Place {
         package: "blastema-examples",
         below: &["blastema"],

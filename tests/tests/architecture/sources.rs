@@ -118,10 +118,10 @@ pub(crate) fn mailbox_stops(tree: &Tree) -> Vec<Breach> {
 }
 
 /// Tests use virtual time, or wait for the event itself. The program's own tests start real
-/// processes, whose coming and going nothing announces.
+/// processes, whose coming and going nothing announces; the beds pull real cables for a while.
 pub(crate) fn sleeping_tests(tree: &Tree) -> Vec<Breach> {
     found(tree, &["thread :: sleep"], |source, line| {
-        let real_time = ["tests/bench/", "actors/cli/tests/"];
+        let real_time = ["tests/bench/", "tests/beds/", "actors/cli/tests/"];
         source.is_test(line) && !real_time.iter().any(|folder| source.path.starts_with(folder))
     })
 }

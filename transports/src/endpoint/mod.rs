@@ -26,6 +26,7 @@ use crate::udp::UdpConfig;
 #[cfg(feature = "unix")]
 use crate::unix::UnixConfig;
 use blastema_contract::transport::MediumAddress;
+use blastema_core::net::router::MTU_MIN;
 use blastema_core::spelling::nearest;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::ops::Range;
@@ -35,8 +36,8 @@ use std::time::Duration;
 
 /// The largest frame that any setting allows, in bytes: each receiver must be able to hold it.
 const MOST_BYTES: u64 = 1 << 24;
-/// The smallest frame that leaves room for more than headers, in bytes.
-const LEAST_BYTES: u64 = 64;
+/// The smallest largest frame, in bytes: what routers tell each other must fit.
+const LEAST_BYTES: u64 = MTU_MIN as u64;
 /// The longest time that a setting may name.
 const LONGEST: Duration = Duration::from_secs(3600);
 

@@ -81,7 +81,7 @@ fn unix_sockets_are_read_with_all_their_settings() {
 #[test]
 fn serial_lines_are_read_with_all_their_settings() {
     let Endpoint::Serial(config) = good(
-        "serial:///dev/ttyUSB0?baud=921600&parity=even&stop_bits=2&flow=hardware&mtu=500\
+        "serial:///dev/ttyUSB0?baud=921600&parity=even&stop_bits=2&flow=hardware&mtu=700\
          &queue_time=50ms",
     ) else {
         panic!()
@@ -89,7 +89,7 @@ fn serial_lines_are_read_with_all_their_settings() {
 
     assert_eq!((config.path, config.baud), (PathBuf::from("/dev/ttyUSB0"), 921_600));
     assert_eq!((config.parity, config.stop_bits), (Parity::Even, StopBits::Two));
-    assert_eq!((config.hardware_flow, config.mtu), (true, Some(500)));
+    assert_eq!((config.hardware_flow, config.mtu), (true, Some(700)));
     assert_eq!(config.queue_time, Duration::from_millis(50));
 }
 
@@ -100,7 +100,7 @@ fn can_is_read_with_all_its_settings() {
     assert_eq!(plain.node, CanNodeConfig::default());
 
     let Endpoint::Can(config) = good(
-        "can://vcan1?fd=true&bit_rate_switch=true&address=7&mtu=200&queue_frames=8&block_size=4\
+        "can://vcan1?fd=true&bit_rate_switch=true&address=7&mtu=800&queue_frames=8&block_size=4\
          &separation=200us&short_ids=true",
     ) else {
         panic!()
@@ -109,7 +109,7 @@ fn can_is_read_with_all_its_settings() {
     let CanNodeConfig { address, short_ids, mtu, queue_frames, block_size, separation } =
         config.node;
     assert!(short_ids);
-    assert_eq!((address, mtu, queue_frames, block_size), (7, 200, 8, 4));
+    assert_eq!((address, mtu, queue_frames, block_size), (7, 800, 8, 4));
     assert_eq!(separation, Duration::from_micros(200));
 }
 
@@ -175,17 +175,18 @@ fn a_wrong_setting_is_pointed_at() {
     bad("serial:///dev/ttyS0?buad=9600", "buad", 20, "did you mean `baud`?");
     bad("memory://left?mtu=9", "mtu", 14, "memory has no key `mtu`");
     bad("udp://0.0.0.0:1?hops=3", "hops", 16, "there are interface, mtu,");
-    bad("udp://0.0.0.0:1?mtu=99&mtu=98", "mtu", 23, "said twice");
+    bad("udp://0.0.0.0:1?mtu=999&mtu=998", "mtu", 24, "said twice");
     bad("udp://0.0.0.0:1?mtu", "mtu", 16, "write mtu=…");
     bad("udp://0.0.0.0:1?mtu=", "mtu", 16, "no value");
     bad("udp://0.0.0.0:1?", "", 16, "the name of a setting is missing");
-    bad("udp://0.0.0.0:1?mtu=99&&hops=1", "", 23, "the name of a setting is missing");
+    bad("udp://0.0.0.0:1?mtu=999&&hops=1", "", 24, "the name of a setting is missing");
 }
 
 #[test]
 fn a_wrong_value_is_pointed_at_with_what_it_may_be() {
-    bad("udp://0.0.0.0:1?mtu=big", "big", 20, "a whole number from 64 to 65507");
-    bad("udp://0.0.0.0:1?mtu=65508", "65508", 20, "from 64 to 65507");
+    bad("udp://0.0.0.0:1?mtu=big", "big", 20, "a whole number from 640 to 65507");
+    bad("udp://0.0.0.0:1?mtu=639", "639", 20, "from 640");
+    bad("udp://0.0.0.0:1?mtu=65508", "65508", 20, "from 640 to 65507");
     bad("udp://0.0.0.0:1?interface=sixteen_letters_", "sixteen_letters_", 26, "of an interface");
     bad("udp://239.0.0.1:1?own=[::1]:1", "[::1]:1", 22, "as in 0.0.0.0:7401");
     bad("tcp://0.0.0.0:1?user_timeout=5", "5", 29, "as in 500ms or 2s");

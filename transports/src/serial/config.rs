@@ -1,7 +1,11 @@
 //! Which serial line, and how fast.
 
+use blastema_core::net::router::MTU_MIN;
 use std::path::PathBuf;
 use std::time::Duration;
+
+/// The largest frame that a line has unless told, in bytes: beyond, headers cost next to nothing.
+const MTU_MAX: usize = 4_096;
 
 /// The parity bit of a serial line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -47,8 +51,9 @@ pub struct SerialConfig {
     pub stop_bits: StopBits,
     /// Whether the other end may stop us by a wire of its own (RTS/CTS).
     pub hardware_flow: bool,
-    /// The largest frame, in bytes. By default what takes 25 ms on the line, but from 128 to 4,096: a
-    /// larger one keeps others, and hellos, waiting behind it.
+    /// The largest frame, in bytes. By default what takes 25 ms on the line, but from 640 to 4,096: a
+    /// larger one keeps others, and hellos, waiting behind it; with a smaller one, routers cannot tell
+    /// each other where nodes are.
     pub mtu: Option<usize>,
     /// How much may wait for the line, in time that it takes to send; beyond, frames are dropped. More
     /// rides out longer bursts, and makes everything later while they last.
@@ -94,7 +99,7 @@ impl SerialConfig {
 
     /// The largest frame, in bytes.
     pub fn mtu(&self) -> usize {
-        self.mtu.unwrap_or_else(|| self.bytes_in(Duration::from_millis(25)).clamp(128, 4_096))
+        self.mtu.unwrap_or_else(|| self.bytes_in(Duration::from_millis(25)).clamp(MTU_MIN, MTU_MAX))
     }
 }
 
@@ -110,8 +115,8 @@ mod tests {
             assert_eq!(config.mtu(), expected, "at {baud} bits a second");
         };
 
-        check(9_600, 128);
-        check(115_200, 288);
+        check(9_600, 640);
+        check(115_200, 640);
         check(921_600, 2_304);
         check(4_000_000, 4_096);
     }

@@ -9,20 +9,15 @@
 //! ```
 
 use super::TcpConfig;
-use super::framing::{FramingError, PREAMBLE, decode_preamble, encode_preamble};
 use crate::binding::confine;
+use crate::stream::framing::{FramingError, PREAMBLE, decode_preamble, encode_preamble};
 use socket2::SockRef;
-use std::future::Future;
 use std::io;
 use std::net::SocketAddr;
-use std::pin::Pin;
 use std::time::Duration;
 use tokio::io::AsyncReadExt;
 use tokio::net::{TcpSocket, TcpStream};
 use tokio::time::timeout;
-
-/// A handshake under way.
-pub(super) type Underway<T> = Pin<Box<dyn Future<Output = io::Result<T>>>>;
 
 /// Connects to a listening peer, and is done when that has kept the connection.
 pub(super) async fn dial(

@@ -97,12 +97,13 @@ pub(crate) struct Pump<C: Component> {
     home: Option<Rc<Home<C>>>,
     service: Service,
     nests: Vec<Nested<C>>,
-    chores: Chores<C>,
+    /// Boxed, so that what every message touches lies closer together.
+    chores: Box<Chores<C>>,
     slot: Slot,
     seat: Seat,
     pulse: Arc<Pulse>,
     waker: Option<Waker>,
-    /// The message in service is followed by the record.
+    /// The message in service is to be blamed by its identity if it brings death.
     followed: bool,
     /// The supervisor knows that the life did not come to work.
     start_failed: bool,
@@ -130,7 +131,7 @@ impl<C: Component> Pump<C> {
             home: None,
             service: Service::Idle,
             nests: Vec::new(),
-            chores: Chores::default(),
+            chores: Box::default(),
             slot,
             pulse: seat.pulse.clone(),
             seat,
@@ -185,7 +186,7 @@ impl<C: Component> Pump<C> {
 
     /// The answer to "are you alive?".
     pub(crate) fn alive(&self) -> Alive {
-        self.anchor.alive(!self.slot.stamp.read().allowance.is_zero())
+        self.anchor.alive(self.slot.stamp.read())
     }
 
     /// The supervisor asks for a recovery within this life.
@@ -337,7 +338,7 @@ impl<C: Component> Pump<C> {
             return Some(why);
         }
         self.anchor.record.follow(mail.revocable(), id);
-        self.followed = true;
+        self.followed = id.is_some();
         None
     }
 
@@ -529,16 +530,16 @@ impl<C: Component> Pump<C> {
             && !self.over
             && self.home.is_some()
             && self.waker.is_some()
+            && !self.life.has_wishes()
             && !self.life.token.has_ended()
             && !self.life.token.is_muted()
     }
 
     /// An event straight to the handler, without the queue: only for a pump that is free. It runs on
-    /// the arbiter's hub, under this component's guard and stamp.
+    /// the arbiter's hub, which has named the component to the pulse, under its guard and stamp.
     #[inline]
     pub(crate) fn serve_at_once(&mut self, mail: &mut dyn Letter<C>) {
         let Some(waker) = self.waker.take() else { return };
-        self.pulse.run(Some(self.slot.index));
         let mut cx = task::Context::from_waker(&waker);
         let served = catch_unwind(AssertUnwindSafe(|| {
             self.begin_message(&mail.brief(), mail);
@@ -547,7 +548,6 @@ impl<C: Component> Pump<C> {
         if let Err(payload) = served {
             self.died_in_service(payload);
         }
-        self.pulse.run(None);
         if self.is_abandoned() {
             self.leave(); // The hub goes on to neighbours, who must not stand behind this fence.
         }

@@ -299,6 +299,37 @@ fn a_listener_that_hangs_in_an_event_is_the_culprit_and_the_next_listener_may_sp
     });
 }
 
+#[test]
+fn events_that_a_lost_arbiter_was_handing_out_come_along() {
+    actix_rt::System::new().block_on(async {
+        let site = Site::new(1, Duration::from_millis(100)).await;
+        let gate = site.gate.clone();
+        let spec = ChildSpec::new("holder", move || Holder(gate.clone()));
+        let spec = spec.max_block(Duration::from_millis(100));
+        let (mut culprit, _) = site.stage.start(spec).await;
+        let ear = site.ear.clone();
+        let spec = ChildSpec::new("witness", move || Witness(ear.clone()));
+        let (mut victim, witness) = site.stage.start(spec).await;
+        let topics = &site.stage.environment.topics;
+        let publisher = topics.publisher::<Hold>(<Hold as blastema_core::Contract>::NAME).unwrap();
+
+        publisher.publish(Hold).unwrap();
+        site.hangs().await;
+        publisher.publish(Hold).unwrap();
+        culprit.abandon();
+        site.sighted.wait(|sighted| matches!(sighted, Sighted::Lost { .. })).await;
+        victim.abandon();
+        assert_eq!(site.stage.begin(&mut *victim, 2).await, ChildEvent::Started);
+
+        site.until("both events came along", || site.heard.lock().unwrap().len() == 2).await;
+        assert_eq!(witness.incarnation(), Incarnation(2));
+        site.open.send(()).unwrap();
+        site.until("the thread ends", || site.stage.environment.arbiters.abandoned() == 0).await;
+        assert_eq!(logged(&site.heard), [9, 9], "the old life is fenced");
+        site.stage.environment.arbiters.stop();
+    });
+}
+
 /// Gives signs of life until it is told not to.
 struct Beater(bool);
 

@@ -132,7 +132,8 @@ fn an_object_that_is_asked_shows_its_queue_with_the_age_of_the_answer() {
 
     let oldest = Duration::from_millis(7);
     let state = Lifecycle::Active;
-    let answer = Progress { incarnation: TWO, state, queued: 3, oldest, long_operation: false };
+    let answer =
+        Progress { incarnation: TWO, state, queued: 3, oldest, served: 0, long_operation: false };
     monitor.handle_alive(&object("laser"), answer, at(20));
 
     let row = row(&monitor, "m:laser", 50);
@@ -146,7 +147,14 @@ fn answers_tell_the_state_of_an_object_only_while_no_guard_does() {
     let mut monitor = watched(Watch::pull(TENTH, TENTH));
     let oldest = Duration::ZERO;
     let mut answer = |state, now| {
-        let answer = Progress { incarnation: TWO, state, queued: 0, oldest, long_operation: false };
+        let answer = Progress {
+            incarnation: TWO,
+            state,
+            queued: 0,
+            oldest,
+            served: 0,
+            long_operation: false,
+        };
         monitor.handle_alive(&object("laser"), answer, at(now));
         seen(&mut monitor, now)
     };
@@ -157,7 +165,8 @@ fn answers_tell_the_state_of_an_object_only_while_no_guard_does() {
     monitor.handle_state(&object("laser"), TWO, Lifecycle::Active, None, at(4));
     seen(&mut monitor, 4);
     let (state, queued) = (Lifecycle::Error, 0);
-    let late = Progress { incarnation: TWO, state, queued, oldest, long_operation: false };
+    let late =
+        Progress { incarnation: TWO, state, queued, oldest, served: 0, long_operation: false };
     monitor.handle_alive(&object("laser"), late, at(5));
 
     assert_eq!(seen(&mut monitor, 5), [""; 0]);
@@ -172,7 +181,14 @@ fn whoever_is_asked_and_answers_nothing_is_silent_and_its_work_is_another_matter
         told.extend(run(&mut monitor, turn * 100));
         let oldest = Duration::from_millis(turn * 100);
         let state = Lifecycle::Active;
-        let answer = Progress { incarnation: TWO, state, queued: 3, oldest, long_operation: false };
+        let answer = Progress {
+            incarnation: TWO,
+            state,
+            queued: 3,
+            oldest,
+            served: 0,
+            long_operation: false,
+        };
         monitor.handle_alive(&object("laser"), answer, at(turn * 100));
         told.extend(run(&mut monitor, turn * 100));
     }
@@ -221,8 +237,14 @@ fn feed(monitor: &mut Monitor, input: &str, life: Incarnation, now: Instant) {
         "beat" => monitor.handle_heartbeat(&laser, life, now),
         "alive" => {
             let (state, oldest) = (Lifecycle::Active, Duration::ZERO);
-            let answer =
-                Progress { incarnation: life, state, queued: 0, oldest, long_operation: false };
+            let answer = Progress {
+                incarnation: life,
+                state,
+                queued: 0,
+                oldest,
+                served: 0,
+                long_operation: false,
+            };
             monitor.handle_alive(&laser, answer, now);
         }
         "died" => monitor.handle_exited(&laser, life, panicked(), None, now),

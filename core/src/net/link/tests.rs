@@ -1,6 +1,7 @@
 //! Two ends of one cable.
 
 use super::*;
+use crate::{Incarnation, NodeName};
 
 fn at(millis: u64) -> Instant {
     Instant::from_millis(millis)
@@ -117,6 +118,115 @@ fn a_link_that_was_down_must_prove_itself_longer_each_time() {
     assert!(outages[0] < outages[1] && outages[1] < outages[2], "{outages:?}");
 }
 
+/// A cable that has just failed, and whose left end wants more proof than the right one, since it alone
+/// has seen it fail before.
+fn wary_on_the_left() -> Cable {
+    let mut cable = running();
+    cable.ends[0].flaps = 3;
+    cable.ends[0].last_down = at(cable.now);
+    cable.ends[0].handle_loss(at(cable.now));
+    cable.run_until(cable.now + 15);
+    cable
+}
+
+#[test]
+fn a_link_is_used_by_both_ends_or_by_neither() {
+    let mut cable = wary_on_the_left();
+    assert_eq!(cable.states(), [LinkState::Down; 2], "the neighbour is taken along");
+
+    let mut apart = 0;
+    while cable.states() != [LinkState::Up; 2] {
+        cable.run_until(cable.now + 1);
+        apart += u32::from(cable.ends[0].carries() != cable.ends[1].carries());
+    }
+
+    assert!(apart <= 12, "not longer than until the next hello: {apart} ms");
+}
+
+#[test]
+fn what_a_neighbour_sends_that_is_ready_earlier_is_taken() {
+    let mut cable = wary_on_the_left();
+    while !cable.ends[1].has_proved() {
+        cable.run_until(cable.now + 1);
+    }
+    assert_eq!(cable.ends[1].state(), LinkState::Down);
+
+    let packet = Frame::Data(Bytes::from_static(b"packet")).encode();
+    cable.ends[1].handle_frame(packet, at(cable.now));
+
+    assert_eq!(cable.ends[1].state(), LinkState::Up);
+}
+
+#[test]
+fn a_cable_that_flaps_proves_nothing() {
+    let mut cable = running();
+    for carries in [false, true].repeat(50) {
+        cable.cut = [!carries; 2];
+        cable.run_until(cable.now + 40);
+        cable.told.retain(|told| matches!(told.2, LinkOutput::Changed { .. }));
+    }
+
+    let up = |told: &&(u64, usize, LinkOutput)| {
+        matches!(told.2, LinkOutput::Changed { state: LinkState::Up, .. })
+    };
+    assert!(cable.told.iter().filter(up).count() <= 4, "{:?}", cable.told);
+    cable.cut = [false; 2];
+    cable.run_until(cable.now + 1000);
+    assert_eq!(cable.states(), [LinkState::Up; 2]);
+}
+
+#[test]
+fn a_link_whose_carrier_comes_and_goes_begins_its_proof_anew_each_time() {
+    let mut cable = running();
+    for _ in 0..20 {
+        cable.ends[0].handle_no_carrier(at(cable.now));
+        cable.run_until(cable.now + 45);
+        assert_eq!(cable.ends[0].state(), LinkState::Down);
+    }
+}
+
+#[test]
+fn hellos_take_a_twentieth_of_a_slow_medium_and_the_neighbour_keeps_up() {
+    // 9600 baud, ten bits a byte: 52 bytes of hello are 54 ms of it.
+    let mut cable = running();
+    cable.ends.iter_mut().for_each(|end| end.handle_rate(960));
+
+    let interval = cable.ends[0].hello_interval();
+    assert!(interval > Duration::from_millis(1000), "{interval:?}");
+    cable.run_until(20_000);
+    assert_eq!(cable.states(), [LinkState::Up; 2]);
+
+    let mut fast = Link::new(config("left", 1), at(0));
+    fast.handle_rate(1_000_000);
+    assert_eq!(fast.hello_interval(), Duration::from_millis(10));
+}
+
+#[test]
+fn phi_rises_with_the_silence_and_is_nothing_before_anybody_spoke() {
+    let link = Link::new(config("left", 1), at(0));
+    assert_eq!(link.phi(at(1000)), 0.0);
+
+    let cable = running();
+    assert!(cable.ends[0].phi(at(100)) < 1.0 && cable.ends[0].phi(at(120)) > 8.0);
+}
+
+#[test]
+fn an_observer_that_is_a_little_late_first_reads_what_has_come() {
+    let mut cable = running();
+    let due = cable.ends[0].due(cable.ends[0].config.suspect_after_percent).unwrap();
+
+    cable.ends[0].handle_timeout(due + Duration::from_millis(5));
+
+    assert_eq!(cable.ends[0].state(), LinkState::Up);
+    // It cannot excuse itself for ever.
+    let mut now = due;
+    while cable.ends[0].state() == LinkState::Up {
+        now = cable.ends[0].poll_timeout().unwrap() + Duration::from_millis(5);
+        cable.ends[0].handle_timeout(now);
+    }
+    assert!(now - due < Duration::from_millis(100), "{:?}", now - due);
+}
+
 #[test]
 fn a_restarted_neighbour_is_a_new_incarnation_and_the_old_one_is_never_heard_again() {
     let mut cable = running();
@@ -125,6 +235,8 @@ fn a_restarted_neighbour_is_a_new_incarnation_and_the_old_one_is_never_heard_aga
         incarnation: Incarnation(1),
         sequence: 1000,
         interval_us: 10_000,
+        stance: Stance::Ready,
+        loss_permille: 0,
         echo: None,
     });
 
@@ -167,6 +279,17 @@ fn a_link_that_its_transport_gives_up_is_down_at_once() {
 }
 
 #[test]
+fn a_link_whose_interface_lost_its_carrier_is_down_at_once_and_hellos_bring_it_back() {
+    let mut cable = running();
+
+    cable.ends[0].handle_no_carrier(at(100));
+
+    assert_eq!(cable.ends[0].state(), LinkState::Down);
+    cable.run_until(300);
+    assert_eq!(cable.states(), [LinkState::Up; 2], "a driver may be wrong, and hellos never are");
+}
+
+#[test]
 fn data_passes_only_while_the_link_carries() {
     let mut cable = Cable::new(config("left", 1), config("right", 1));
     let packet = Frame::Data(Bytes::from_static(b"packet")).encode();
@@ -190,8 +313,16 @@ fn a_stranger_a_namesake_and_a_foreign_release_are_refused_and_told_once() {
     let hello = |name: &str| {
         let node = NodeName::new(name).unwrap();
         let incarnation = Incarnation(1);
-        Frame::Hello(Hello { node, incarnation, sequence: 1, interval_us: 10_000, echo: None })
-            .encode()
+        Frame::Hello(Hello {
+            node,
+            incarnation,
+            sequence: 1,
+            interval_us: 10_000,
+            stance: Stance::Unproved,
+            loss_permille: 0,
+            echo: None,
+        })
+        .encode()
     };
 
     for _ in 0..3 {
@@ -248,6 +379,9 @@ fn a_link_that_loses_too_much_is_degraded_until_it_is_much_better() {
     lossy(&mut cable, 0, 8);
 
     assert!(!cable.ends[0].quality().degraded);
-    let told = cable.told.iter().filter(|told| matches!(told.2, LinkOutput::Quality(_)));
-    assert_eq!(told.count(), 2);
+    let told = |end| {
+        let of_end = cable.told.iter().filter(move |told| told.1 == end);
+        of_end.filter(|told| matches!(told.2, LinkOutput::Quality(_))).count()
+    };
+    assert_eq!([told(0), told(1)], [2, 2], "who loses hellos says so to who sent them");
 }
