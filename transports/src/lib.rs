@@ -37,10 +37,10 @@ mod part;
 mod reopening;
 #[cfg(feature = "serial")]
 pub mod serial;
-#[cfg(any(feature = "tcp", feature = "unix"))]
-mod stream;
 #[cfg(feature = "slcan")]
 pub mod slcan;
+#[cfg(any(feature = "tcp", feature = "unix"))]
+mod stream;
 #[cfg(feature = "tcp")]
 pub mod tcp;
 #[cfg(feature = "udp")]

@@ -303,12 +303,14 @@ fn wait_for_listener() {
 
 #[test]
 fn the_kernels_iso_tp_understands_ours_and_ours_the_kernels() {
+    // `wishes` are what the kernel asks of us as a sender.
     let check =
-        |format: Format, options: &str, block_size: u8, separation_ms: u64, length: usize| {
+        |format: Format, wishes: &str, block_size: u8, separation_ms: u64, length: usize| {
+            let options = if format == FD { "-L 72:64:0" } else { "" };
             let sent = message(length);
             let mut ours = Ours::new(format, block_size, separation_ms);
             // To the kernel.
-            let mut receiver = kernel("isotprecv", options);
+            let mut receiver = kernel("isotprecv", &format!("{options} {wishes}"));
             wait_for_listener();
             let now = Instant::from_nanos(1);
             ours.machine.handle_message(BusAddress(2), sent.clone(), now).unwrap();
