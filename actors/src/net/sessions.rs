@@ -4,18 +4,23 @@ use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
+use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::{PanicOnPurpose, PathReported, SegmentArrived, SendSegment};
 use blastema_contract::session::{
     AddGateway, BeginAnew, Leave, ReadSessions, Say, SayNewest, SessionReported, SessionRow,
 };
-use blastema_core::net::{Crowd, NodeId, Session, SessionConfig, SessionOutput};
-use blastema_core::{Incarnation, NodeName, Why};
+use blastema_core::net::complaints::Complaints;
+use blastema_core::net::{Crowd, NodeId, Refusals, Session, SessionConfig, SessionOutput};
+use blastema_core::{FaultKind, Incarnation, NodeName, Why};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use tracing::{error, info};
+use std::time::Duration;
+use tracing::{error, info, warn};
 
 /// The most peers that are remembered. Twice what a router knows at a time: robots change.
 const PEERS_MAX: usize = 512;
+/// How often it is looked at what was refused.
+const LOOK: Duration = Duration::from_secs(1);
 /// A session that is built anew counts on from there: more than any life of a session needs.
 const NUMBERS_PER_LIFE: u32 = 1 << 16;
 
@@ -28,6 +33,10 @@ pub(super) struct Sessions {
     peers: BTreeMap<NodeId, Peer>,
     router: Recipient<SendSegment>,
     gateway: Option<Recipient<SessionReported>>,
+    faults: Option<Recipient<FaultDeclared>>,
+    complaints: Complaints<Option<NodeId>>,
+    /// What came from nodes that no route leads to.
+    strangers: Refusals,
 }
 
 struct Peer {
@@ -43,6 +52,7 @@ impl Sessions {
         node: NodeName,
         incarnation: Incarnation,
         router: Recipient<SendSegment>,
+        faults: Option<Recipient<FaultDeclared>>,
     ) -> Self {
         Sessions {
             node,
@@ -52,6 +62,9 @@ impl Sessions {
             peers: BTreeMap::new(),
             router,
             gateway: None,
+            faults,
+            complaints: Complaints::default(),
+            strangers: Refusals::default(),
         }
     }
 
@@ -81,6 +94,7 @@ impl Sessions {
         if let Some(id) = gone {
             self.peers.remove(&id);
             self.crowd.remove(id);
+            self.complaints.forget(&Some(id));
             self.report(SessionReported::Ended { peer: id, why: Why::Stopped });
         }
     }
@@ -102,6 +116,27 @@ impl Sessions {
         }
     }
 
+    /// Whoever sends for seconds what must be refused is named.
+    fn look_at_refusals(&mut self) {
+        let peers = self.crowd.iter().map(|(id, session)| (Some(id), session.refusals()));
+        let looks: Vec<_> = peers.chain([(None, self.strangers)]).collect();
+        for (peer, refusals) in looks {
+            let Some(since) = self.complaints.handle_look(peer, refusals) else { continue };
+            let name = peer.and_then(|id| self.peers.get(&id)).map(|peer| peer.node.to_string());
+            let name = name.unwrap_or_else(|| "nodes that no route leads to".to_owned());
+            let detail = format!("what comes from {name} is refused all the time: {since}");
+            warn!("{detail}");
+            if let Some(faults) = &self.faults {
+                faults.do_send(FaultDeclared {
+                    object: super::named("sessions"),
+                    incarnation: crate::guardian::alive().incarnation,
+                    kind: FaultKind::CheckFailed,
+                    detail,
+                });
+            }
+        }
+    }
+
     fn unreachable(&self, peer: NodeId) -> Why {
         let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
         Why::Unreachable { node }
@@ -112,12 +147,17 @@ answers_the_monitor!(Sessions);
 
 impl Actor for Sessions {
     type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        context.run_interval(LOOK, |sessions, _| sessions.look_at_refusals());
+    }
 }
 
 impl Supervised for Sessions {
     /// The session that was being served is built anew; the others have not noticed.
     fn restarting(&mut self, context: &mut Context<Self>) {
         self.wake = Wake::default();
+        self.started(context);
         if let Some(id) = self.crowd.last()
             && let Some(mut broken) = self.crowd.remove(id)
         {
@@ -242,7 +282,10 @@ impl Handler<SegmentArrived> for Sessions {
     fn handle(&mut self, message: SegmentArrived, context: &mut Context<Self>) {
         let SegmentArrived { source, segment } = message;
         // A peer that the router has not told of yet repeats itself.
-        let Some(session) = self.crowd.get_mut(source) else { return };
+        let Some(session) = self.crowd.get_mut(source) else {
+            self.strangers.unexpected += 1;
+            return;
+        };
         session.handle_segment(segment, platform::now());
         self.drive(context);
     }
