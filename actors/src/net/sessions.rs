@@ -10,9 +10,10 @@ use blastema_contract::session::{
     AddGateway, BeginAnew, Leave, ReadSessions, Say, SayNewest, SessionReported, SessionRow,
 };
 use blastema_core::net::complaints::Complaints;
+use blastema_core::net::segment::Stream;
 use blastema_core::net::{Crowd, NodeId, Refusals, Session, SessionConfig, SessionOutput};
 use blastema_core::{FaultKind, Incarnation, NodeName, Why};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 use tracing::{error, info, warn};
@@ -45,6 +46,8 @@ struct Peer {
     path: Option<(Incarnation, usize)>,
     /// Sessions are numbered above this.
     number: u32,
+    /// Which streams hold all that they should.
+    full: BTreeSet<Stream>,
 }
 
 impl Sessions {
@@ -82,7 +85,7 @@ impl Sessions {
             if self.peers.len() >= PEERS_MAX {
                 self.forget_one();
             }
-            self.peers.insert(id, Peer { node, path: None, number: 0 });
+            self.peers.insert(id, Peer { node, path: None, number: 0, full: BTreeSet::new() });
             self.build(id);
         }
         id
@@ -171,6 +174,7 @@ impl Supervised for Sessions {
             self.report(SessionReported::Ended { peer: id, why });
             if let Some(peer) = self.peers.get_mut(&id) {
                 peer.number = peer.number.max(broken.number()).saturating_add(NUMBERS_PER_LIFE);
+                peer.full.clear();
             }
             self.build(id);
             let path = self.peers.get(&id).and_then(|peer| peer.path);
@@ -217,8 +221,19 @@ impl Body for Sessions {
                 info!(%peer, %incarnation, %why, "session ended");
                 self.report(SessionReported::Ended { peer, why });
             }
-            SessionOutput::Full { .. } => self.report(SessionReported::Full { peer }),
-            SessionOutput::Room { .. } => self.report(SessionReported::Room { peer }),
+            SessionOutput::Full { stream } => {
+                if let Some(known) = self.peers.get_mut(&peer) {
+                    known.full.insert(stream);
+                }
+                self.report(SessionReported::Full { peer });
+            }
+            SessionOutput::Room { stream } => {
+                // Senders know one door for all streams: it opens when none is full.
+                let known = self.peers.get_mut(&peer);
+                if known.is_none_or(|known| known.full.remove(&stream) && known.full.is_empty()) {
+                    self.report(SessionReported::Room { peer });
+                }
+            }
             SessionOutput::Incompatible { theirs } => {
                 error!(%peer, theirs, "the peer's sessions speak another version: update one node");
             }
