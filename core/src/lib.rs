@@ -26,6 +26,7 @@ pub mod quarantine;
 pub mod random;
 pub mod recovery;
 pub mod scanner;
+pub mod service;
 pub mod spelling;
 pub mod time;
 pub mod variables;

@@ -38,6 +38,7 @@ mod topology;
 mod wire;
 
 pub mod advertisement;
+pub mod claims;
 pub mod complaints;
 pub mod crowd;
 pub mod exchange;
