@@ -165,10 +165,10 @@ pub(crate) fn start(
     let make = { router::Router::maker(life.clone(), environment.nodes.clone()) };
     let router = guardian.start(named("router"), place, make);
 
-    let to_router = (router.clone().recipient(), life.clone());
+    let to_router = (router.clone().recipient(), life.clone(), environment.faults.clone());
     let sessions = guardian.start(named("sessions"), place, move |_| {
-        let (router, (node, incarnation)) = to_router;
-        sessions::Sessions::new(node, incarnation, router)
+        let (router, (node, incarnation), faults) = to_router;
+        sessions::Sessions::new(node, incarnation, router, faults)
     });
     router.do_send(AddSessions {
         segments: sessions.clone().recipient(),

@@ -39,6 +39,7 @@ mod wire;
 
 pub mod advertisement;
 pub mod claims;
+pub mod complaints;
 pub mod crowd;
 pub mod exchange;
 pub mod frame;

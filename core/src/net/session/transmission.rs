@@ -37,12 +37,17 @@ impl Session {
         // Room for an acknowledgement of a few ranges; one with more travels alone.
         let room = mtu.saturating_sub(DATA_HEADER + 32).clamp(64, self.config.part_max);
         for stream in BY_URGENCY {
-            // What goes every way keeps its time whatever one of the ways is like; the peer's window
-            // bounds it.
-            if congested && stream != Stream::Redundant {
+            let state = &mut self.streams[stream as usize];
+            let held = match stream {
+                // Some of it may always be on its way, whatever data is before it.
+                Stream::Control => congested && state.outbound.flying() >= Self::CONGESTION_MIN,
+                Stream::Data => congested,
+                // It keeps its time whatever one of the ways is like; the peer's window bounds it.
+                Stream::Redundant => false,
+            };
+            if held {
                 continue;
             }
-            let state = &mut self.streams[stream as usize];
             if let Some((sequence, part)) =
                 state.outbound.transmit(room, self.orders[lane(stream)], self.now)
             {
