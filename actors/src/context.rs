@@ -6,12 +6,14 @@ use crate::host::anchor::Anchor;
 use crate::host::life::{Life, Rhythm, TimerId};
 use crate::host::pulse;
 use crate::host::stamp::Stamp;
+use crate::lease::{self, Commander};
 use crate::reference::ActorRef;
 use crate::sender::{Detached, Sender};
 use crate::topic::Publisher;
+use crate::variable::{self, VariableRef};
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::{
-    Contract, Event, FaultKind, Incarnation, Lifecycle, NameError, ObjectName, Why,
+    Contract, Event, FaultKind, Incarnation, Lifecycle, NameError, ObjectName, Variable, Why,
 };
 use std::any::{Any, TypeId};
 use std::cell::RefCell;
@@ -66,6 +68,29 @@ impl<C: Component> Context<C> {
     /// [`Why::ContractDiffers`] if it knows another contract by this name.
     pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
         self.anchor.record.environment.registry.sender(name)
+    }
+
+    /// The variable `V` of the object of this name, the component's own or another's, here or on
+    /// another node.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where no object here has the name, or it owns no variables.
+    pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
+        variable::find(&self.anchor.record.environment.registry, object)
+    }
+
+    /// Commands the actuator of this name, here or on another node. The lease is renewed by a task of
+    /// this life: it ends with the life, and when the component hangs.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where no object here has the name, or it is no actuator.
+    pub fn commander<M: Contract>(&mut self, actuator: &str) -> Result<Commander<M>, Why> {
+        let environment = &self.anchor.record.environment;
+        let own = environment.registry.full_name(self.name());
+        let who = (own, self.incarnation());
+        let (commander, renewing) = lease::commander(&environment.registry, actuator, who)?;
+        self.spawn(renewing);
+        Ok(commander)
     }
 
     /// A sender for threads and blocking tasks that this life starts: what they still send after the

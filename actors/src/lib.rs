@@ -63,9 +63,11 @@
 //! | describe messages | [`Event`](derive@Event), [`Request`](derive@Request), [`Structure`] |
 //! | run components | [`Node`], [`NodeBuilder`], [`ChildSpec`], [`SupervisorSpec`] |
 //! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`Why`] |
+//! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`], [`Transaction`] |
+//! | command actuators | [`ActuatorSpec`], [`Commander`] |
 //! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`Row`] |
 //! | recover | [`core::recovery::Plan`], [`RecoveryStrategy`] |
-//! | connect nodes | [`Network`], [`Link`] |
+//! | connect nodes | [`Network`], [`Link`], [`medium::FrameMedium`] |
 //!
 //! The [prelude] has what an application usually needs. Tests are written with the crate
 //! `blastema-testkit`.
@@ -78,10 +80,12 @@ mod chain;
 mod component;
 mod context;
 mod death_watch;
+mod desk;
 mod drive;
 mod guardian;
 mod host;
 mod lane;
+mod lease;
 mod letter;
 pub mod manual;
 mod net;
@@ -95,6 +99,7 @@ mod registry;
 mod reply;
 mod sender;
 mod topic;
+mod variable;
 
 #[cfg(panic = "abort")]
 compile_error!(
@@ -103,8 +108,8 @@ compile_error!(
 );
 
 // Messages, and what they are made of.
-pub use blastema_core::{Contract, Described, Event, Request};
-pub use blastema_macros::{Event, Request, Structure};
+pub use blastema_core::{Contract, Described, Event, Request, Variable};
+pub use blastema_macros::{Event, Request, Structure, Variable};
 pub use serde;
 
 // Components.
@@ -120,9 +125,14 @@ pub use blastema_core::dead_letters::DeadReason;
 pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
 pub use death_watch::{Down, Ending};
 pub use host::office::DeadLetterOffice;
+pub use lease::{ActuatorSpec, Commander};
 pub use reference::ActorRef;
 pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
 pub use topic::Publisher;
+pub use variable::{
+    Decision, Reading, RestorePolicy, Transaction, ValueState, VariableRef, VariableSpec,
+    VariableWatch,
+};
 
 // Nodes, their trees and their networks.
 pub use blastema_contract::link::LinkRow;
@@ -132,6 +142,7 @@ pub use blastema_contract::supervisor::Branch;
 pub use blastema_core::net::LinkState;
 pub use blastema_core::net::Route;
 pub use blastema_macros::main;
+pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 pub use node::{
     Cable, Direction, FaultEvents, Impairment, Link, MemoryMedium, Network, Node, NodeBuilder,
     NodeState, StartError, SupervisorSpec,
@@ -145,6 +156,15 @@ pub use blastema_core::detection::{
 pub use blastema_core::{Fault, FaultKind, Instant, Lifecycle, Place, Severity};
 pub use chain::strategy::{RecoveryStrategy, Tools};
 
+/// What an application needs for a medium of its own; it is given to [`Network::own`].
+pub mod medium {
+    pub use blastema_contract::transport::MediumAddress;
+    pub use blastema_transports::frame_medium::{
+        Arrival, FrameMedium, Opening, QueueLimits, Sending,
+    };
+    pub use bytes::Bytes;
+}
+
 /// The machines behind all of it, and their vocabulary; needed for plans, watches and limits.
 pub use blastema_core as core;
 
@@ -155,7 +175,7 @@ pub mod prelude {
     pub use crate::{
         ActorRef, ChildSpec, Component, Context, Event, Failure, FaultKind, Handle, Node,
         NodeState, Ports, Publisher, Request, Sender, StartError, Structure, SupervisorSpec,
-        WhenFull, Why,
+        Variable, VariableRef, VariableSpec, WhenFull, Why,
     };
 }
 

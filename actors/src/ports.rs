@@ -2,9 +2,11 @@
 
 use crate::component::{Component, Handle};
 use crate::host::anchor::Anchor;
-use crate::registry::Port;
+use crate::lease::{self, ActuatorSpec};
+use crate::registry::{Doorway, Port};
 use crate::topic::{Condition, Listening, Subscription, Subscriptions, Topics};
-use blastema_core::{Event, Request, Why};
+use crate::variable::{Declared, VariableSpec};
+use blastema_core::{Contract, Event, Request, Variable, Why};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -15,12 +17,19 @@ type Bind<C> = Box<dyn FnOnce(&Topics) -> Result<Arc<dyn Subscription<C>>, Why>>
 pub struct Ports<C: Component> {
     open: Vec<OpenPort<C>>,
     listen: Vec<Bind<C>>,
+    variables: Vec<Declared>,
+    actuators: Vec<(lease::Declared, OpenPort<C>)>,
 }
 
 impl<C: Component> Ports<C> {
     /// What the component declares.
     pub(crate) fn of() -> Self {
-        let mut ports = Ports { open: Vec::new(), listen: Vec::new() };
+        let mut ports = Ports {
+            open: Vec::new(),
+            listen: Vec::new(),
+            variables: Vec::new(),
+            actuators: Vec::new(),
+        };
         C::ports(&mut ports);
         ports
     }
@@ -50,6 +59,37 @@ impl<C: Component> Ports<C> {
         C: Handle<E>,
     {
         ListenPort { ports: self, topic: E::NAME.to_owned(), only_if: None }
+    }
+
+    /// Owns a variable: a value that any node may read, write and watch at the component's name. It
+    /// outlives the component's lives.
+    pub fn variable<V: Variable>(&mut self, spec: VariableSpec<V>) -> &mut Self {
+        self.variables.push(spec.declared());
+        self
+    }
+
+    /// Takes commands from whoever holds the lease, and from nobody else; when its commander goes, the
+    /// component gets the safe command.
+    pub fn actuator<M: Contract>(&mut self, spec: ActuatorSpec<M>) -> &mut Self
+    where
+        C: Handle<M>,
+    {
+        self.actuators.push((spec.declared(), Port::open::<C, M>));
+        self
+    }
+
+    /// The actuators that were declared, and the ways to them.
+    pub(crate) fn take_actuators(
+        &mut self,
+        anchor: &Arc<Anchor<C>>,
+    ) -> Vec<(lease::Declared, Arc<dyn Doorway>)> {
+        let actuators = std::mem::take(&mut self.actuators).into_iter();
+        actuators.map(|(declared, open)| (declared, open(anchor).into_doorway())).collect()
+    }
+
+    /// The variables that were declared.
+    pub(crate) fn take_variables(&mut self) -> Vec<Declared> {
+        std::mem::take(&mut self.variables)
     }
 
     /// The doors by which others find the component, by contract.

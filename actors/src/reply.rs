@@ -5,10 +5,12 @@
 //! what it says after it was given up is refused. A slot takes one result, the first.
 
 use crate::host::pulse::{Deadline, Pulse};
+use crate::platform;
 use crate::sender::RequestError;
-use blastema_core::{Contract, Why};
+use blastema_core::{Contract, Instant, Why};
 use std::future::Future;
 use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
@@ -24,6 +26,10 @@ pub(crate) trait Revocable: Send + Sync {
 
 pub(crate) struct ReplySlot<M: Contract> {
     state: Mutex<State<M>>,
+    /// Nothing has come yet, and somebody wants it; to be looked at without the lock.
+    open: AtomicBool,
+    /// Nobody wants it after this; known of requests from other nodes.
+    until: Option<Instant>,
 }
 
 enum State<M: Contract> {
@@ -49,6 +55,7 @@ impl<M: Contract> ReplySlot<M> {
     fn resolve(&self, result: Result<M::Reply, RequestError<M>>) {
         let mut state = self.lock();
         let State::Open(listener) = &mut *state else { return };
+        self.open.store(false, Relaxed);
         match std::mem::replace(listener, Listener::Nobody) {
             Listener::Nobody => *state = State::Resolved(result),
             Listener::Task(waker) => {
@@ -79,14 +86,15 @@ impl<M: Contract> Answer<M> {
     #[inline]
     pub(crate) fn awaited() -> (Answer<M>, Reply<M>) {
         let state = Mutex::new(State::Open(Listener::Nobody));
-        let slot = Arc::new(ReplySlot { state });
+        let slot = Arc::new(ReplySlot { state, open: AtomicBool::new(true), until: None });
         (Answer(Some(slot.clone())), Reply { slot, limit: Limit::None, done: false })
     }
 
-    /// A slot whose result goes to a callback.
-    pub(crate) fn called_back(callback: Callback<M>) -> Answer<M> {
+    /// A slot whose result goes to a callback, and is wanted until then.
+    pub(crate) fn called_back(callback: Callback<M>, until: Option<Instant>) -> Answer<M> {
         let state = Mutex::new(State::Open(Listener::Callback(callback)));
-        Answer(Some(Arc::new(ReplySlot { state })))
+        let open = AtomicBool::new(true);
+        Answer(Some(Arc::new(ReplySlot { state, open, until })))
     }
 
     /// Puts the reply in, unless the slot was revoked.
@@ -110,10 +118,13 @@ impl<M: Contract> Answer<M> {
         self.0.clone().map(|slot| slot as Arc<dyn Revocable>)
     }
 
-    /// The asker still waits.
+    /// The asker still waits, as far as is known.
     #[inline]
     pub(crate) fn is_wanted(&self) -> bool {
-        self.0.as_ref().is_some_and(|slot| matches!(*slot.lock(), State::Open(_)))
+        let waits = |slot: &Arc<ReplySlot<M>>| {
+            slot.open.load(Relaxed) && slot.until.is_none_or(|until| platform::now() < until)
+        };
+        self.0.as_ref().is_some_and(waits)
     }
 }
 
@@ -181,15 +192,11 @@ impl<M: Contract> Future for Reply<M> {
         }
         drop(state);
         if let Limit::Within(deadline) = this.limit {
-            match Pulse::here() {
-                Some(pulse) => {
-                    let slot: Arc<dyn Revocable> = this.slot.clone();
-                    this.limit = Limit::Swept { _deadline: Deadline::set(pulse, deadline, slot) };
-                }
-                None => {
-                    this.limit = Limit::Timed(Box::pin(tokio::time::sleep(deadline)));
-                    cx.waker().wake_by_ref();
-                }
+            if Pulse::beats_here() {
+                this.limit = Limit::Swept { _deadline: Deadline::set(deadline, this.slot.clone()) };
+            } else {
+                this.limit = Limit::Timed(Box::pin(tokio::time::sleep(deadline)));
+                cx.waker().wake_by_ref();
             }
         }
         Poll::Pending
@@ -201,6 +208,7 @@ impl<M: Contract> Drop for Reply<M> {
         if self.done {
             return;
         }
+        self.slot.open.store(false, Relaxed);
         // The reply, if it is there, is the user's: it is dropped outside of the lock.
         let _left = std::mem::replace(&mut *self.slot.lock(), State::Closed);
     }

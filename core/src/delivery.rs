@@ -1,7 +1,33 @@
-//! What can become of a message.
+//! How a message travels, and what can become of it.
 
 use crate::Incarnation;
 use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// How messages of a contract travel between nodes. Declared with
+/// `#[contract(delivery = "..")]`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Delivery {
+    /// Each once and in order; what is lost on the way is repeated.
+    #[default]
+    Reliable,
+    /// Each at most once, and none after a newer one; what is lost on the way is not repeated. For
+    /// readings of which only the newest counts.
+    Newest,
+    /// Each once and in order, and a copy over every way that there is: while one of them carries,
+    /// nothing is late. For what must not wait until a failed cable has been noticed.
+    Redundant,
+}
+
+impl fmt::Display for Delivery {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Delivery::Reliable => "reliable",
+            Delivery::Newest => "newest",
+            Delivery::Redundant => "redundant",
+        })
+    }
+}
 
 /// Why a message was not delivered, or a request not answered.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
@@ -69,5 +95,55 @@ pub enum Why {
     Undecodable {
         /// What the codec said.
         reason: String,
+    },
+    /// The receiver's node has ended in order; what is sent to it arrives nowhere until it is back.
+    #[error("node {node} has left in order")]
+    Left {
+        /// The node that was to be reached.
+        node: String,
+    },
+    /// The request was sent, and the way to its answer was lost. Whether it took effect is not known:
+    /// ask the receiver, or send it again under the same identity, or declare its contract
+    /// idempotent.
+    #[error("it is not known whether the request took effect: {reason}")]
+    OutcomeUnknown {
+        /// What became of the way.
+        reason: String,
+    },
+    /// What became of the variable's value when its owner's life ended awaits a decision. Decide by
+    /// `VariableRef::decide`.
+    #[error("{variable} awaits a decision: restore it, take its default, or give it a value")]
+    Undecided {
+        /// Which.
+        variable: String,
+    },
+    /// The variable is not what the writer took it for. Read it again.
+    #[error("{variable} has changed: its revision is {revision}")]
+    Changed {
+        /// Which.
+        variable: String,
+        /// Of which change its value is now.
+        revision: u64,
+    },
+    /// A check of the receiver's refused the value.
+    #[error("refused by a check: {reason}")]
+    CheckFailed {
+        /// What the check said.
+        reason: String,
+    },
+    /// Somebody else commands the actuator. Claim it when that lease has ended.
+    #[error("the actuator is commanded by {by}")]
+    Held {
+        /// Who does, and in which life.
+        by: String,
+    },
+    /// The lease under which this was sent has ended. Claim anew.
+    #[error("the lease has ended: claim anew")]
+    LeaseEnded,
+    /// Somebody else has taken over since; what is sent under an older epoch is refused.
+    #[error("superseded: epoch {epoch} holds now")]
+    Superseded {
+        /// The epoch that holds.
+        epoch: u64,
     },
 }

@@ -3,6 +3,7 @@
 //! Nothing here performs IO, reads a clock or knows an actor. Time, randomness and identity are
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
+pub mod can;
 pub mod codec;
 pub mod contract;
 pub mod dead_letters;
@@ -12,9 +13,11 @@ pub mod detection;
 pub mod difference;
 pub mod fault;
 pub mod field;
+pub mod former;
 pub mod identity;
 pub mod impairment;
 pub mod layout;
+pub mod lease;
 pub mod lifecycle;
 pub mod machine;
 pub mod name;
@@ -23,14 +26,20 @@ pub mod quarantine;
 pub mod random;
 pub mod recovery;
 pub mod scanner;
+pub mod service;
+pub mod spelling;
 pub mod time;
+pub mod variables;
 
 pub use codec::{DecodeError, EncodeError};
-pub use contract::{Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request};
-pub use delivery::Why;
+pub use contract::{
+    Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,
+};
+pub use delivery::{Delivery, Why};
 pub use description::{DescriptionError, LayoutDescription};
 pub use difference::Difference;
 pub use fault::{Fault, FaultId, FaultKind, Place, Severity};
+pub use former::{Former, Settled};
 pub use identity::Incarnation;
 pub use layout::{Described, Layout};
 pub use lifecycle::Lifecycle;

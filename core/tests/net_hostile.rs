@@ -51,6 +51,7 @@ fn genuine() -> Vec<Bytes> {
         sequence: 0,
         first: true,
         last: true,
+        again: false,
         piece: Some(Piece { index: 0, count: 2 }),
         ack: Some(ack.clone()),
         payload: payload.clone(),
@@ -77,9 +78,17 @@ fn genuine() -> Vec<Bytes> {
         segment,
         Segment::Open(open).encode(),
         Segment::Datagram(datagram).encode(),
-        Segment::Acknowledge { tag: 1, control: None, data: Some(ack) }.encode(),
+        Segment::Acknowledge { tag: 1, control: None, data: Some(ack), redundant: None }.encode(),
         Segment::Reset { tag: 1 }.encode(),
-        Message::Request { binding: 1, call: 1, id: None, payload: payload.clone() }.encode(),
+        Message::Request {
+            binding: 1,
+            call: 1,
+            stamp: 1,
+            within: 9,
+            id: None,
+            payload: payload.clone(),
+        }
+        .encode(),
         Message::Event { subscription: 1, stamp_us: 5, payload }.encode(),
         names.encode(),
     ]
@@ -206,7 +215,7 @@ proptest! {
     fn no_messages_panic_an_exchange(messages in vec(hostile(), 0..30)) {
         let mut exchange = Exchange::default();
         let peer = NodeId(1);
-        exchange.handle_opened(peer, Instant::ORIGIN);
+        exchange.handle_opened(peer, Incarnation(1), Instant::ORIGIN);
         for message in messages {
             exchange.handle_message(peer, message, Instant::ORIGIN);
             while let Some(output) = exchange.poll_output() {
@@ -255,12 +264,12 @@ fn a_peer_that_never_finishes_a_message_costs_no_more_than_its_bound() {
 fn an_acknowledgement_of_what_was_never_sent_is_refused_and_an_absurd_window_bounded() {
     let (mut session, tag) = session();
     let ack = Ack { next: 5, window: u32::MAX, ranges: vec![] };
-    let lie = Segment::Acknowledge { tag, control: None, data: Some(ack) };
+    let lie = Segment::Acknowledge { tag, control: None, data: Some(ack), redundant: None };
     session.handle_segment(lie.encode(), Instant::ORIGIN);
     assert_eq!(session.refusals().malformed, 1);
 
     let ack = Ack { next: 0, window: u32::MAX, ranges: vec![] };
-    let greedy = Segment::Acknowledge { tag, control: None, data: Some(ack) };
+    let greedy = Segment::Acknowledge { tag, control: None, data: Some(ack), redundant: None };
     session.handle_segment(greedy.encode(), Instant::ORIGIN);
     for _ in 0..8000 {
         let _ = session.handle_send(Stream::Data, Bytes::from_static(&[0; 1000]), Instant::ORIGIN);
@@ -278,6 +287,7 @@ fn a_message_longer_than_its_limit_ends_the_session_that_announces_it() {
         sequence: 0,
         first: true,
         last: false,
+        again: false,
         piece: None,
         ack: None,
         payload: Bytes::from_static(b"\xff\xff\xff\x7f"),

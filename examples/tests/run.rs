@@ -188,7 +188,58 @@ fn cable_pulled_leaves_the_arm_moving() {
 }
 
 #[test]
+fn serial_and_udp_carry_out_every_order_once_whichever_cable_is_pulled() {
+    check(
+        "serial_and_udp",
+        &[
+            "link down: body -ethernet- arm",
+            "link down: body -serial- arm",
+            "300 orders carried out, each once",
+            "both cables are back",
+        ],
+    );
+}
+
+#[test]
+fn own_medium_carries_requests_over_two_fifos() {
+    check("own_medium", &["3 squared is 9", "12 squared is 144"]);
+}
+
+#[test]
 fn plain_actix_lets_a_plain_actor_speak_for_a_component() {
     check("plain_actix", &["0.1 N: warned: false", "3.5 N: warned: true"]);
     check("plain_actix", &["I was touched with 3.5 N"]);
+}
+
+#[test]
+fn variables_of_another_node_are_written_together_and_outlive_their_owner_as_declared() {
+    check(
+        "variables",
+        &[
+            "limit: 0.5 rad/s",
+            "limit: 0.2 rad/s",
+            "refused by a check: the arm breaks above 2 rad/s; the load is still 3 kg",
+            "target: shelf",
+            "after a blow: Undecided",
+            "arm/target of arm awaits a decision: restore it, take its default, or give it a value",
+            "target: rest",
+            "the load is still 3 kg",
+        ],
+    );
+}
+
+#[test]
+fn commander_leaves_the_wheels_at_rest_when_its_cable_is_cut() {
+    check(
+        "commander",
+        &[
+            "the wheels turn at 1 m/s",
+            "the console is refused",
+            "-- the cable is cut",
+            "brakes on",
+            "the wheels turn at 0 m/s",
+            "the console commands: 0.1 m/s",
+        ],
+    );
+    check("commander", &["the planner hears: the lease has ended: claim anew"]);
 }

@@ -1,10 +1,13 @@
 //! At which address of this machine a socket opens.
 
+use socket2::Socket;
 use std::io;
 use std::net::SocketAddr;
 
 /// So often the port taken last is wanted back where any port would do: peers know it.
 const LOYALTY: u32 = 8;
+/// `ENODEV` as Linux numbers it.
+const NO_SUCH_DEVICE: i32 = 19;
 
 /// The address as configured, and the one that was really taken.
 pub(crate) struct Binding {
@@ -29,6 +32,11 @@ impl Binding {
         }
     }
 
+    /// Whether this is the address that was taken last.
+    pub(crate) fn is_at(&self, address: SocketAddr) -> bool {
+        self.last == Some(address)
+    }
+
     /// This address was taken.
     pub(crate) fn taken(&mut self, local: SocketAddr) {
         self.last = Some(local);
@@ -36,9 +44,39 @@ impl Binding {
     }
 }
 
+/// Lets the socket use this interface only (`SO_BINDTODEVICE`).
+#[cfg(target_os = "linux")]
+pub(crate) fn confine(socket: &Socket, interface: Option<&str>) -> io::Result<()> {
+    let Some(interface) = interface else { return Ok(()) };
+    socket.bind_device(Some(interface.as_bytes()))
+}
+
+/// Other systems have no such option that a string of ours could be given to.
+#[cfg(not(target_os = "linux"))]
+pub(crate) fn confine(_: &Socket, interface: Option<&str>) -> io::Result<()> {
+    match interface {
+        None => Ok(()),
+        Some(_) => Err(io::ErrorKind::Unsupported.into()),
+    }
+}
+
 /// What a person may do about a socket that does not open.
-pub(crate) fn explain(medium: &str, address: SocketAddr, error: &io::Error) -> String {
+pub(crate) fn explain(
+    medium: &str,
+    address: SocketAddr,
+    interface: Option<&str>,
+    error: &io::Error,
+) -> String {
+    let place = match interface {
+        Some(interface) => format!("{address} on {interface}"),
+        None => address.to_string(),
+    };
     let advice = match error.kind() {
+        // `ENODEV` has no kind of its own.
+        _ if error.raw_os_error() == Some(NO_SUCH_DEVICE) => {
+            "this machine has no such interface: check its name, or connect it"
+        }
+        io::ErrorKind::Unsupported => "this system cannot bind to an interface: leave it out",
         io::ErrorKind::AddrInUse => {
             "another process has taken this port: end it, or choose another port (0 takes a free one)"
         }
@@ -50,7 +88,7 @@ pub(crate) fn explain(medium: &str, address: SocketAddr, error: &io::Error) -> S
         }
         _ => "check the address and the machine's limits",
     };
-    format!("{medium} {address} cannot be opened ({error}): {advice}; trying again")
+    format!("{medium} {place} cannot be opened ({error}): {advice}; trying again")
 }
 
 #[cfg(test)]
@@ -84,8 +122,17 @@ mod tests {
     fn a_taken_port_is_explained() {
         let error = io::Error::from(io::ErrorKind::AddrInUse);
 
-        let text = explain("udp", address("127.0.0.1:7400"), &error);
+        let text = explain("udp", address("127.0.0.1:7400"), None, &error);
 
         assert!(text.contains("127.0.0.1:7400") && text.contains("choose another port"), "{text}");
+    }
+
+    #[test]
+    fn an_interface_that_is_not_there_is_named() {
+        let error = io::Error::from_raw_os_error(NO_SUCH_DEVICE);
+
+        let text = explain("udp", address("0.0.0.0:7400"), Some("firewire0"), &error);
+
+        assert!(text.contains("on firewire0") && text.contains("no such interface"), "{text}");
     }
 }

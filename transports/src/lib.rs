@@ -9,6 +9,7 @@
 //! * `outlet.rs`: frames go to whoever is attached, never more than a few hundred unconfirmed; a
 //!   receiver that hangs makes the medium's own buffers overflow, not the process.
 //! * `reopening.rs`: a medium that cannot be opened is tried again, with back-off.
+//! * `can_node.rs`: what CAN sockets and CAN adapters share: messages longer than a frame.
 //! * `binding.rs`, `part.rs`: what the media with sockets share.
 //!
 //! Deliberately not here: who is a neighbour and whether it lives (the link), what a frame says
@@ -16,28 +17,54 @@
 
 #[cfg(any(feature = "udp", feature = "tcp"))]
 mod binding;
+#[cfg(all(feature = "can", target_os = "linux"))]
+pub mod can;
+#[cfg(any(all(feature = "can", target_os = "linux"), feature = "slcan"))]
+pub mod can_node;
+pub mod endpoint;
 #[cfg(feature = "fault")]
 pub mod fault;
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
+pub mod frame_medium;
+mod frame_transport;
 mod medium;
 #[cfg(feature = "memory")]
 pub mod memory;
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "fault"))]
+#[cfg(feature = "udp")]
+mod multicast;
 mod outlet;
-#[cfg(any(feature = "udp", feature = "tcp"))]
+#[cfg(any(feature = "udp", feature = "tcp", feature = "unix"))]
 mod part;
-#[cfg(any(feature = "memory", feature = "udp", feature = "tcp"))]
 mod reopening;
+#[cfg(feature = "serial")]
+pub mod serial;
+#[cfg(feature = "slcan")]
+pub mod slcan;
+#[cfg(any(feature = "tcp", feature = "unix"))]
+mod stream;
 #[cfg(feature = "tcp")]
 pub mod tcp;
 #[cfg(feature = "udp")]
 pub mod udp;
+#[cfg(feature = "unix")]
+pub mod unix;
+
+#[cfg(all(feature = "can", target_os = "linux"))]
+pub use can::CanBus;
+pub use endpoint::{CanConfig, CanNodeConfig, Endpoint, EndpointError, SlcanConfig};
 
 #[cfg(feature = "fault")]
 pub use fault::{Faulty, FaultyConfig};
+pub use frame_medium::FrameMedium;
+pub use frame_transport::FrameTransport;
 #[cfg(feature = "memory")]
 pub use memory::{Memory, MemoryConfig, MemoryMedium};
+#[cfg(feature = "serial")]
+pub use serial::{SerialConfig, SerialLine};
+#[cfg(feature = "slcan")]
+pub use slcan::SlcanBus;
 #[cfg(feature = "tcp")]
 pub use tcp::{Tcp, TcpConfig};
 #[cfg(feature = "udp")]
 pub use udp::{Udp, UdpConfig};
+#[cfg(feature = "unix")]
+pub use unix::{Unix, UnixConfig};

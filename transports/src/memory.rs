@@ -7,7 +7,7 @@ use actix::Context;
 use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError};
 use std::task::{self, Waker};
 
 /// What several [`Memory`] transports share: who is where.
@@ -93,7 +93,15 @@ impl Drop for Memory {
     }
 }
 
+/// Where the ends of endpoint strings meet.
+static OF_THIS_PROCESS: LazyLock<MemoryMedium> = LazyLock::new(MemoryMedium::default);
+
 impl MemoryMedium {
+    /// The medium that `memory://` means: the same for all of this process.
+    pub fn of_this_process() -> Self {
+        OF_THIS_PROCESS.clone()
+    }
+
     fn ends(&self) -> MutexGuard<'_, BTreeMap<Arc<str>, Arc<Inbox>>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -1,7 +1,8 @@
-//! Datagrams over IP: one frame is one datagram.
+//! Datagrams over IP: one frame is one datagram, to one peer or to all who hear a group.
 
-use crate::binding::{Binding, explain};
+use crate::binding::{Binding, confine, explain};
 use crate::medium::{BUDGET, Medium, transport};
+use crate::multicast;
 use crate::outlet::Outlet;
 use crate::part::part_frame;
 use crate::reopening::Reopening;
@@ -36,6 +37,14 @@ pub struct UdpConfig {
     /// Our own address; port 0 takes a free one. The default is loopback: nobody outside this
     /// machine can send to a node that does not say otherwise.
     pub bind: SocketAddr,
+    /// Only over this interface of the system, such as `eth0`, or `firewire0` for IP over IEEE 1394
+    /// (RFC 2734). `None` leaves the choice to the system's routes.
+    pub interface: Option<String>,
+    /// A multicast group to hear as well; what is sent to its address reaches all who hear it. Several
+    /// transports of one machine may hear the same.
+    pub group: Option<SocketAddr>,
+    /// Over how many routers frames to the group may go, less one: 1 is this network only.
+    pub hops: u32,
     /// The largest frame, in bytes. By default what fits: 65,507 on loopback, elsewhere what an
     /// Ethernet frame carries (1,472 over IPv4, 1,452 over IPv6): a larger one is cut up by IP, and
     /// lost with any of its parts.
@@ -53,6 +62,9 @@ impl Default for UdpConfig {
     fn default() -> Self {
         UdpConfig {
             bind: (Ipv4Addr::LOCALHOST, 0).into(),
+            interface: None,
+            group: None,
+            hops: 1,
             mtu: None,
             receive_buffer: 1 << 20,
             send_buffer: 1 << 18,
@@ -81,6 +93,8 @@ pub struct Udp {
     binding: Binding,
     reopening: Reopening,
     socket: Option<UdpSocket>,
+    /// Hears the group, if there is one, beside our own socket.
+    ear: Option<UdpSocket>,
     queue: VecDeque<(SocketAddr, Bytes)>,
     buffer: BytesMut,
     errors_in_a_row: u32,
@@ -95,6 +109,7 @@ impl Udp {
             outlet: Outlet::default(),
             reopening: Reopening::default(),
             socket: None,
+            ear: None,
             queue: VecDeque::new(),
             buffer: BytesMut::new(),
             errors_in_a_row: 0,
@@ -103,15 +118,17 @@ impl Udp {
 
     fn try_open(&mut self) {
         let address = self.binding.next_attempt();
-        match bind(address, &self.config).and_then(|socket| Ok((socket.local_addr()?, socket))) {
-            Ok((local, socket)) => {
+        match open(address, &self.config) {
+            Ok((local, socket, ear)) => {
                 self.binding.taken(local);
                 self.reopening.reset();
-                self.socket = Some(socket);
+                (self.socket, self.ear) = (Some(socket), ear);
                 let (local, mtu) = (MediumAddress::Ip(local), self.config.mtu());
                 self.outlet.announce(TransportReport::Opened { local, mtu });
             }
-            Err(error) => self.lose(explain("udp", address, &error)),
+            Err(error) => {
+                self.lose(explain("udp", address, self.config.interface.as_deref(), &error))
+            }
         }
     }
 
@@ -151,19 +168,44 @@ impl Udp {
 
     /// Takes what has arrived, up to the budget.
     fn read(&mut self, task: &mut task::Context<'_>) {
+        // Both sockets share the budget, and neither keeps the other from its turn.
+        let own = self.socket.take().map_or(Turn::Empty, |socket| {
+            let turn = self.read_from(&socket, task);
+            self.socket = Some(socket);
+            turn
+        });
+        let ear = self.ear.take().map_or(Turn::Empty, |ear| {
+            let turn = self.read_from(&ear, task);
+            self.ear = Some(ear);
+            turn
+        });
+        for turn in [own, ear] {
+            match turn {
+                Turn::Empty => {}
+                Turn::More => task.waker().wake_by_ref(),
+                Turn::Broken(reason) => {
+                    self.lose(reason);
+                    task.waker().wake_by_ref();
+                }
+            }
+        }
+    }
+
+    fn read_from(&mut self, socket: &UdpSocket, task: &mut task::Context<'_>) -> Turn {
         let mtu = self.config.mtu();
         // One byte more than the largest frame: a datagram that fills it is too large.
         let room = mtu + 1;
         let chunk = room.max(CHUNK);
         for _ in 0..BUDGET {
             if self.outlet.poll_room(task).is_pending() {
-                return;
+                return Turn::Empty;
             }
-            let Some(socket) = &self.socket else { return };
             if self.buffer.capacity() < room {
                 self.buffer.reserve(chunk);
             }
             match socket.try_recv_buf_from(&mut (&mut self.buffer).limit(room)) {
+                // What we have said to the group ourselves comes back from it.
+                Ok((_, from)) if self.group_brings_back(from) => self.buffer.clear(),
                 Ok((length, _)) if length > mtu => {
                     self.buffer.clear();
                     self.outlet.counters.refused += 1;
@@ -175,7 +217,7 @@ impl Udp {
                 }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                     if socket.poll_recv_ready(task).is_pending() {
-                        return;
+                        return Turn::Empty;
                     }
                 }
                 // An ICMP message about an earlier datagram comes back as an error of the socket. It
@@ -185,14 +227,28 @@ impl Udp {
                     self.errors_in_a_row += 1;
                     if self.errors_in_a_row >= ERRORS_IN_A_ROW {
                         let local = socket.local_addr().unwrap_or(self.config.bind);
-                        self.lose(explain("udp", local, &error));
-                        break;
+                        let interface = self.config.interface.as_deref();
+                        return Turn::Broken(explain("udp", local, interface, &error));
                     }
                 }
             }
         }
-        task.waker().wake_by_ref();
+        Turn::More
     }
+
+    fn group_brings_back(&self, from: SocketAddr) -> bool {
+        self.config.group.is_some() && self.binding.is_at(from)
+    }
+}
+
+/// What a turn of reading leaves.
+enum Turn {
+    /// Nothing to read, or nobody to take it; the task is woken when that changes.
+    Empty,
+    /// There may be more.
+    More,
+    /// The socket does not read any more, and why.
+    Broken(String),
 }
 
 impl Medium for Udp {
@@ -237,7 +293,7 @@ impl Medium for Udp {
     }
 
     fn shut(&mut self) {
-        self.socket = None;
+        (self.socket, self.ear) = (None, None);
         self.outlet.counters.dropped += self.queue.len() as u64;
         self.queue.clear();
         self.buffer = BytesMut::new();
@@ -246,6 +302,22 @@ impl Medium for Udp {
 }
 
 transport!(Udp);
+
+/// Our own socket with its address, and the one that hears the group.
+fn open(
+    address: SocketAddr,
+    config: &UdpConfig,
+) -> io::Result<(SocketAddr, UdpSocket, Option<UdpSocket>)> {
+    let Some(group) = config.group else {
+        let socket = bind(address, config)?;
+        return Ok((socket.local_addr()?, socket, None));
+    };
+    let own = multicast::own_address(address, group, config.interface.as_deref())?;
+    let socket = bind(own, config)?;
+    multicast::speak(&socket, config)?;
+    let ear = multicast::hear(group, own.ip(), config)?;
+    Ok((socket.local_addr()?, socket, Some(ear)))
+}
 
 fn bind(address: SocketAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
     let socket = Socket::new(Domain::for_address(address), Type::DGRAM, Some(Protocol::UDP))?;
@@ -256,6 +328,7 @@ fn bind(address: SocketAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
     }
     socket.set_recv_buffer_size(config.receive_buffer)?;
     socket.set_send_buffer_size(config.send_buffer)?;
+    confine(&socket, config.interface.as_deref())?;
     socket.bind(&address.into())?;
     UdpSocket::from_std(socket.into())
 }

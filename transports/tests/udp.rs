@@ -76,3 +76,73 @@ fn the_limit_fits_the_medium_unless_told() {
         check("0.0.0.0:0", 1_472).await;
     });
 }
+
+/// A group that nobody else hears, at a port that the system chose.
+fn group() -> SocketAddr {
+    let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    ([239, 255, 77, 1], free).into()
+}
+
+fn hearing(group: SocketAddr) -> UdpConfig {
+    let mut config = UdpConfig::default();
+    config.group = Some(group);
+    config
+}
+
+#[test]
+fn one_frame_to_a_group_reaches_all_others_who_hear_it_and_they_can_answer() {
+    actix_rt::System::new().block_on(async {
+        let group = group();
+        let (a, at_a, to_a) = open(hearing(group)).await;
+        let (b, _, to_b) = open(hearing(group)).await;
+        let (_c, _, to_c) = open(hearing(group)).await;
+
+        a.do_send(Transmit { to: MediumAddress::Ip(group), frame: "who is there".into() });
+        let heard = to_b.expect().await;
+        assert_eq!((heard.from, &heard.frame[..]), (MediumAddress::Ip(at_a), &b"who is there"[..]));
+        assert_eq!(to_c.expect().await.from, MediumAddress::Ip(at_a));
+
+        b.do_send(Transmit { to: MediumAddress::Ip(at_a), frame: "b is".into() });
+        assert_eq!(to_a.expect().await.frame, "b is", "and not what a has said itself");
+        assert_eq!(to_c.recorded(), 0);
+    });
+}
+
+#[test]
+fn who_does_not_hear_the_group_is_left_alone() {
+    actix_rt::System::new().block_on(async {
+        let (ours, theirs) = (group(), group());
+        let (a, _, _to_a) = open(hearing(ours)).await;
+        let (_b, at_b, to_b) = open(hearing(theirs)).await;
+
+        a.do_send(Transmit { to: MediumAddress::Ip(ours), frame: "to nobody".into() });
+        a.do_send(Transmit { to: MediumAddress::Ip(at_b), frame: "to b".into() });
+
+        assert_eq!(to_b.expect().await.frame, "to b");
+    });
+}
+
+#[test]
+fn an_interface_binds_a_socket_to_it_and_one_that_is_missing_is_named() {
+    actix_rt::System::new().block_on(async {
+        let on = |interface: &str| {
+            let mut config = UdpConfig::default();
+            config.interface = Some(interface.into());
+            config
+        };
+        let (a, _, _to_a) = open(on("lo")).await;
+        let (_b, at_b, to_b) = open(on("lo")).await;
+        a.do_send(Transmit { to: MediumAddress::Ip(at_b), frame: "hello".into() });
+        assert_eq!(to_b.expect().await.frame, "hello");
+
+        let (frames, reports) = (Probe::<Received>::start(), Probe::start());
+        let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+        Udp::new(on("firewire9")).start().do_send(attach);
+        match reports.expect().await {
+            TransportReport::Closed { reason } => {
+                assert!(reason.contains("on firewire9") && reason.contains("no such"), "{reason}");
+            }
+            other => panic!("{other:?}"),
+        }
+    });
+}

@@ -155,6 +155,8 @@ impl<C: Component> Drop for HostedChild<C> {
         self.anchor.end();
         let record = &self.anchor.record;
         record.environment.registry.release(&record.name);
+        record.environment.variables.withdraw(&record.name);
+        record.environment.actuators.withdraw(&record.name);
     }
 }
 

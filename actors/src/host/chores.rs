@@ -13,7 +13,7 @@ use std::future::Future;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 use std::time::Duration;
-use tokio::time::{Instant, Interval, MissedTickBehavior};
+use tokio::time::{Instant, Interval, MissedTickBehavior, Sleep};
 
 /// Tasks of one component at one time. Who has more has lost count of them.
 const TASKS: usize = 1024;
@@ -52,9 +52,10 @@ pub(crate) struct Chores<C: Component> {
     timers: Vec<Timer<C>>,
     /// At most one entry per timer, and one for the round.
     due: VecDeque<Chore>,
-    limits: Vec<Chore>,
-    /// Limits that no longer count.
-    passed: Vec<Chore>,
+    /// Limits that count now; each at most once.
+    limits: Vec<(Chore, Pin<Box<Sleep>>)>,
+    /// Limits that were reached and have not been asked for yet.
+    reached: Vec<Chore>,
     interval: Option<Duration>,
     active: bool,
     /// A ticker for rounds is on its way.
@@ -71,7 +72,7 @@ impl<C: Component> Default for Chores<C> {
             timers: Vec::new(),
             due: VecDeque::new(),
             limits: Vec::new(),
-            passed: Vec::new(),
+            reached: Vec::new(),
             interval: None,
             active: false,
             ticking: false,
@@ -105,7 +106,7 @@ impl<C: Component> Chores<C> {
 
     #[inline]
     pub(crate) fn is_empty(&self) -> bool {
-        self.futures.is_empty()
+        self.futures.is_empty() && self.limits.is_empty()
     }
 
     /// Something was started and has not been polled yet.
@@ -173,30 +174,30 @@ impl<C: Component> Chores<C> {
         self.timers.retain(|timer| !cancelled.contains(&timer.id));
     }
 
-    /// Sets one of the two limits; for the first time only.
+    /// Sets one of the two limits. One that is set already stays as it is.
     pub(crate) fn limit(&mut self, limit: Chore, within: Duration) {
-        let until = after(within);
-        self.push(async move {
-            tokio::time::sleep_until(until).await;
-            Woken::Due(limit)
-        });
+        if self.limits.iter().all(|(set, _)| *set != limit) {
+            self.fresh = true;
+            self.limits.push((limit, Box::pin(tokio::time::sleep_until(after(within)))));
+        }
     }
 
     pub(crate) fn cancel_limit(&mut self, limit: Chore) {
-        if !self.passed.contains(&limit) {
-            self.passed.push(limit);
-        }
+        self.limits.retain(|(set, _)| *set != limit);
+        self.reached.retain(|reached| *reached != limit);
     }
 
     /// Says whether this limit has been reached, once.
     pub(crate) fn take_limit(&mut self, limit: Chore) -> bool {
-        let before = self.limits.len();
-        self.limits.retain(|reached| *reached != limit);
-        self.limits.len() < before && !self.passed.contains(&limit)
+        let before = self.reached.len();
+        self.reached.retain(|reached| *reached != limit);
+        self.reached.len() < before
     }
 
     /// Polls what was started. A panic in it is the component's.
     pub(crate) fn poll(&mut self, cx: &mut Context<'_>) {
+        let reached = self.limits.extract_if(.., |(_, sleep)| sleep.as_mut().poll(cx).is_ready());
+        self.reached.extend(reached.map(|(limit, _)| limit));
         for _ in 0..BUDGET {
             match Pin::new(&mut self.futures).poll_next(cx) {
                 Poll::Ready(Some(woken)) => self.handle(woken),
@@ -213,7 +214,6 @@ impl<C: Component> Chores<C> {
     fn handle(&mut self, woken: Woken) {
         match woken {
             Woken::Task => self.tasks -= 1,
-            Woken::Due(limit @ (Chore::ReadyLimit | Chore::StopLimit)) => self.limits.push(limit),
             Woken::Due(chore) => self.make_due(chore),
             Woken::Tick(Chore::Execute, ticker) => {
                 if !self.active || self.interval != Some(ticker.period()) {

@@ -3,8 +3,10 @@
 use super::arbiters::Arbiters;
 use super::office::DeadLetterOffice;
 use super::watch::WatchList;
+use crate::lease::Yard;
 use crate::registry::Registry;
 use crate::topic::Topics;
+use crate::variable::Store;
 use actix::Recipient;
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 
@@ -25,6 +27,8 @@ pub(crate) struct HostEnvironment {
     pub(crate) topics: Topics,
     pub(crate) dead_letters: DeadLetterOffice,
     pub(crate) watch_list: WatchList,
+    pub(crate) variables: Store,
+    pub(crate) actuators: Yard,
 }
 
 impl HostEnvironment {
@@ -38,6 +42,8 @@ impl HostEnvironment {
             topics: Topics::new(dead_letters.clone()),
             dead_letters,
             watch_list: WatchList::default(),
+            variables: Store::default(),
+            actuators: Yard::default(),
         }
     }
 }

@@ -7,9 +7,10 @@ use super::arbiters::Loan;
 use crate::platform;
 use crate::reply::Revocable;
 use blastema_core::{Instant, Why};
-use std::cell::{Cell, OnceCell};
+use std::cell::{Cell, OnceCell, RefCell};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering::Relaxed};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::ThreadId;
 use std::time::Duration;
 use tokio::time::MissedTickBehavior;
 
@@ -32,12 +33,13 @@ pub(crate) struct Pulse {
     gate: AtomicU8,
     /// The time of the last beat, in nanoseconds; 0 where none beats.
     time: AtomicU64,
-    deadlines: Mutex<Deadlines>,
 }
 
 thread_local! {
     static HERE: OnceCell<Arc<Pulse>> = const { OnceCell::new() };
     static BEATS: Cell<bool> = const { Cell::new(false) };
+    /// Requests that were made here and wait for a reply.
+    static DEADLINES: RefCell<Deadlines> = const { RefCell::new(Deadlines::new()) };
 }
 
 /// Why nothing may be sent from here now, if that is so. A send that is past this check when the
@@ -71,7 +73,6 @@ impl Default for Pulse {
             running: AtomicU32::new(0),
             gate: AtomicU8::new(0),
             time: AtomicU64::new(0),
-            deadlines: Mutex::default(),
         }
     }
 }
@@ -82,11 +83,10 @@ impl Pulse {
         self.id
     }
 
-    /// The pulse of this thread, if it is an arbiter that was enrolled and whose loop turns.
+    /// Whether this thread is an arbiter that was enrolled and whose loop turns.
     #[inline]
-    pub(crate) fn here() -> Option<Arc<Pulse>> {
-        let beats = BEATS.try_with(Cell::get).unwrap_or(false);
-        HERE.try_with(|here| here.get().filter(|_| beats).cloned()).ok().flatten()
+    pub(crate) fn beats_here() -> bool {
+        BEATS.try_with(Cell::get).unwrap_or(false)
     }
 
     /// Gives this thread its pulse, and lets it beat while its event loop turns.
@@ -143,7 +143,8 @@ impl Pulse {
         self.time.store(now.as_nanos(), Relaxed);
         // The loop turns, so whoever kept it has come back.
         self.lift();
-        let due = self.deadlines().sweep(now);
+        // Beaten on the arbiter's own thread, where its deadlines are.
+        let due = DEADLINES.with_borrow_mut(|deadlines| deadlines.sweep(now));
         due.into_iter().for_each(|slot| slot.revoke(Why::DeadlinePassed));
     }
 
@@ -211,17 +212,21 @@ impl Pulse {
         HERE.try_with(|here| here.get().is_some_and(|here| std::ptr::eq(&**here, self)))
             .unwrap_or(false)
     }
-
-    fn deadlines(&self) -> MutexGuard<'_, Deadlines> {
-        self.deadlines.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
-/// Requests of one arbiter that wait for a reply: as many as there are futures that wait.
-#[derive(Default)]
+/// Requests of one arbiter that wait for a reply: as many as there are futures that wait, and those
+/// whose future was dropped on another thread, until the next sweep.
 struct Deadlines {
-    waiting: Vec<Option<(Due, Arc<dyn Revocable>)>>,
+    waiting: Vec<Option<Waiting>>,
     free: Vec<usize>,
+    /// Numbers the entries, so that a place that was taken anew is known.
+    next: u64,
+}
+
+struct Waiting {
+    number: u64,
+    due: Due,
+    slot: Arc<dyn Revocable>,
 }
 
 /// The first sweep after a request was made turns its span into a point in time, so that the request
@@ -232,19 +237,22 @@ enum Due {
 }
 
 impl Deadlines {
+    const fn new() -> Self {
+        Deadlines { waiting: Vec::new(), free: Vec::new(), next: 0 }
+    }
+
+    /// Takes out what is due, and what nobody else holds any more.
     fn sweep(&mut self, now: Instant) -> Vec<Arc<dyn Revocable>> {
         let mut due = Vec::new();
-        for place in &mut self.waiting {
-            match place {
-                Some((Due::At(at), _)) if *at <= now => {
-                    due.extend(place.take().map(|(_, slot)| slot));
-                }
-                Some((at @ Due::After(_), _)) => {
-                    if let Due::After(span) = *at {
-                        *at = Due::At(now + span);
-                    }
-                }
-                _ => {}
+        for (at, place) in self.waiting.iter_mut().enumerate() {
+            let Some(waiting) = place else { continue };
+            if let Due::After(span) = waiting.due {
+                waiting.due = Due::At(now + span);
+            }
+            let over = matches!(waiting.due, Due::At(at) if at <= now);
+            if over || Arc::strong_count(&waiting.slot) == 1 {
+                due.extend(place.take().map(|waiting| waiting.slot));
+                self.free.push(at);
             }
         }
         due
@@ -253,17 +261,20 @@ impl Deadlines {
 
 /// One request's place among the deadlines of the arbiter on which it was made.
 pub(crate) struct Deadline {
-    pulse: Arc<Pulse>,
     place: usize,
+    number: u64,
+    thread: ThreadId,
 }
 
 impl Deadline {
+    /// To be set on an arbiter that [beats](Pulse::beats_here).
     #[inline]
-    pub(crate) fn set(pulse: Arc<Pulse>, span: Duration, slot: Arc<dyn Revocable>) -> Self {
-        let place = {
-            let mut deadlines = pulse.deadlines();
-            let entry = Some((Due::After(span), slot));
-            match deadlines.free.pop() {
+    pub(crate) fn set(span: Duration, slot: Arc<dyn Revocable>) -> Self {
+        DEADLINES.with_borrow_mut(|deadlines| {
+            let number = deadlines.next;
+            deadlines.next += 1;
+            let entry = Some(Waiting { number, due: Due::After(span), slot });
+            let place = match deadlines.free.pop() {
                 Some(place) => {
                     deadlines.waiting[place] = entry;
                     place
@@ -272,21 +283,35 @@ impl Deadline {
                     deadlines.waiting.push(entry);
                     deadlines.waiting.len() - 1
                 }
-            }
-        };
-        Deadline { pulse, place }
+            };
+            Deadline { place, number, thread: thread_id() }
+        })
     }
 }
 
 impl Drop for Deadline {
     #[inline]
     fn drop(&mut self) {
-        let mut deadlines = self.pulse.deadlines();
-        let entry = deadlines.waiting[self.place].take();
-        deadlines.free.push(self.place);
-        drop(deadlines);
-        drop(entry);
+        if self.thread != thread_id() {
+            return; // The sweep finds it.
+        }
+        let entry = DEADLINES.try_with(|deadlines| {
+            let mut deadlines = deadlines.borrow_mut();
+            let place = deadlines.waiting.get_mut(self.place)?;
+            let entry = place.take_if(|waiting| waiting.number == self.number)?;
+            deadlines.free.push(self.place);
+            Some(entry)
+        });
+        drop(entry); // Its slot may hold what is the user's.
     }
+}
+
+#[inline]
+fn thread_id() -> ThreadId {
+    thread_local! {
+        static ID: ThreadId = std::thread::current().id();
+    }
+    ID.try_with(|id| *id).unwrap_or_else(|_| std::thread::current().id())
 }
 
 #[cfg(test)]
@@ -330,14 +355,14 @@ mod tests {
     #[test]
     fn a_thread_beats_in_each_of_its_event_loops_and_not_between_them() {
         for _ in 0..2 {
-            assert!(Pulse::here().is_none());
+            assert!(!Pulse::beats_here());
             paused(async {
                 let pulse = Pulse::enrol_here();
                 let before = pulse.beats();
                 advance(Duration::from_millis(100)).await;
                 assert!((9..=11).contains(&(pulse.beats() - before)));
                 assert!(platform::now() - rough_now() <= BEAT);
-                assert!(now() > Instant::ORIGIN && Pulse::here().is_some());
+                assert!(now() > Instant::ORIGIN && Pulse::beats_here());
             });
         }
     }

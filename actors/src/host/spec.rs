@@ -33,6 +33,22 @@ pub enum SpecError {
         /// What differs.
         why: Why,
     },
+    /// One of its variables cannot be: its default is larger than its contract allows.
+    #[error("a variable of {name} cannot be: {why}")]
+    Variable {
+        /// The component.
+        name: ObjectName,
+        /// What is wrong.
+        why: Why,
+    },
+    /// One of its actuators cannot be: its safe command is larger than its contract allows.
+    #[error("an actuator of {name} cannot be: {why}")]
+    Actuator {
+        /// The component.
+        name: ObjectName,
+        /// What is wrong.
+        why: Why,
+    },
     /// The root supervisor did not take it: it is ending, or has ended.
     #[error("the root supervisor does not take {name} now: it is ending, or has ended")]
     Refused {
@@ -211,12 +227,30 @@ impl<C: Component> ChildSpec<C> {
             ));
         }
         let name = ObjectName::new(&self.name)?;
-        let ports = Ports::<C>::of();
+        let mut ports = Ports::<C>::of();
         let record = Record::new(name.clone(), limits, environment.clone());
         let anchor = Arc::new(Anchor::new(record, self.queue, self.factory));
+        let (variables, actuators) = (ports.take_variables(), ports.take_actuators(&anchor));
         environment.registry.claim(&name, ports.doors(&anchor), anchor.clone())?;
         // From here on the child gives the name back when it is dropped.
         let child = HostedChild::new(anchor.clone());
+        if !variables.is_empty() {
+            let owner = anchor.clone();
+            let isolated = move || owner.record.is_isolated();
+            let port = environment
+                .variables
+                .declare(&name, variables, isolated)
+                .map_err(|why| SpecError::Variable { name: name.clone(), why })?;
+            environment.registry.open(&name, port);
+            environment.variables.mourn(&name, &environment.registry);
+        }
+        if !actuators.is_empty() {
+            let port = environment
+                .actuators
+                .declare(&name, actuators)
+                .map_err(|why| SpecError::Actuator { name: name.clone(), why })?;
+            environment.registry.open(&name, port);
+        }
         let subscriptions = ports
             .subscriptions(&environment.topics)
             .map_err(|why| SpecError::Topic { name, why })?;

@@ -10,11 +10,14 @@
 //! | [components] | the life of a component: hooks, ports, timers, tasks, checks |
 //! | [sending] | tell, deliver, ask; what every error means and what to do |
 //! | [events] | publish and subscribe: conditions and topics |
+//! | [variables] | values that outlive restarts: read, written and watched from any node |
+//! | [commanding] | actuators that come to rest by themselves when their commander goes |
 //! | [supervision] | who is restarted with whom, how often, and what follows then |
 //! | [faults] | the list of faults, the monitor's table, roots and symptoms |
 //! | [recovery] | which measure answers which fault; strategies of one's own |
 //! | [placement] | threads, handlers that hang, and what cannot be recovered |
 //! | [networks] | several nodes: links, routes, sessions, and cables that are cut |
+//! | [media] | what a network can be made of, written as one string; media of one's own |
 //! | [guarantees] | order, loss, restarts, and how soon what is found |
 //! | [limits] | every bound, its reason, and how to change it |
 //! | [testing] | components and whole nodes in virtual time |
@@ -36,6 +39,12 @@ pub mod sending {}
 #[doc = include_str!("events.md")]
 pub mod events {}
 
+#[doc = include_str!("variables.md")]
+pub mod variables {}
+
+#[doc = include_str!("commanding.md")]
+pub mod commanding {}
+
 #[doc = include_str!("supervision.md")]
 pub mod supervision {}
 
@@ -50,6 +59,9 @@ pub mod placement {}
 
 #[doc = include_str!("networks.md")]
 pub mod networks {}
+
+#[doc = include_str!("media.md")]
+pub mod media {}
 
 #[doc = include_str!("guarantees.md")]
 pub mod guarantees {}

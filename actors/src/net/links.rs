@@ -140,6 +140,13 @@ impl Links {
         }
     }
 
+    /// A medium without a neighbour has no link whose fault it could be; it is its own then.
+    fn tell_of_lonely_medium(&self, condition: LinkCondition) {
+        let (Some(monitor), true) = (&self.wiring.monitor, self.specs.is_empty()) else { return };
+        let (node, link) = (self.wiring.node.clone(), self.wiring.network.clone());
+        monitor.do_send(LinkReported { node, link, neighbour: None, condition });
+    }
+
     fn tell_monitor(&self, number: LinkNumber, condition: LinkCondition) {
         let (Some(monitor), Some(spec)) = (&self.wiring.monitor, self.specs.get(&number)) else {
             return;
@@ -266,11 +273,13 @@ impl Handler<TransportReport> for Links {
                 info!(network = %self.wiring.network, %local, mtu, "open");
                 self.mtu = Some(mtu);
                 self.tell_router_all();
+                self.tell_of_lonely_medium(LinkCondition::Up);
             }
             TransportReport::Closed { reason } => {
                 error!(network = %self.wiring.network, "{reason}");
                 self.mtu = None;
                 self.lose_all(&reason, now);
+                self.tell_of_lonely_medium(LinkCondition::Down { reason });
             }
             TransportReport::Rate { bytes_per_second } => {
                 self.bytes_per_second = Some(bytes_per_second);

@@ -192,8 +192,11 @@ impl Handler<SendSegment> for Router {
     type Result = ();
 
     fn handle(&mut self, message: SendSegment, context: &mut Context<Self>) {
-        let SendSegment { peer, class, segment } = message;
-        self.machine.handle_segment(peer, class, segment);
+        let SendSegment { peer, class, segment, everywhere } = message;
+        match everywhere {
+            true => self.machine.handle_copies(peer, class, &segment),
+            false => self.machine.handle_segment(peer, class, segment),
+        }
         self.drive(context);
     }
 }

@@ -98,7 +98,7 @@ impl Sessions {
 
     fn give_back(&self, peer: NodeId, refused: Result<(), (Why, bytes::Bytes)>) {
         if let Err((why, message)) = refused {
-            self.report(SessionReported::Returned { peer, message, why });
+            self.report(SessionReported::Returned { peer, message, why, sent: false });
         }
     }
 
@@ -126,7 +126,7 @@ impl Supervised for Sessions {
             let held = catch_unwind(AssertUnwindSafe(|| broken.surrender())).unwrap_or_default();
             for (_, message) in held {
                 let why = why.clone();
-                self.report(SessionReported::Returned { peer: id, message, why });
+                self.report(SessionReported::Returned { peer: id, message, why, sent: true });
             }
             self.report(SessionReported::Ended { peer: id, why });
             if let Some(peer) = self.peers.get_mut(&id) {
@@ -157,8 +157,8 @@ impl Body for Sessions {
     fn carry_out(&mut self, output: (NodeId, SessionOutput), _: &mut Context<Self>) {
         let (peer, output) = output;
         match output {
-            SessionOutput::Transmit { class, segment } => {
-                self.router.do_send(SendSegment { peer, class, segment });
+            SessionOutput::Transmit { class, segment, everywhere } => {
+                self.router.do_send(SendSegment { peer, class, segment, everywhere });
             }
             SessionOutput::Opened { incarnation } => {
                 let Some(known) = self.peers.get(&peer) else { return };
@@ -170,8 +170,8 @@ impl Body for Sessions {
             SessionOutput::Message { message, .. } | SessionOutput::Newest { message, .. } => {
                 self.report(SessionReported::Message { peer, message });
             }
-            SessionOutput::Returned { message, why, .. } => {
-                self.report(SessionReported::Returned { peer, message, why });
+            SessionOutput::Returned { message, why, sent, .. } => {
+                self.report(SessionReported::Returned { peer, message, why, sent });
             }
             SessionOutput::Ended { incarnation, why } => {
                 info!(%peer, %incarnation, %why, "session ended");
@@ -205,7 +205,7 @@ impl Handler<PathReported> for Sessions {
                 if let Some(peer) = self.peers.get_mut(&id) {
                     peer.path = Some((incarnation, mtu));
                 }
-                self.report(SessionReported::Reachable { node });
+                self.report(SessionReported::Reachable { node, incarnation });
                 if let Some(session) = self.crowd.get_mut(id) {
                     session.handle_incarnation(incarnation, now);
                     session.handle_path(mtu, now);

@@ -303,6 +303,7 @@ fn make_networks(
         recoverer: Some(chain.recoverer.clone()),
         links: Some(monitor.clone().recipient()),
         nodes: Some(monitor.clone().recipient()),
+        faults: Some(monitor.clone().recipient()),
     };
     let handle = net::start(net_environment, specs)
         .map_err(|error| StartError::Network(error.to_string()))?;
@@ -419,6 +420,8 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     check_dependencies(&node, &harvest)?;
 
     let mut enrolments: Vec<Enrol> = Vec::new();
+    let leases = environment.actuators.start(named("leases"), &guardian, chain.arbiter.as_ref());
+    enrolments.push(middleware(named("leases"), Some(leases)));
     for (name, inquiries) in chain.inquiries.iter().cloned() {
         enrolments.push(middleware(name, Some(inquiries)));
     }

@@ -9,6 +9,7 @@ use crate::host::spec::{ChildSpec, SpecError};
 use blastema_core::detection::EnrolError;
 use blastema_core::recovery::{Plan, PlanError, Restart, Strategy};
 use blastema_core::{Fault, FaultKind, NameError, ObjectName};
+use blastema_transports::EndpointError;
 use std::fmt;
 use std::io;
 use std::sync::Arc;
@@ -39,6 +40,14 @@ pub enum StartError {
         name: ObjectName,
         /// What it is said to depend on.
         needed: String,
+    },
+    /// The text of a network's endpoint, or of a neighbour's address there, is wrong.
+    #[error("network {network}: {error}")]
+    Endpoint {
+        /// The network.
+        network: String,
+        /// What is wrong, and where.
+        error: EndpointError,
     },
     /// The networks cannot be used together.
     #[error("{0}")]

@@ -28,9 +28,11 @@ use crate::component::Component;
 use crate::host::environment::HostEnvironment;
 use crate::host::office::DeadLetterOffice;
 use crate::host::spec::{ChildSpec, SpecError};
+use crate::lease::{self, Commander};
 use crate::reference::ActorRef;
 use crate::sender::Sender;
 use crate::topic::Publisher;
+use crate::variable::{self, VariableRef};
 use actix::Recipient;
 use assembly::{Chain, Networks};
 use blastema_contract::detector::{FaultEvent, ReadRecord, Subscribe};
@@ -42,7 +44,7 @@ use blastema_contract::session::SessionRow;
 use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
 use blastema_core::detection::{Record, Row};
 use blastema_core::net::Route;
-use blastema_core::{Contract, Event, Incarnation, NodeName, ObjectName, Why};
+use blastema_core::{Contract, Event, Incarnation, NodeName, ObjectName, Variable, Why};
 use keeper::Shutdown;
 use std::any::Any;
 use std::collections::BTreeMap;
@@ -148,6 +150,27 @@ impl Node {
     /// takes it is found out when the first message is sent.
     pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
         self.0.environment.registry.sender(name)
+    }
+
+    /// The variable `V` of the object of this name, here or on another node. Whether an object of
+    /// another node has it is found out when it is used.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where no object here has the name, or it owns no variables.
+    pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
+        variable::find(&self.0.environment.registry, object)
+    }
+
+    /// Commands the actuator of this name, here or on another node, under the name `own`. The lease is
+    /// renewed on this thread; a component commands by [`Context::commander`](crate::Context::commander).
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where no object here has the name, or it is no actuator.
+    pub fn commander<M: Contract>(&self, actuator: &str, own: &str) -> Result<Commander<M>, Why> {
+        let who = (format!("{}:{own}", self.0.name), self.0.incarnation);
+        let (commander, renewing) = lease::commander(&self.0.environment.registry, actuator, who)?;
+        actix_rt::spawn(renewing);
+        Ok(commander)
     }
 
     /// A reference to a component here whose type is known.

@@ -6,11 +6,13 @@ use crate::net::{Interface, LinkSpec, NetworkSpec};
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::transport::{
-    Cut, Impair, InjectedFaults, MediumAddress, ReadInjectedFaults, Restore, Transport,
+    Cut, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults, Restore, Transport,
 };
 use blastema_core::{NodeName, ObjectName};
+use blastema_transports::frame_medium::FrameMedium;
 use blastema_transports::{
-    Faulty, FaultyConfig, Memory, MemoryConfig, Tcp, TcpConfig, Udp, UdpConfig,
+    Endpoint, EndpointError, Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig,
+    SerialLine, Tcp, TcpConfig, Udp, UdpConfig, Unix,
 };
 use std::fmt;
 use std::net::SocketAddr;
@@ -29,9 +31,10 @@ pub use blastema_transports::MemoryMedium;
 /// ```
 /// use blastema::{Link, Network};
 ///
-/// let ethernet = Network::udp("ethernet", "127.0.0.1:7400".parse()?)
-///     .link(Link::new("module2", "127.0.0.1:7401".parse()?));
-/// # Ok::<(), std::net::AddrParseError>(())
+/// let ethernet = Network::new("ethernet", "udp://0.0.0.0:7400?interface=eth0")
+///     .peer("module2", "192.168.0.2:7400")
+///     .link(Link::to("module3", "192.168.0.3:7400").cost(20));
+/// let cable = Network::new("cable", "serial:///dev/ttyUSB0?baud=921600").peer("module2", "");
 /// ```
 #[must_use = "a network does nothing until it is given to a node"]
 pub struct Network {
@@ -43,9 +46,11 @@ pub struct Network {
 }
 
 enum Medium {
-    Udp(UdpConfig),
-    Tcp(TcpConfig),
+    At(Endpoint),
+    /// The endpoint does not parse, which is said when the node starts.
+    Unreadable(EndpointError),
     Memory(MemoryConfig),
+    Own(Box<dyn FnOnce() -> FrameTransport + Send>),
 }
 
 impl fmt::Debug for Network {
@@ -55,6 +60,20 @@ impl fmt::Debug for Network {
 }
 
 impl Network {
+    /// The medium that this text describes, such as `udp://0.0.0.0:7400` or
+    /// `serial:///dev/ttyUSB0?baud=921600`. The [manual](crate::manual::media) lists them all.
+    ///
+    /// A text that is wrong is [`StartError::Endpoint`] when the node starts.
+    pub fn new(name: &str, endpoint: &str) -> Self {
+        let medium = endpoint.parse().map_or_else(Medium::Unreadable, Medium::At);
+        Network::over(name, medium)
+    }
+
+    /// A medium of the application's own.
+    pub fn own(name: &str, medium: impl FrameMedium) -> Self {
+        Network::over(name, Medium::Own(Box::new(|| FrameTransport::new(medium))))
+    }
+
     /// UDP, at this address of our own. Links name the neighbours; nobody else is listened to.
     pub fn udp(name: &str, bind: SocketAddr) -> Self {
         Network::udp_with(name, {
@@ -66,7 +85,7 @@ impl Network {
 
     /// UDP with every setting.
     pub fn udp_with(name: &str, config: UdpConfig) -> Self {
-        Network::over(name, Medium::Udp(config))
+        Network::over(name, Medium::At(Endpoint::Udp(config)))
     }
 
     /// TCP, at this address of our own, with one connection to each neighbour.
@@ -80,7 +99,7 @@ impl Network {
 
     /// TCP with every setting.
     pub fn tcp_with(name: &str, config: TcpConfig) -> Self {
-        Network::over(name, Medium::Tcp(config))
+        Network::over(name, Medium::At(Endpoint::Tcp(config)))
     }
 
     /// Between nodes of one process, under whatever clock they have: for tests. `own` is the name of
@@ -91,12 +110,20 @@ impl Network {
 
     fn over(name: &str, medium: Medium) -> Self {
         // A socket that is bound to one address uses the interface that has it.
-        let interface = match &medium {
-            Medium::Udp(config) => Interface::of(config.bind.ip()),
-            Medium::Tcp(config) => Interface::of(config.bind.ip()),
-            Medium::Memory(_) => None,
+        let (named, bind) = match &medium {
+            Medium::At(Endpoint::Udp(config)) => (config.interface.clone(), Some(config.bind)),
+            Medium::At(Endpoint::Tcp(config)) => (config.interface.clone(), Some(config.bind)),
+            _ => (None, None),
         };
+        let by_address = || Interface::of(bind?.ip());
+        let interface = named.map(Interface::Named).or_else(by_address);
         Network { name: name.to_owned(), medium, links: Vec::new(), faults: None, interface }
+    }
+
+    /// One more neighbour, with everything usual: the node of this name, at this address as the medium
+    /// writes it; empty on a serial line.
+    pub fn peer(self, neighbour: &str, address: &str) -> Self {
+        self.link(Link::to(neighbour, address))
     }
 
     /// One more neighbour.
@@ -127,27 +154,41 @@ impl Network {
 pub struct Link {
     name: Option<String>,
     neighbour: String,
-    remote: MediumAddress,
+    remote: Remote,
     cost: Option<u16>,
-    hello_interval: Duration,
+    hello_interval: Option<Duration>,
+}
+
+/// Where a neighbour is.
+#[derive(Clone, Debug)]
+enum Remote {
+    At(MediumAddress),
+    /// As its medium writes it.
+    Written(String),
 }
 
 impl Link {
     /// The node called `neighbour`, at this address.
     pub fn new(neighbour: &str, remote: SocketAddr) -> Self {
-        Link::at(neighbour, MediumAddress::Ip(remote))
+        Link::at(neighbour, Remote::At(MediumAddress::Ip(remote)))
+    }
+
+    /// The node called `neighbour`, at this address as its medium writes it: `10.0.0.2:7400`,
+    /// `/run/module2.sock`, a number on a CAN bus; empty on a serial line, which leads to nobody else.
+    ///
+    /// An address that is wrong is [`StartError::Endpoint`] when the node starts.
+    pub fn to(neighbour: &str, address: &str) -> Self {
+        Link::at(neighbour, Remote::Written(address.to_owned()))
     }
 
     /// The node called `neighbour`, at this end of a memory medium.
     pub fn in_memory(neighbour: &str, end: &str) -> Self {
-        Link::at(neighbour, MediumAddress::Memory(end.into()))
+        Link::at(neighbour, Remote::At(MediumAddress::Memory(end.into())))
     }
 
-    fn at(neighbour: &str, remote: MediumAddress) -> Self {
-        // A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so
-        // long looks dead to its neighbours; on a computer that is never overloaded, less is fine.
-        let (cost, hello_interval) = (None, Duration::from_millis(50));
-        Link { name: None, neighbour: neighbour.to_owned(), remote, cost, hello_interval }
+    fn at(neighbour: &str, remote: Remote) -> Self {
+        let neighbour = neighbour.to_owned();
+        Link { name: None, neighbour, remote, cost: None, hello_interval: None }
     }
 
     /// How people call it. Unless this says otherwise, it has the network's name where it is the only
@@ -165,39 +206,53 @@ impl Link {
         self
     }
 
+    /// How often a hello is sent: every 50 ms unless this says otherwise, and on a slow serial line so
+    /// that hellos take no more than a tenth of it. Shorter finds a dead link sooner and costs more; the neighbour finds
     /// How often a hello is sent; on a slow medium less often, so that hellos take no more than a twentieth
     /// of it. Shorter finds a dead link sooner and costs more; the neighbour finds
     /// this end dead after three and a half of them.
     pub fn hello_every(mut self, interval: Duration) -> Self {
-        self.hello_interval = interval;
+        self.hello_interval = Some(interval);
         self
     }
 }
 
 /// A cable that can be cut and made bad while the node runs. From [`Node::cable`](crate::Node::cable).
 #[derive(Clone, Debug)]
-pub struct Cable(Addr<Faulty>);
+pub struct Cable {
+    faulty: Addr<Faulty>,
+    /// Where the neighbours are on the medium.
+    neighbours: Vec<(String, MediumAddress)>,
+}
 
 impl Cable {
     /// Cuts it. A reported cut is one of which the medium knows at once, as Ethernet does; another is
     /// noticed only by silence.
     pub fn cut(&self, direction: Direction, reported: bool) {
-        self.0.do_send(Cut { direction, reported });
+        self.faulty.do_send(Cut { direction, reported });
     }
 
-    /// Makes it bad: loss, delay, duplicates.
+    /// Parts it from these neighbours, and from no others: nothing passes to and from them, which is
+    /// noticed only by silence. Names that are no neighbours' here are left out.
+    pub fn part_from(&self, direction: Direction, neighbours: &[&str]) {
+        let parted = self.neighbours.iter().filter(|(name, _)| neighbours.contains(&name.as_str()));
+        let peers = parted.map(|(_, address)| address.clone()).collect();
+        self.faulty.do_send(Partition { direction, peers });
+    }
+
+    /// Makes it bad: loss, delay, duplicates, reordering, corruption, a limited rate.
     pub fn impair(&self, direction: Direction, impairment: Impairment) {
-        self.0.do_send(Impair { direction, impairment });
+        self.faulty.do_send(Impair { direction, impairment });
     }
 
     /// Mends it.
     pub fn restore(&self) {
-        self.0.do_send(Restore);
+        self.faulty.do_send(Restore);
     }
 
     /// What it did to the frames so far; `None` once the node has ended.
     pub async fn injected(&self) -> Option<InjectedFaults> {
-        self.0.send(ReadInjectedFaults).await.ok()
+        self.faulty.send(ReadInjectedFaults).await.ok()
     }
 }
 
@@ -209,6 +264,88 @@ pub(super) struct Laid {
     pub(super) transports: Vec<ObjectName>,
 }
 
+/// A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so long
+/// looks dead to its neighbours; on a computer that is never overloaded, less is fine.
+const HELLO_INTERVAL: Duration = Duration::from_millis(50);
+/// What a hello takes on a serial line, in bytes, with names of the usual length.
+const HELLO_LENGTH: usize = 64;
+/// Hellos may take so much of a slow line: one part in ten.
+const HELLO_SHARE: u32 = 10;
+
+impl Medium {
+    /// The address of a neighbour as this medium has it.
+    fn remote(&self, remote: Remote) -> Result<MediumAddress, EndpointError> {
+        match (remote, self) {
+            (Remote::At(address), _) => Ok(address),
+            (Remote::Written(text), Medium::At(endpoint)) => endpoint.peer(&text),
+            (Remote::Written(_), Medium::Unreadable(error)) => Err(error.clone()),
+            (Remote::Written(text), Medium::Memory(_)) => {
+                Ok(MediumAddress::Memory(text.as_str().into()))
+            }
+            (Remote::Written(text), Medium::Own(_)) if text.is_empty() => Ok(MediumAddress::Line),
+            (Remote::Written(text), Medium::Own(_)) => Ok(MediumAddress::Own(text.as_str().into())),
+        }
+    }
+
+    /// How often a hello is sent unless the link says otherwise.
+    fn hello_interval(&self) -> Duration {
+        match self {
+            Medium::At(Endpoint::Serial(config)) => {
+                HELLO_INTERVAL.max(config.time_of(HELLO_LENGTH) * HELLO_SHARE)
+            }
+            _ => HELLO_INTERVAL,
+        }
+    }
+
+    fn start(
+        self,
+        network: &str,
+        object: ObjectName,
+        guardian: &Guardian,
+        arbiter: Option<&ArbiterHandle>,
+    ) -> Result<Transport, StartError> {
+        Ok(match self {
+            Medium::At(Endpoint::Udp(config)) => {
+                let make = move |_: &mut Context<Udp>| Udp::new(config);
+                Transport::from(guardian.start(object, arbiter, make))
+            }
+            Medium::At(Endpoint::Tcp(config)) => {
+                let make = move |_: &mut Context<Tcp>| Tcp::new(config);
+                Transport::from(guardian.start(object, arbiter, make))
+            }
+            Medium::At(Endpoint::Unix(config)) => {
+                let make = move |_: &mut Context<Unix>| Unix::new(config);
+                Transport::from(guardian.start(object, arbiter, make))
+            }
+            Medium::At(Endpoint::Serial(config)) => {
+                let make = move |_: &mut Context<FrameTransport>| {
+                    FrameTransport::new(SerialLine::new(config))
+                };
+                Transport::from(guardian.start(object, arbiter, make))
+            }
+            Medium::At(Endpoint::Memory(end)) => {
+                let config = MemoryConfig::new(&MemoryMedium::of_this_process(), &end);
+                return Medium::Memory(config).start(network, object, guardian, arbiter);
+            }
+            Medium::At(other) => {
+                let text = format!("network {network}: this program has no {}", other.medium());
+                return Err(StartError::Network(text));
+            }
+            Medium::Memory(config) => {
+                let make = move |_: &mut Context<Memory>| Memory::new(config);
+                Transport::from(guardian.start(object, arbiter, make))
+            }
+            Medium::Own(make) => {
+                let make = move |_: &mut Context<FrameTransport>| make();
+                Transport::from(guardian.start(object, arbiter, make))
+            }
+            Medium::Unreadable(error) => {
+                return Err(StartError::Endpoint { network: network.to_owned(), error });
+            }
+        })
+    }
+}
+
 impl Network {
     /// Starts the transport.
     pub(super) fn lay(
@@ -218,21 +355,23 @@ impl Network {
     ) -> Result<Laid, StartError> {
         let Network { name, medium, links, faults, interface } = self;
         let object = ObjectName::new(&format!("transport/{name}"))?;
+        let mut neighbours = Vec::new();
+        let mut specs = Vec::new();
+        let alone = links.len() == 1;
+        for Link { name: own, neighbour, remote, cost, hello_interval } in links {
+            let node = NodeName::new(&neighbour)?;
+            let usual = if alone { name.clone() } else { format!("{name}/{neighbour}") };
+            let link = own.unwrap_or(usual).into();
+            let remote = medium
+                .remote(remote)
+                .map_err(|error| StartError::Endpoint { network: name.clone(), error })?;
+            let hello_interval = hello_interval.unwrap_or_else(|| medium.hello_interval());
+            neighbours.push(node.clone());
+            let neighbour = Some(node);
+            specs.push(LinkSpec { name: link, remote, neighbour, cost, hello_interval });
+        }
         let mut transports = vec![object.clone()];
-        let mut transport = match medium {
-            Medium::Udp(config) => {
-                let make = move |_: &mut Context<Udp>| Udp::new(config);
-                Transport::from(guardian.start(object, arbiter, make))
-            }
-            Medium::Tcp(config) => {
-                let make = move |_: &mut Context<Tcp>| Tcp::new(config);
-                Transport::from(guardian.start(object, arbiter, make))
-            }
-            Medium::Memory(config) => {
-                let make = move |_: &mut Context<Memory>| Memory::new(config);
-                Transport::from(guardian.start(object, arbiter, make))
-            }
-        };
+        let mut transport = medium.start(&name, object, guardian, arbiter)?;
         let cable = match faults {
             None => None,
             Some(seed) => {
@@ -242,19 +381,12 @@ impl Network {
                 let make = move |_: &mut Context<Faulty>| Faulty::new(inner, config);
                 let faulty = guardian.start(object, arbiter, make);
                 transport = Transport::from(faulty.clone());
-                Some(Cable(faulty))
+                let there = |spec: &LinkSpec| {
+                    Some((spec.neighbour.as_ref()?.to_string(), spec.remote.clone()))
+                };
+                Some(Cable { faulty, neighbours: specs.iter().filter_map(there).collect() })
             }
         };
-        let mut neighbours = Vec::new();
-        let mut specs = Vec::new();
-        let alone = links.len() == 1;
-        for Link { name: own, neighbour, remote, cost, hello_interval } in links {
-            let node = NodeName::new(&neighbour)?;
-            let usual = if alone { name.clone() } else { format!("{name}/{neighbour}") };
-            let name = own.unwrap_or(usual).into();
-            neighbours.push(node.clone());
-            specs.push(LinkSpec { name, remote, neighbour: Some(node), cost, hello_interval });
-        }
         let spec = NetworkSpec { name: name.into(), transport, interface, links: specs };
         Ok(Laid { spec, cable, neighbours, transports })
     }

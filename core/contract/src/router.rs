@@ -20,6 +20,8 @@ pub struct SendSegment {
     pub class: Class,
     /// What.
     pub segment: Bytes,
+    /// A copy is to go over every way that there is.
+    pub everywhere: bool,
 }
 
 /// Another node's session has sent this.

@@ -49,6 +49,8 @@ pub enum SessionReported {
     Reachable {
         /// Which.
         node: NodeName,
+        /// In which of its lives.
+        incarnation: Incarnation,
     },
     /// No path leads to it any more; its session waits for one for a while.
     Unreachable {
@@ -79,6 +81,8 @@ pub enum SessionReported {
         message: Bytes,
         /// Why.
         why: Why,
+        /// Some of it was sent, so that it may have arrived; otherwise it has not.
+        sent: bool,
     },
     /// A session is over; what was unacknowledged has been returned.
     Ended {

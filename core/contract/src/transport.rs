@@ -5,10 +5,12 @@
 
 use actix::dev::ToEnvelope;
 use actix::{Actor, Addr, Handler, Message, Recipient};
-use blastema_core::impairment::{Impairment, Injected};
+use blastema_core::impairment::{Carried, Impairment, Injected};
 use bytes::Bytes;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::net::SocketAddr;
+use std::path::Path;
 use std::sync::Arc;
 
 /// An address as one medium writes it.
@@ -19,13 +21,36 @@ pub enum MediumAddress {
     Ip(SocketAddr),
     /// Memory: the name under which the other end opened.
     Memory(Arc<str>),
+    /// Unix-domain sockets: the path at which the other end listens.
+    Unix(Arc<Path>),
+    /// A line with two ends, such as a serial cable: whoever is at the other.
+    Line,
+    /// CAN: the node's number on the bus.
+    Can(u8),
+    /// A medium of the application's own: what that medium calls it.
+    Own(Arc<str>),
+}
+
+impl From<SocketAddr> for MediumAddress {
+    fn from(address: SocketAddr) -> Self {
+        MediumAddress::Ip(address)
+    }
+}
+
+impl From<Arc<Path>> for MediumAddress {
+    fn from(path: Arc<Path>) -> Self {
+        MediumAddress::Unix(path)
+    }
 }
 
 impl fmt::Display for MediumAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             MediumAddress::Ip(address) => write!(f, "{address}"),
-            MediumAddress::Memory(name) => write!(f, "{name}"),
+            MediumAddress::Memory(name) | MediumAddress::Own(name) => f.write_str(name),
+            MediumAddress::Unix(path) => write!(f, "{}", path.display()),
+            MediumAddress::Line => f.write_str("line"),
+            MediumAddress::Can(number) => write!(f, "{number}"),
         }
     }
 }
@@ -48,6 +73,30 @@ pub struct Received {
     pub from: MediumAddress,
     /// The frame, whole.
     pub frame: Bytes,
+}
+
+impl Carried for Transmit {
+    type Peer = MediumAddress;
+
+    fn peer(&self) -> &MediumAddress {
+        &self.to
+    }
+
+    fn bytes(&mut self) -> &mut Bytes {
+        &mut self.frame
+    }
+}
+
+impl Carried for Received {
+    type Peer = MediumAddress;
+
+    fn peer(&self) -> &MediumAddress {
+        &self.from
+    }
+
+    fn bytes(&mut self) -> &mut Bytes {
+        &mut self.frame
+    }
 }
 
 /// What a transport has to say about its medium.
@@ -199,7 +248,18 @@ pub struct Cut {
     pub reported: bool,
 }
 
-/// Mends everything: no cut and no impairment, in both directions.
+/// Puts these peers, and no others, on the other side of a partition: nothing passes to and from them, and
+/// nobody is told. For what stands between link and transport.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Partition {
+    /// Which way.
+    pub direction: Direction,
+    /// Whom.
+    pub peers: BTreeSet<MediumAddress>,
+}
+
+/// Mends everything: no cut, no partition and no impairment, in both directions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Restore;

@@ -1,21 +1,33 @@
-//! `#[derive(Event)]` and `#[derive(Request)]`.
+//! `#[derive(Event)]`, `#[derive(Request)]` and `#[derive(Variable)]`.
 
 use crate::attributes::{Derive, TypeAttributes, wrong_name};
 use crate::structure::{described_generics, expand};
 use proc_macro2::TokenStream;
-use quote::quote;
+use quote::{quote, quote_spanned};
 use syn::ext::IdentExt;
-use syn::{DeriveInput, Error, Generics, Result, parse_quote};
+use syn::spanned::Spanned;
+use syn::{DeriveInput, Error, Generics, Path, Result, parse_quote};
 
 pub(crate) fn derive_event(input: &DeriveInput) -> Result<TokenStream> {
-    let attributes = TypeAttributes::parse(&input.attrs, Derive::Event)?;
+    without_reply(input, Derive::Event, |facade| quote!(#facade::core::Event))
+}
+
+pub(crate) fn derive_variable(input: &DeriveInput) -> Result<TokenStream> {
+    without_reply(input, Derive::Variable, |facade| quote!(#facade::core::Variable))
+}
+
+fn without_reply(
+    input: &DeriveInput,
+    derive: Derive,
+    kind: impl Fn(&Path) -> TokenStream,
+) -> Result<TokenStream> {
+    let attributes = TypeAttributes::parse(&input.attrs, derive)?;
     let structure = expand(input, &attributes)?;
     let contract = contract(input, &attributes, &quote!(()))?;
-    let facade = &attributes.facade;
     let kind = marker(
         input,
         &attributes,
-        &quote!(#facade::core::Event),
+        &kind(&attributes.facade),
         &quote!(::std::clone::Clone + ::std::marker::Send + ::std::marker::Sync),
     );
     Ok(quote!(#structure #contract #kind))
@@ -50,7 +62,8 @@ fn contract(
              forms share that name and are told apart by their structure",
         ));
     }
-    let TypeAttributes { name, version, max_size, max_age_nanos, facade, .. } = attributes;
+    let TypeAttributes { name, version, max_size, max_age_nanos, from, delivery, facade, .. } =
+        attributes;
     let ident = &input.ident;
     let default_name = ident.unraw().to_string();
     let name = match (name, wrong_name(&default_name)) {
@@ -80,6 +93,25 @@ fn contract(
                 ::std::option::Option::Some(::std::time::Duration::from_nanos(#nanos));
         }
     });
+    let delivery = delivery.as_ref().map(|variant| {
+        quote! {
+            const DELIVERY: #facade::core::Delivery = #facade::core::Delivery::#variant;
+        }
+    });
+    let idempotent = attributes.idempotent.then(|| {
+        quote!(
+            const IDEMPOTENT: bool = true;
+        )
+    });
+    let former = from.as_ref().map(|from| {
+        // At the earlier version's name, so that a missing conversion is reported there.
+        let chain = quote_spanned!(from.span()=> #facade::core::Former::<Self>::chain::<#from>());
+        quote! {
+            fn former() -> ::std::vec::Vec<#facade::core::Former<Self>> {
+                #chain
+            }
+        }
+    });
     let generics = bounded(input, attributes, &quote!(::std::marker::Send));
     let (impl_generics, type_generics, where_clause) = generics.split_for_impl();
     Ok(quote! {
@@ -90,6 +122,9 @@ fn contract(
             #version
             #size
             #age
+            #delivery
+            #idempotent
+            #former
         }
     })
 }

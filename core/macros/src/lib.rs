@@ -41,6 +41,8 @@ pub fn structure(input: TokenStream) -> TokenStream {
 /// | `name = "laser/scan"` | by which both parties know it | the type's identifier |
 /// | `version = 2` | raised by whoever changes the meaning | 1 |
 /// | `max_size = 4096` | most bytes of an encoded message | 64 KiB |
+/// | `from = PoseV1` | the version before, which a receiver converts by `From`; a request's reply is converted back | none |
+/// | `delivery = "redundant"` | how it travels between nodes: `reliable`, `newest`, `redundant` | `reliable` |
 /// | `max_age = "100ms"` | older ones are not delivered but counted | no limit |
 ///
 /// ```text
@@ -75,6 +77,25 @@ pub fn event(input: TokenStream) -> TokenStream {
 pub fn request(input: TokenStream) -> TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
     tokens(contract::derive_request(&input))
+}
+
+/// Makes a type a variable: a value that an object owns, and that any node may read, write and watch.
+///
+/// `name`, `version` and `max_size` are those of [`Event`].
+///
+/// ```text
+/// /// How fast the arm may move.
+/// #[derive(Clone, Debug, Variable)]
+/// #[contract(name = "arm/speed-limit")]
+/// struct SpeedLimit {
+///     #[contract(unit = "rad/s")]
+///     value: f32,
+/// }
+/// ```
+#[proc_macro_derive(Variable, attributes(contract, serde))]
+pub fn variable(input: TokenStream) -> TokenStream {
+    let input = parse_macro_input!(input as DeriveInput);
+    tokens(contract::derive_variable(&input))
 }
 
 /// Runs an async `main` in the middleware's runtime, by `::blastema::run`.

@@ -30,10 +30,18 @@ struct LinkSeen {
 #[derive(Clone, Debug)]
 struct NodeSeen {
     incarnation: Incarnation,
-    /// Why it is thought to be lost, if it is.
-    lost: Option<String>,
+    standing: Standing,
     last_sign: Option<Instant>,
     restarts: u32,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Standing {
+    Here,
+    /// Why it is thought to be lost.
+    Lost(String),
+    /// It ended in order.
+    Left,
 }
 
 impl Neighbourhood {
@@ -67,14 +75,20 @@ impl Neighbourhood {
         let neighbour = neighbour.or(before.and_then(|seen| seen.neighbour));
         let place =
             Place::Link { node: node.clone(), link: link.clone(), neighbour: neighbour.clone() };
-        let is_news = known != Some(discriminant(&condition));
+        // Whoever leaves takes its ends of the cables along.
+        let left = neighbour.as_ref().is_some_and(|node| self.has_left(node));
+        let is_news = known != Some(discriminant(&condition)) && (carries || !left);
         let finding = Finding::Link(condition.clone());
         self.links.insert((node, link), LinkSeen { neighbour, condition, last_sign });
         is_news.then_some(News { place, incarnation: Incarnation::default(), finding })
     }
 
-    /// The router reports how a node is. The same condition again is no news, a newer life is. Answers
-    /// an error for a life that is over.
+    fn has_left(&self, node: &NodeName) -> bool {
+        self.nodes.get(node).is_some_and(|seen| seen.standing == Standing::Left)
+    }
+
+    /// The router reports how a node is. The same condition again is no news, a newer life is. What is
+    /// heard of a life that has left, is none. Answers an error for a life that is over.
     pub(super) fn handle_node(
         &mut self,
         node: NodeName,
@@ -88,26 +102,33 @@ impl Neighbourhood {
         {
             return Err(seen.incarnation);
         }
+        let left = before.is_some_and(|seen| seen.standing == Standing::Left);
+        if left && before.is_some_and(|seen| seen.incarnation == incarnation) {
+            return Ok(None);
+        }
         // The first that is heard of a node is no restart, whatever it is called; nor is a life of which
-        // nothing but the loss was ever known.
+        // nothing but the loss was ever known, nor one after another that had left.
         let restarted = before.is_some_and(|seen| {
-            incarnation > seen.incarnation && seen.incarnation != Incarnation::default()
+            incarnation > seen.incarnation && seen.incarnation != Incarnation::default() && !left
         });
         let condition = match condition {
-            NodeCondition::Lost { reason } => NodeCondition::Lost { reason },
             NodeCondition::Reachable | NodeCondition::Restarted if restarted => {
                 NodeCondition::Restarted
             }
             NodeCondition::Reachable | NodeCondition::Restarted => NodeCondition::Reachable,
+            gone => gone,
         };
-        let lost = match &condition {
-            NodeCondition::Lost { reason } => Some(reason.clone()),
-            NodeCondition::Reachable | NodeCondition::Restarted => None,
+        let standing = match &condition {
+            NodeCondition::Lost { reason } => Standing::Lost(reason.clone()),
+            NodeCondition::Left => Standing::Left,
+            NodeCondition::Reachable | NodeCondition::Restarted => Standing::Here,
         };
-        let is_news = restarted || before.is_none_or(|seen| seen.lost.is_some() != lost.is_some());
-        let last_sign = if lost.is_none() { Some(now) } else { before.and_then(|b| b.last_sign) };
+        let known = before.map(|seen| discriminant(&seen.standing));
+        let is_news = restarted || known != Some(discriminant(&standing));
+        let here = standing == Standing::Here;
+        let last_sign = if here { Some(now) } else { before.and_then(|b| b.last_sign) };
         let restarts = before.map_or(0, |seen| seen.restarts) + u32::from(restarted);
-        self.nodes.insert(node.clone(), NodeSeen { incarnation, lost, last_sign, restarts });
+        self.nodes.insert(node.clone(), NodeSeen { incarnation, standing, last_sign, restarts });
         let finding = Finding::Node(condition);
         Ok(is_news.then_some(News { place: Place::Node(node), incarnation, finding }))
     }
@@ -118,7 +139,10 @@ impl Neighbourhood {
             let (opinion, note) = match &seen.condition {
                 LinkCondition::Up => (Opinion::Trusted, None),
                 LinkCondition::Degraded { reason } => (Opinion::Suspect, Some(reason)),
-                LinkCondition::Down { reason } => (Opinion::Failed, Some(reason)),
+                LinkCondition::Down { reason } => {
+                    let left = seen.neighbour.as_ref().is_some_and(|node| self.has_left(node));
+                    (if left { Opinion::AtRest } else { Opinion::Failed }, Some(reason))
+                }
             };
             let (node, link, neighbour) = (node.clone(), link.clone(), seen.neighbour.clone());
             Row {
@@ -128,13 +152,21 @@ impl Neighbourhood {
                 ..Row::blank(Place::Link { node, link, neighbour }, ObjectKind::Link)
             }
         });
-        let nodes = self.nodes.iter().map(move |(node, seen)| Row {
-            incarnation: seen.incarnation,
-            opinion: if seen.lost.is_some() { Opinion::Failed } else { Opinion::Trusted },
-            note: seen.lost.clone(),
-            last_sign: seen.last_sign.map(|sign| now - sign),
-            restarts: seen.restarts,
-            ..Row::blank(Place::Node(node.clone()), ObjectKind::Node)
+        let nodes = self.nodes.iter().map(move |(node, seen)| {
+            let (opinion, note) = match &seen.standing {
+                Standing::Here => (Opinion::Trusted, None),
+                Standing::Lost(reason) => (Opinion::Failed, Some(reason.clone())),
+                // Nobody watches it any more.
+                Standing::Left => (Opinion::AtRest, Some("it has left in order".to_owned())),
+            };
+            Row {
+                incarnation: seen.incarnation,
+                opinion,
+                note,
+                last_sign: seen.last_sign.map(|sign| now - sign),
+                restarts: seen.restarts,
+                ..Row::blank(Place::Node(node.clone()), ObjectKind::Node)
+            }
         });
         links.chain(nodes)
     }
@@ -184,7 +216,7 @@ mod tests {
 
     #[test]
     fn every_condition_of_a_node_after_every_other_is_told_right() {
-        use NodeCondition::{Lost, Reachable, Restarted};
+        use NodeCondition::{Left, Lost, Reachable, Restarted};
         let lost = || Lost { reason: "gone".into() };
         let check = |before: Option<(u64, NodeCondition)>, then: (u64, NodeCondition), told| {
             let mut around = Neighbourhood::default();
@@ -213,6 +245,40 @@ mod tests {
         check(Some((5, lost())), (6, Reachable), says(Restarted));
         // Only its loss was ever known: that it now has a number is no restart.
         check(Some((0, lost())), (6, Reachable), says(Reachable));
+        // Who has left is not lost, and returns as one that joins.
+        check(None, (5, Left), says(Left));
+        for before in [Reachable, Restarted, lost()] {
+            check(Some((5, before.clone())), (5, Left), says(Left));
+            check(Some((5, before)), (4, Left), Err(Incarnation(5)));
+        }
+        for after in [lost(), Left, Reachable, Restarted] {
+            check(Some((5, Left)), (5, after), Ok(None));
+        }
+        for after in [Reachable, Restarted] {
+            check(Some((5, Left)), (6, after), says(Reachable));
+        }
+        check(Some((5, Left)), (6, lost()), says(lost()));
+        check(Some((5, Left)), (6, Left), Ok(None));
+    }
+
+    #[test]
+    fn the_cables_of_a_node_that_left_go_down_without_news() {
+        let mut around = Neighbourhood::default();
+        let [up, _, down] = conditions();
+        let told = |around: &mut Neighbourhood, condition: &LinkCondition| {
+            let (here, there) = (node("a"), Some(node("b")));
+            around.handle_link(here, "eth".into(), there, condition.clone(), at(1)).is_some()
+        };
+        assert!(told(&mut around, &up));
+        let left = around.handle_node(node("b"), Incarnation(1), NodeCondition::Left, at(2));
+        assert!(left.is_ok_and(|news| news.is_some()));
+
+        assert!(!told(&mut around, &down));
+        assert!(told(&mut around, &up), "it returns");
+        let back = around.handle_node(node("b"), Incarnation(2), NodeCondition::Reachable, at(3));
+        assert!(back.is_ok_and(|news| news.is_some()));
+
+        assert!(told(&mut around, &down), "this time nobody had said so");
     }
 
     #[test]

@@ -171,4 +171,7 @@ pub enum NodeCondition {
     },
     /// It was heard under a new incarnation: its process died and began again.
     Restarted,
+    /// It said that it ends in order: that it is silent from now on is no fault, and its return is an
+    /// ordinary one.
+    Left,
 }

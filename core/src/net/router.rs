@@ -210,6 +210,28 @@ impl Router {
         }
     }
 
+    /// The same over every link whose way does not lead back here: the first copy that arrives counts.
+    /// A link that is too small for it is left out.
+    pub fn handle_copies(&mut self, destination: NodeId, class: Class, segment: &Bytes) {
+        let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
+        let payload = Payload::Segment(segment.clone());
+        let packet = Packet { class, hops, destination, source, payload };
+        let bytes = packet.encode();
+        let ways = self.routes.get(&destination).map_or(&[][..], |route| &route.ways);
+        let fits = |link: &&LinkNumber| {
+            let mtu = self.links.get(link).map(|adjacent| usize::from(adjacent.mtu));
+            mtu.is_some_and(|mtu| bytes.len() + FRAME_HEADER <= mtu)
+        };
+        let ways: Vec<_> = ways.iter().filter(fits).copied().collect();
+        if ways.is_empty() {
+            // One way that is there but too small, or none: its refusal says which.
+            return self.handle_segment(destination, class, segment.clone());
+        }
+        for link in ways {
+            self.outputs.push_back(RouterOutput::Packet { link, packet: bytes.clone() });
+        }
+    }
+
     fn forward(&mut self, packet: Packet, from: Option<LinkNumber>) {
         let Some(hops) = packet.hops.checked_sub(1) else {
             return self.give_back(&packet, Undelivered::TooManyHops);

@@ -8,13 +8,16 @@
 //! ```text
 //! open         000 00000 │ version 1 │ tag 4 │ echo 4 │ incarnation 8 │ number 4
 //! data         001 palfs │ tag 4 │ sequence v │ p: index v, count v │ a: ack │ payload
+//! redundant    111 palfr │ as data, and a copy goes over every way
 //! datagram     010 p0000 │ tag 4 │ channel v │ sequence v │ p: index v, count v │ payload
-//! acknowledge  011 000dc │ tag 4 │ c: ack of the control stream │ d: ack of the data stream
+//! acknowledge  011 00rdc │ tag 4 │ c: ack of the control stream │ d: of the data stream │ r: of the
+//!                        redundant one
 //! close        100 00000 │ tag 4
 //! closed       101 00000 │ tag 4
 //! reset        110 00000 │ tag 4, the one that the segment carried which nobody knows
 //!
 //! s     stream: 0 control, 1 data
+//! r     sent again: no copy of what was sent before
 //! f, l  the first, the last part of a message; with both the payload is one or more whole messages,
 //!       each after its length v; the first of several parts begins with the whole length v
 //! p     one of `count` pieces of what was cut for a larger MTU
@@ -39,6 +42,8 @@ pub enum Stream {
     Control,
     /// What objects say to each other.
     Data,
+    /// What they say over every way at once.
+    Redundant,
 }
 
 /// What two sessions say to each other.
@@ -58,6 +63,8 @@ pub enum Segment {
         control: Option<Ack>,
         /// For the data stream.
         data: Option<Ack>,
+        /// For the redundant stream.
+        redundant: Option<Ack>,
     },
     /// All that I had to say is said and acknowledged.
     Close {
@@ -104,6 +111,8 @@ pub struct Data {
     pub first: bool,
     /// A message ends here.
     pub last: bool,
+    /// It was sent before. Told on the redundant stream only, where copies are counted.
+    pub again: bool,
     /// This is not the whole part.
     pub piece: Option<Piece>,
     /// What has arrived in the other direction.
@@ -154,6 +163,7 @@ const ACKNOWLEDGE: u8 = 3;
 const CLOSE: u8 = 4;
 const CLOSED: u8 = 5;
 const RESET: u8 = 6;
+const REDUNDANT: u8 = 7;
 
 impl Segment {
     /// The segment's bytes.
@@ -170,11 +180,13 @@ impl Segment {
             }
             Segment::Data(data) => data.encode(),
             Segment::Datagram(datagram) => datagram.encode(),
-            Segment::Acknowledge { tag, control, data } => {
-                let flags = u8::from(control.is_some()) | u8::from(data.is_some()) << 1;
+            Segment::Acknowledge { tag, control, data, redundant } => {
+                let flags = u8::from(control.is_some())
+                    | u8::from(data.is_some()) << 1
+                    | u8::from(redundant.is_some()) << 2;
                 let mut bytes = begin(ACKNOWLEDGE, flags, 32);
                 bytes.put_u32(*tag);
-                for ack in [control, data].into_iter().flatten() {
+                for ack in [control, data, redundant].into_iter().flatten() {
                     ack.put(&mut bytes);
                 }
                 bytes.freeze()
@@ -194,9 +206,9 @@ impl Segment {
         let first = reader.u8()?;
         let (kind, flags) = (first >> 5, first & 0x1f);
         let allowed = match kind {
-            DATA => 0b11111,
+            DATA | REDUNDANT => 0b11111,
             DATAGRAM => 0b10000,
-            ACKNOWLEDGE => 0b00011,
+            ACKNOWLEDGE => 0b00111,
             _ => 0,
         };
         if flags & !allowed != 0 {
@@ -207,15 +219,16 @@ impl Segment {
         }
         let tag = reader.u32()?;
         match kind {
-            DATA => Data::read(tag, flags, reader).map(Segment::Data),
+            DATA | REDUNDANT => Data::read(kind, tag, flags, reader).map(Segment::Data),
             DATAGRAM => Datagram::read(tag, flags, reader).map(Segment::Datagram),
             ACKNOWLEDGE => {
                 let mut ack = |bit| (flags & bit != 0).then(|| Ack::read(&mut reader)).transpose();
-                let (control, data) = (ack(1)?, ack(2)?);
+                let (control, data, redundant) = (ack(1)?, ack(2)?, ack(4)?);
                 reader.end("an acknowledgement")?;
-                Ok(Segment::Acknowledge { tag, control, data })
+                Ok(Segment::Acknowledge { tag, control, data, redundant })
             }
-            CLOSE | CLOSED | RESET => {
+            // Three bits have no other value.
+            _ => {
                 reader.end("a segment")?;
                 Ok(match kind {
                     CLOSE => Segment::Close { tag },
@@ -223,7 +236,6 @@ impl Segment {
                     _ => Segment::Reset { tag },
                 })
             }
-            _ => Err(WireError::Malformed { what: "a segment's kind" }),
         }
     }
 }
@@ -256,12 +268,17 @@ impl Open {
 
 impl Data {
     fn encode(&self) -> Bytes {
-        let flags = u8::from(self.stream == Stream::Data)
+        let (kind, lowest) = match self.stream {
+            Stream::Control => (DATA, false),
+            Stream::Data => (DATA, true),
+            Stream::Redundant => (REDUNDANT, self.again),
+        };
+        let flags = u8::from(lowest)
             | u8::from(self.first) << 1
             | u8::from(self.last) << 2
             | u8::from(self.ack.is_some()) << 3
             | u8::from(self.piece.is_some()) << 4;
-        let mut bytes = begin(DATA, flags, DATA_HEADER + 16 + self.payload.len());
+        let mut bytes = begin(kind, flags, DATA_HEADER + 16 + self.payload.len());
         bytes.put_u32(self.tag);
         bytes.varint(self.sequence);
         Piece::put(self.piece, &mut bytes);
@@ -272,13 +289,19 @@ impl Data {
         bytes.freeze()
     }
 
-    fn read(tag: u32, flags: u8, mut reader: Reader) -> Result<Data, WireError> {
-        let stream = if flags & 1 == 0 { Stream::Control } else { Stream::Data };
+    fn read(kind: u8, tag: u32, flags: u8, mut reader: Reader) -> Result<Data, WireError> {
+        let lowest = flags & 1 != 0;
+        let (stream, again) = match (kind, lowest) {
+            (REDUNDANT, again) => (Stream::Redundant, again),
+            (_, true) => (Stream::Data, false),
+            (_, false) => (Stream::Control, false),
+        };
         let sequence = reader.varint()?;
         let piece = Piece::read(flags, &mut reader)?;
         let ack = (flags & 8 != 0).then(|| Ack::read(&mut reader)).transpose()?;
         let (first, last) = (flags & 2 != 0, flags & 4 != 0);
-        Ok(Data { tag, stream, sequence, first, last, piece, ack, payload: reader.rest() })
+        let payload = reader.rest();
+        Ok(Data { tag, stream, sequence, first, last, again, piece, ack, payload })
     }
 }
 
@@ -369,12 +392,14 @@ mod tests {
             sequence: 300,
             first: true,
             last: true,
+            again: false,
             piece: None,
             ack: None,
             payload: Bytes::from_static(b"\x02hi"),
         };
         let piece = Some(Piece { index: 1, count: 2 });
         let acking = Data { piece, ack: Some(ack.clone()), ..data.clone() };
+        let copied = Data { stream: Stream::Redundant, again: true, ..data.clone() };
         let datagram = Datagram {
             tag: 1,
             channel: 4,
@@ -387,6 +412,7 @@ mod tests {
                 Segment::Open(open),
                 &[0, 1, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
             ),
+            (Segment::Data(copied), b"\xe7\x01\x02\x03\x04\xac\x02\x02hi"),
             (Segment::Data(data), b"\x27\x01\x02\x03\x04\xac\x02\x02hi"),
             (
                 Segment::Data(acking),
@@ -394,7 +420,16 @@ mod tests {
             ),
             (Segment::Datagram(datagram), b"\x40\0\0\0\x01\x04\x09x"),
             (
-                Segment::Acknowledge { tag: 1, control: None, data: Some(ack) },
+                Segment::Acknowledge {
+                    tag: 1,
+                    control: None,
+                    data: None,
+                    redundant: Some(ack.clone()),
+                },
+                b"\x64\0\0\0\x01\x05\xc8\x01\x02\x02\x01\xa4\x02\x00",
+            ),
+            (
+                Segment::Acknowledge { tag: 1, control: None, data: Some(ack), redundant: None },
                 b"\x62\0\0\0\x01\x05\xc8\x01\x02\x02\x01\xa4\x02\x00",
             ),
             (Segment::Close { tag: 1 }, b"\x80\0\0\0\x01"),
@@ -417,7 +452,7 @@ mod tests {
             let refused = Segment::decode(Bytes::from_static(bytes));
             assert!(matches!(refused, Err(WireError::Malformed { .. })), "{refused:?}");
         };
-        check(b"\xe0\0\0\0\x01");
+        check(b"\x68\0\0\0\x01");
         check(b"\x81\0\0\0\x01");
         check(b"\x30\0\0\0\x01\x01\x02\x02");
         check(b"\x62\0\0\0\x01\x05\x05\x11");

@@ -1,6 +1,7 @@
 //! Which ladder of measures answers which kind of fault: fixed when the robot is designed.
 
 use super::{Ladder, Measure, Step};
+use crate::spelling::nearest;
 use crate::{FaultKind, NodeName, ObjectName, Place};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -190,7 +191,8 @@ impl Plan {
             if !self.kinds.contains_key(kind) && !answered() {
                 let code = kind.code();
                 let nearest = nearest(code, self.kinds.keys().map(FaultKind::code));
-                return Err(PlanError::NoAnswer { code: code.into(), nearest });
+                let (code, nearest) = (code.into(), nearest.map(str::to_owned));
+                return Err(PlanError::NoAnswer { code, nearest });
             }
         }
         for (kind, ladder) in &self.kinds {
@@ -209,8 +211,8 @@ impl Plan {
         for (component, kinds) in &self.components {
             for (kind, ladder) in kinds {
                 if !components.contains(component) {
-                    let nearest =
-                        nearest(component.as_str(), components.iter().map(|name| name.as_str()));
+                    let known = components.iter().map(|name| name.as_str());
+                    let nearest = nearest(component.as_str(), known).map(str::to_owned);
                     let (component, kind) = (component.clone(), kind.clone());
                     return Err(PlanError::NoSuchComponent { component, kind, nearest });
                 }
@@ -258,7 +260,7 @@ fn check_ladder(
                 return Err(PlanError::DoesNotApply { what, measure, why });
             }
             Measure::Custom(name) if !strategies.contains(name.as_ref()) => {
-                let nearest = nearest(name, strategies.iter().copied());
+                let nearest = nearest(name, strategies.iter().copied()).map(str::to_owned);
                 return Err(PlanError::NoSuchStrategy {
                     what,
                     strategy: name.as_ref().into(),
@@ -269,28 +271,6 @@ fn check_ladder(
         }
     }
     Ok(())
-}
-
-/// The known name that is spelt most like `wrong`, unless none is like it at all.
-fn nearest<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> Option<String> {
-    let (distance, name) =
-        known.map(|name| (edits(wrong, name), name)).min_by_key(|&(distance, _)| distance)?;
-    // More than a third of the letters differ: that is another word, not a slip.
-    (distance <= 1 + wrong.len() / 3).then(|| name.into())
-}
-
-/// How many letters must be changed, added or removed (Levenshtein).
-fn edits(a: &str, b: &str) -> usize {
-    let mut row: Vec<usize> = (0..=b.chars().count()).collect();
-    for (i, x) in a.chars().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
-        for (j, y) in b.chars().enumerate() {
-            let substituted = diagonal + usize::from(x != y);
-            diagonal = row[j + 1];
-            row[j + 1] = substituted.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.chars().count()]
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 
 mod chain;
 mod chaos;
+mod commanders;
 mod declared;
 mod errors;
 mod escalation;
@@ -22,3 +23,4 @@ mod silence;
 mod strategies;
 mod throwers;
 mod tree;
+mod variables;

@@ -9,19 +9,15 @@
 //! ```
 
 use super::TcpConfig;
-use super::framing::{FramingError, PREAMBLE, decode_preamble, encode_preamble};
+use crate::binding::confine;
+use crate::stream::framing::{FramingError, PREAMBLE, decode_preamble, encode_preamble};
 use socket2::SockRef;
-use std::future::Future;
 use std::io;
 use std::net::SocketAddr;
-use std::pin::Pin;
 use std::time::Duration;
 use tokio::io::AsyncReadExt;
 use tokio::net::{TcpSocket, TcpStream};
 use tokio::time::timeout;
-
-/// A handshake under way.
-pub(super) type Underway<T> = Pin<Box<dyn Future<Output = io::Result<T>>>>;
 
 /// Connects to a listening peer, and is done when that has kept the connection.
 pub(super) async fn dial(
@@ -31,6 +27,7 @@ pub(super) async fn dial(
 ) -> io::Result<TcpStream> {
     timeout(config.connect_timeout, async {
         let socket = if peer.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+        confine(&SockRef::from(&socket), config.interface.as_deref())?;
         if !local.ip().is_unspecified() {
             // The peer knows us by the address that the connection comes from.
             socket.bind(SocketAddr::new(local.ip(), 0))?;

@@ -97,7 +97,8 @@ pub(crate) struct Pump<C: Component> {
     home: Option<Rc<Home<C>>>,
     service: Service,
     nests: Vec<Nested<C>>,
-    chores: Chores<C>,
+    /// Boxed, so that what every message touches lies closer together.
+    chores: Box<Chores<C>>,
     slot: Slot,
     seat: Seat,
     pulse: Arc<Pulse>,
@@ -130,7 +131,7 @@ impl<C: Component> Pump<C> {
             home: None,
             service: Service::Idle,
             nests: Vec::new(),
-            chores: Chores::default(),
+            chores: Box::default(),
             slot,
             pulse: seat.pulse.clone(),
             seat,

@@ -206,7 +206,9 @@ impl Detector {
     pub(super) fn judge_node(&mut self, scene: Scene, finding: Finding) {
         let Finding::Node(condition) = finding else { return };
         match condition {
-            NodeCondition::Reachable => self.end_kind(&scene, &FaultKind::NodeLost),
+            NodeCondition::Reachable | NodeCondition::Left => {
+                self.end_kind(&scene, &FaultKind::NodeLost)
+            }
             NodeCondition::Lost { reason } => {
                 self.find(&scene, FaultKind::NodeLost, reason, Cause::Itself);
             }

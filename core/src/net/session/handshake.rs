@@ -112,7 +112,7 @@ impl Session {
         if let State::Closing { peer, again_at: None, tries: 0 } = self.state
             && self.streams.iter().all(|stream| stream.outbound.is_empty())
         {
-            let again_at = Some(self.now + self.trip.timeout());
+            let again_at = Some(self.now + self.trips[0].timeout());
             self.state = State::Closing { peer, again_at, tries: 1 };
             self.transmit(Class::Control, Segment::Close { tag: peer.tag });
         }
@@ -122,8 +122,8 @@ impl Session {
         if tries > Self::CLOSE_TRIES {
             return self.end(Why::Stopped);
         }
-        self.trip.back_off();
-        let again_at = Some(self.now + self.trip.timeout());
+        self.trips[0].back_off();
+        let again_at = Some(self.now + self.trips[0].timeout());
         self.state = State::Closing { peer, again_at, tries: tries + 1 };
         self.transmit(Class::Control, Segment::Close { tag: peer.tag });
     }

@@ -26,6 +26,8 @@ mod handshake;
 mod inbound;
 mod outbound;
 mod output;
+mod reception;
+mod replicas;
 mod round_trip;
 mod tag;
 mod transmission;
@@ -34,9 +36,10 @@ pub use self::config::SessionConfig;
 pub use self::output::{Refused, SessionCounters, SessionOutput};
 
 use self::assembly::Assembly;
-use self::best_effort::{BestEffort, Came};
-use self::inbound::{Arrived, Inbound};
+use self::best_effort::BestEffort;
+use self::inbound::Inbound;
 use self::outbound::Outbound;
+use self::replicas::Replicas;
 use self::round_trip::RoundTrip;
 use super::packet::Class;
 use super::segment::{Data, Datagram, Segment, Stream};
@@ -61,18 +64,21 @@ pub struct Session {
     newest: (Incarnation, u32),
     /// The largest segment that the path carries; `None` while there is no path.
     path: Option<usize>,
-    streams: [StreamState; 2],
-    trip: RoundTrip,
+    streams: [StreamState; 3],
+    /// What takes one way, and what takes all: each has its own round trip and its own silence.
+    trips: [RoundTrip; 2],
+    retransmit_at: [Option<Instant>; 2],
     /// How many parts may be on their way at once.
     congestion: usize,
     /// Losses of transmissions before this have been answered by a smaller window.
     reduced_until: u64,
-    order: u64,
-    retransmit_at: Option<Instant>,
+    /// How many transmissions there were.
+    orders: [u64; 2],
     /// Since when the peer owes us a sign of life.
     owed_since: Option<Instant>,
     pieces: Assembly<(Stream, u64)>,
     best_effort: BestEffort,
+    replicas: Replicas,
     now: Instant,
     counters: SessionCounters,
     refusals: Refusals,
@@ -109,7 +115,13 @@ struct StreamState {
     is_full: bool,
 }
 
-const STREAMS: [Stream; 2] = [Stream::Control, Stream::Data];
+/// In the order of their places.
+const STREAMS: [Stream; 3] = [Stream::Control, Stream::Data, Stream::Redundant];
+
+/// Which round trip and silence a stream has.
+fn lane(stream: Stream) -> usize {
+    usize::from(stream == Stream::Redundant)
+}
 
 impl Session {
     /// Parts on their way at first; no more than any UDP socket's default buffer takes at once.
@@ -123,8 +135,9 @@ impl Session {
 
     /// A machine without a session; it opens one when there is a path.
     pub fn new(config: SessionConfig, now: Instant) -> Self {
-        let streams = [(); 2].map(|()| StreamState::new(&config));
-        let trip = RoundTrip::new(config.retransmit_min, config.retransmit_max);
+        let streams = [(); 3].map(|()| StreamState::new(&config));
+        let trip = || RoundTrip::new(config.retransmit_min, config.retransmit_max);
+        let trips = [trip(), trip()];
         // Pieces of two of the largest messages.
         let assembly = config.message_max.saturating_mul(2);
         Session {
@@ -134,17 +147,18 @@ impl Session {
             newest: (Incarnation(0), 0),
             path: None,
             streams,
-            trip,
+            trips,
+            retransmit_at: [None; 2],
             congestion: Self::CONGESTION_INITIAL,
             reduced_until: 0,
-            order: 0,
-            retransmit_at: None,
+            orders: [0; 2],
             owed_since: None,
             pieces: Assembly::new(assembly, Self::ASSEMBLY_PATIENCE),
             best_effort: BestEffort::new(
                 config.channels_max,
                 Assembly::new(assembly, Self::ASSEMBLY_PATIENCE),
             ),
+            replicas: Replicas::default(),
             now,
             counters: SessionCounters::default(),
             refusals: Refusals::default(),
@@ -168,13 +182,20 @@ impl Session {
 
     /// The smoothed round trip to the peer.
     pub fn round_trip(&self) -> Option<Duration> {
-        self.trip.smoothed()
+        self.trips.iter().find_map(RoundTrip::smoothed)
     }
 
     /// What it did so far.
     pub fn counters(&self) -> SessionCounters {
         let unfinished = self.pieces.given_up + self.best_effort.unfinished();
-        SessionCounters { unfinished: self.counters.unfinished + unfinished, ..self.counters }
+        let Replicas { dropped, missed, alone, .. } = self.replicas;
+        SessionCounters {
+            unfinished: self.counters.unfinished + unfinished,
+            replicas: self.counters.replicas + dropped,
+            missed: self.counters.missed + missed,
+            alone: self.counters.alone + alone,
+            ..self.counters
+        }
     }
 
     /// What was refused so far.
@@ -261,7 +282,7 @@ impl Session {
     pub fn handle_path(&mut self, mtu: usize, now: Instant) {
         self.now = now;
         self.path = Some(mtu);
-        self.trip.progress();
+        self.trips.iter_mut().for_each(RoundTrip::progress);
         match self.state {
             State::Idle => self.open(None),
             State::Opening { peer, pause, .. } => {
@@ -270,12 +291,11 @@ impl Session {
             State::Open { .. } | State::Closing { .. } => {
                 let waits = self.streams.iter().any(|stream| !stream.outbound.is_empty());
                 self.owed_since = waits.then_some(now);
-                let mut lost = false;
-                for stream in &mut self.streams {
-                    lost |= stream.outbound.lose_all();
-                }
-                if lost {
-                    self.retransmit_at = Some(now + self.trip.timeout());
+                for stream in STREAMS {
+                    if self.streams[stream as usize].outbound.lose_all() {
+                        let lane = lane(stream);
+                        self.retransmit_at[lane] = Some(now + self.trips[lane].timeout());
+                    }
                 }
             }
             State::Closed => {}
@@ -286,7 +306,7 @@ impl Session {
     pub fn handle_no_path(&mut self, now: Instant) {
         self.now = now;
         self.path = None;
-        self.retransmit_at = None;
+        self.retransmit_at = [None; 2];
         self.owed_since.get_or_insert(now);
     }
 
@@ -331,7 +351,7 @@ impl Session {
             .into_iter()
             .flat_map(|stream| {
                 let messages = self.streams[stream as usize].outbound.take_all();
-                messages.map(move |message| (stream, message))
+                messages.map(move |(message, _)| (stream, message))
             })
             .collect()
     }
@@ -346,8 +366,10 @@ impl Session {
             Ok(Segment::Datagram(datagram)) if self.meant_for_us(datagram.tag) => {
                 self.handle_datagram(datagram);
             }
-            Ok(Segment::Acknowledge { tag, control, data }) if self.meant_for_us(tag) => {
-                for (stream, ack) in STREAMS.into_iter().zip([control, data]) {
+            Ok(Segment::Acknowledge { tag, control, data, redundant })
+                if self.meant_for_us(tag) =>
+            {
+                for (stream, ack) in STREAMS.into_iter().zip([control, data, redundant]) {
                     if let Some(ack) = ack {
                         self.handle_ack(stream, &ack);
                     }
@@ -416,9 +438,9 @@ impl Session {
     fn give_back(&mut self, why: &Why) {
         for stream in STREAMS {
             let state = &mut self.streams[stream as usize];
-            for message in state.outbound.take_all() {
+            for (message, sent) in state.outbound.take_all() {
                 let why = why.clone();
-                self.outputs.push_back(SessionOutput::Returned { stream, message, why });
+                self.outputs.push_back(SessionOutput::Returned { stream, message, why, sent });
             }
             if state.is_full {
                 self.outputs.push_back(SessionOutput::Room { stream });
@@ -430,66 +452,22 @@ impl Session {
         self.pieces = Assembly::new(assembly, Self::ASSEMBLY_PATIENCE);
         let pieces = Assembly::new(assembly, Self::ASSEMBLY_PATIENCE);
         self.best_effort = BestEffort::new(self.config.channels_max, pieces);
+        self.replicas = Replicas::default();
         self.congestion = Self::CONGESTION_INITIAL;
-        self.reduced_until = self.order;
-        self.retransmit_at = None;
+        self.reduced_until = self.orders[0];
+        self.retransmit_at = [None; 2];
         self.owed_since = None;
-        self.trip.progress();
-    }
-
-    fn handle_data(&mut self, data: Data) {
-        let Data { stream, sequence, first, last, piece, ack, payload, .. } = data;
-        if let Some(ack) = ack {
-            self.handle_ack(stream, &ack);
-        }
-        let whole = match piece {
-            Some(piece) if self.streams[stream as usize].inbound.expects(sequence) => {
-                self.pieces.handle((stream, sequence), piece, payload, self.now)
-            }
-            _ => Some(payload),
-        };
-        if let Some(payload) = whole {
-            let mut messages = Vec::new();
-            let inbound = &mut self.streams[stream as usize].inbound;
-            let times = (self.now, self.config.ack_delay);
-            let arrived = inbound.handle(sequence, (first, last, payload), times, &mut messages);
-            let outputs = messages.into_iter();
-            self.outputs.extend(outputs.map(|message| SessionOutput::Message { stream, message }));
-            match arrived {
-                Ok(Arrived::New) => {}
-                Ok(Arrived::Again) => self.counters.doubled += 1,
-                Ok(Arrived::Beyond) => self.refusals.unexpected += 1,
-                Err(error) => {
-                    // The peer is broken; whatever it says next cannot be trusted to be in order.
-                    self.refusals.count(&error);
-                    let State::Open { peer } = self.state else { return };
-                    let reset = Segment::Reset { tag: self.tag };
-                    self.transmit(Class::Control, reset);
-                    self.newest = self.newest.max((peer.incarnation, peer.number + 1));
-                    self.end(Why::Undecodable { reason: error.to_string() });
-                    return;
-                }
-            }
-        }
-        self.close_when_done();
-    }
-
-    fn handle_datagram(&mut self, datagram: Datagram) {
-        let channel = datagram.channel;
-        match self.best_effort.handle(datagram, self.now) {
-            Came::Newest(message) => {
-                self.outputs.push_back(SessionOutput::Newest { channel, message });
-            }
-            Came::InPart => {}
-            Came::Again => self.counters.doubled += 1,
-            Came::Overtaken => self.counters.overtaken += 1,
-            Came::TooMany => self.refusals.too_large += 1,
-        }
+        self.trips.iter_mut().for_each(RoundTrip::progress);
     }
 
     fn transmit(&mut self, class: Class, segment: Segment) {
         let segment = segment.encode();
-        self.outputs.push_back(SessionOutput::Transmit { class, segment });
+        self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: false });
+    }
+
+    fn transmit_everywhere(&mut self, class: Class, segment: Segment) {
+        let segment = segment.encode();
+        self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: true });
     }
 
     fn give_up_at(&self) -> Option<Instant> {
@@ -534,7 +512,7 @@ impl Machine for Session {
                 continue;
             }
             if self.ack_owed().is_some_and(|due| due <= self.now) {
-                self.acknowledge();
+                self.acknowledge_owed();
                 continue;
             }
             return None;
@@ -547,10 +525,8 @@ impl Machine for Session {
             State::Closing { again_at, .. } => again_at,
             _ => None,
         };
-        [again_at, self.retransmit_at, self.ack_owed(), self.give_up_at()]
-            .into_iter()
-            .flatten()
-            .min()
+        let [one, all] = self.retransmit_at;
+        [again_at, one, all, self.ack_owed(), self.give_up_at()].into_iter().flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
@@ -565,10 +541,12 @@ impl Machine for Session {
         if due(self.give_up_at()) {
             self.give_up();
         }
-        if due(self.retransmit_at) {
-            self.retransmit_at = None;
-            if self.streams.iter().any(|stream| stream.outbound.flying() > 0) {
-                self.handle_silence();
+        for lane in 0..self.retransmit_at.len() {
+            if due(self.retransmit_at[lane]) {
+                self.retransmit_at[lane] = None;
+                if self.flying(lane) > 0 {
+                    self.handle_silence(lane);
+                }
             }
         }
         match self.state {

@@ -23,6 +23,8 @@ pub(crate) struct Outbound {
     next: u64,
     /// The peer takes parts below this.
     limit: u64,
+    /// The widest window that is believed.
+    window: u32,
 }
 
 #[derive(Debug)]
@@ -74,6 +76,7 @@ impl Outbound {
             lost: 0,
             next: 0,
             limit: window.into(),
+            window,
         }
     }
 
@@ -100,11 +103,13 @@ impl Outbound {
         self.messages.push_back(Held { message, last: None });
     }
 
-    /// All messages that are not acknowledged, in order; nothing is left.
-    pub(crate) fn take_all(&mut self) -> impl Iterator<Item = Bytes> + use<> {
+    /// All messages that are not acknowledged, in order, and whether some of it was sent; nothing is
+    /// left.
+    pub(crate) fn take_all(&mut self) -> impl Iterator<Item = (Bytes, bool)> + use<> {
+        let sent = self.cut + usize::from(self.cut_bytes > 0);
         let messages = std::mem::take(&mut self.messages);
         *self = Outbound::new(0);
-        messages.into_iter().map(|held| held.message)
+        messages.into_iter().enumerate().map(move |(n, held)| (held.message, n < sent))
     }
 
     /// The next part to send: what was lost first, then new ones, as large as `room` allows.
@@ -174,8 +179,10 @@ impl Outbound {
         if beyond.max(ack.next) > self.next {
             return Err(WireError::Malformed { what: "an acknowledgement of what was never sent" });
         }
-        // Windows only open: an acknowledgement that overtook another one must not close it.
-        self.limit = self.limit.max(ack.next.saturating_add(ack.window.into()));
+        // Windows only open: an acknowledgement that overtook another one must not close it. None is
+        // wider than ours, whatever the peer promises.
+        let window = ack.window.min(self.window);
+        self.limit = self.limit.max(ack.next.saturating_add(window.into()));
         let mut progress = Progress::default();
         let below = ack.next.checked_sub(1).map(|last| (0, last));
         for (first, last) in below.into_iter().chain(ack.ranges.iter().copied()) {

@@ -14,6 +14,8 @@ pub enum SessionOutput {
         class: Class,
         /// The segment.
         segment: Bytes,
+        /// A copy is to go over every way that there is.
+        everywhere: bool,
     },
     /// A session has begun.
     Opened {
@@ -42,6 +44,8 @@ pub enum SessionOutput {
         message: Bytes,
         /// Why.
         why: Why,
+        /// Some of it was sent, so that it may have arrived; otherwise it has not.
+        sent: bool,
     },
     /// The session is over. What was unacknowledged has been returned before this.
     Ended {
@@ -87,4 +91,11 @@ pub struct SessionCounters {
     pub returned: u64,
     /// Why the last of them did.
     pub last_return: Option<Undelivered>,
+    /// Copies on the redundant stream that were dropped, for the first had arrived.
+    pub replicas: u64,
+    /// Parts of that stream of which no copy came in time; they were repeated.
+    pub missed: u64,
+    /// Parts of that stream of which fewer copies came than of others around: some way does not carry,
+    /// and nobody has noticed by the delivery.
+    pub alone: u64,
 }

@@ -125,7 +125,7 @@ fn message(message: Bytes) -> SessionOutput {
 }
 
 fn returned(message: Bytes, why: &Why) -> SessionOutput {
-    SessionOutput::Returned { stream: Stream::Data, message, why: why.clone() }
+    SessionOutput::Returned { stream: Stream::Data, message, why: why.clone(), sent: true }
 }
 
 fn unreachable(node: &str) -> Why {
@@ -266,7 +266,13 @@ fn a_short_outage_is_ridden_out_and_a_long_one_gives_everything_back() {
 
     let why = unreachable("right");
     let ended = SessionOutput::Ended { incarnation: Incarnation(1), why: why.clone() };
-    assert_eq!(pair.take(0), [returned(text("b"), &why), ended]);
+    let never_sent = SessionOutput::Returned {
+        stream: Stream::Data,
+        message: text("b"),
+        why: why.clone(),
+        sent: false,
+    };
+    assert_eq!(pair.take(0), [never_sent, ended]);
     let refused = pair.ends[0].handle_send(Stream::Data, text("c"), at(pair.now));
     assert_eq!(refused, Err((why, text("c"))));
 }

@@ -2,10 +2,13 @@
 
 use super::assembly::pieces_of;
 use super::outbound::Part;
-use super::{STREAMS, Session, SessionConfig, SessionOutput, State};
+use super::{STREAMS, Session, SessionConfig, SessionOutput, State, lane};
 use crate::Instant;
 use crate::net::packet::{Class, Undelivered};
 use crate::net::segment::{Ack, DATA_HEADER, Data, Segment, Stream};
+
+/// Which stream goes first when several wait.
+const BY_URGENCY: [Stream; 3] = [Stream::Control, Stream::Redundant, Stream::Data];
 
 impl Session {
     /// Something of ours came back: it is repeated once the routers have had time to find another way,
@@ -15,22 +18,32 @@ impl Session {
         self.counters.returned += 1;
         self.counters.last_return = Some(reason);
         let soon = now + self.config.retransmit_min;
-        self.retransmit_at = self.retransmit_at.map(|at| at.min(soon));
+        self.retransmit_at = self.retransmit_at.map(|lane| lane.map(|at| at.min(soon)));
+    }
+
+    /// Parts on their way of the streams that share this lane.
+    pub(super) fn flying(&self, of: usize) -> usize {
+        let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == of);
+        streams.map(|stream| self.streams[stream as usize].outbound.flying()).sum()
     }
 
     /// Sends the next part that may be sent: control first, and what was lost before what is new.
     pub(super) fn transmit_part(&mut self) -> bool {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return false };
         let Some(mtu) = self.path else { return false };
-        let flying: usize = self.streams.iter().map(|stream| stream.outbound.flying()).sum();
-        if flying >= self.congestion {
-            return false;
-        }
+        let congested = self.flying(0) >= self.congestion;
         // Room for an acknowledgement of a few ranges; one with more travels alone.
         let room = mtu.saturating_sub(DATA_HEADER + 32).clamp(64, self.config.part_max);
-        for stream in STREAMS {
+        for stream in BY_URGENCY {
+            // What goes every way keeps its time whatever one of the ways is like; the peer's window
+            // bounds it.
+            if congested && stream != Stream::Redundant {
+                continue;
+            }
             let state = &mut self.streams[stream as usize];
-            if let Some((sequence, part)) = state.outbound.transmit(room, self.order, self.now) {
+            if let Some((sequence, part)) =
+                state.outbound.transmit(room, self.orders[lane(stream)], self.now)
+            {
                 let owed = state.inbound.owed().is_some();
                 let ack = owed.then(|| state.inbound.acknowledge());
                 let (ack, alone) = match ack {
@@ -38,18 +51,24 @@ impl Session {
                     ack => (ack, None),
                 };
                 if let Some(ack) = alone {
-                    let (control, data) = match stream {
-                        Stream::Control => (Some(ack), None),
-                        Stream::Data => (None, Some(ack)),
-                    };
-                    let tag = peer.tag;
-                    self.transmit(Class::Control, Segment::Acknowledge { tag, control, data });
+                    self.transmit_ack(peer.tag, stream, ack);
                 }
                 self.transmit_as(peer.tag, stream, sequence, part, ack, room);
                 return true;
             }
         }
         false
+    }
+
+    fn transmit_ack(&mut self, tag: u32, stream: Stream, ack: Ack) {
+        let mut acks = [None, None, None];
+        acks[stream as usize] = Some(ack);
+        let [control, data, redundant] = acks;
+        let segment = Segment::Acknowledge { tag, control, data, redundant };
+        match stream {
+            Stream::Redundant => self.transmit_everywhere(Class::Control, segment),
+            Stream::Control | Stream::Data => self.transmit(Class::Control, segment),
+        }
     }
 
     pub(super) fn transmit_as(
@@ -61,29 +80,46 @@ impl Session {
         mut ack: Option<Ack>,
         room: usize,
     ) {
+        let again = part.is_repeated();
         self.counters.sent += 1;
-        self.counters.repeated += u64::from(part.is_repeated());
-        self.order += 1;
-        self.retransmit_at.get_or_insert(self.now + self.trip.timeout());
-        let class = match stream {
-            Stream::Control => Class::Control,
-            Stream::Data => Class::Data,
-        };
+        self.counters.repeated += u64::from(again);
+        let lane = lane(stream);
+        self.orders[lane] += 1;
+        self.retransmit_at[lane].get_or_insert(self.now + self.trips[lane].timeout());
         let Part { first, last, payload, .. } = part;
         for (piece, payload) in pieces_of(&payload, room) {
             let ack = ack.take();
-            let data = Data { tag, stream, sequence, first, last, piece, ack, payload };
-            self.transmit(class, Segment::Data(data));
+            let data = Data { tag, stream, sequence, first, last, again, piece, ack, payload };
+            let segment = Segment::Data(data);
+            match stream {
+                Stream::Control => self.transmit(Class::Control, segment),
+                Stream::Data => self.transmit(Class::Data, segment),
+                Stream::Redundant => self.transmit_everywhere(Class::Data, segment),
+            }
         }
     }
 
-    /// Acknowledges both streams now.
+    /// Acknowledges what travels one way now, and with it shows that the session is known.
     pub(super) fn acknowledge(&mut self) {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
-        let [control, data] = &mut self.streams;
+        let [control, data, _] = &mut self.streams;
         let control = Some(control.inbound.acknowledge());
         let data = Some(data.inbound.acknowledge());
-        self.transmit(Class::Control, Segment::Acknowledge { tag: peer.tag, control, data });
+        let segment = Segment::Acknowledge { tag: peer.tag, control, data, redundant: None };
+        self.transmit(Class::Control, segment);
+    }
+
+    /// Acknowledges what has waited for it.
+    pub(super) fn acknowledge_owed(&mut self) {
+        let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
+        let redundant = &mut self.streams[Stream::Redundant as usize].inbound;
+        if redundant.owed().is_some() {
+            let ack = redundant.acknowledge();
+            self.transmit_ack(peer.tag, Stream::Redundant, ack);
+        }
+        if self.ack_owed().is_some() {
+            self.acknowledge();
+        }
     }
 
     pub(super) fn ack_owed(&self) -> Option<Instant> {
@@ -96,23 +132,28 @@ impl Session {
             Ok(progress) => progress,
             Err(error) => return self.refusals.count(&error),
         };
+        let of = lane(stream);
         if let Some(sample) = progress.round_trip {
-            self.trip.measure(sample);
+            self.trips[of].measure(sample);
         }
         if let Some(order) = progress.order {
-            self.trip.progress();
-            self.congestion = (self.congestion + progress.parts).min(self.config.window as usize);
+            self.trips[of].progress();
             let mut lost = false;
-            for stream in &mut self.streams {
-                lost |= stream.outbound.find_lost(order);
+            // What took another lane may have taken longer without being lost.
+            for stream in STREAMS.into_iter().filter(|stream| lane(*stream) == of) {
+                lost |= self.streams[stream as usize].outbound.find_lost(order);
             }
-            // Once per round trip, as in RFC 9002: one burst of losses is one sign.
-            if lost && order >= self.reduced_until {
-                self.reduced_until = self.order;
-                self.congestion = (self.congestion / 2).max(Self::CONGESTION_MIN);
+            if stream != Stream::Redundant {
+                self.congestion =
+                    (self.congestion + progress.parts).min(self.config.window as usize);
+                // Once per round trip, as in RFC 9002: one burst of losses is one sign.
+                if lost && order >= self.reduced_until {
+                    self.reduced_until = self.orders[0];
+                    self.congestion = (self.congestion / 2).max(Self::CONGESTION_MIN);
+                }
             }
-            let flying = self.streams.iter().any(|stream| stream.outbound.flying() > 0);
-            self.retransmit_at = flying.then(|| self.now + self.trip.timeout());
+            let flying = self.flying(of) > 0;
+            self.retransmit_at[of] = flying.then(|| self.now + self.trips[of].timeout());
         }
         self.make_room(stream);
         self.heard();
@@ -131,13 +172,15 @@ impl Session {
         }
     }
 
-    pub(super) fn handle_silence(&mut self) {
-        self.trip.back_off();
-        self.congestion = Self::CONGESTION_MIN;
-        self.reduced_until = self.order;
-        for stream in &mut self.streams {
-            stream.outbound.lose_all();
+    pub(super) fn handle_silence(&mut self, of: usize) {
+        self.trips[of].back_off();
+        if of == 0 {
+            self.congestion = Self::CONGESTION_MIN;
+            self.reduced_until = self.orders[0];
         }
-        self.retransmit_at = Some(self.now + self.trip.timeout());
+        for stream in STREAMS.into_iter().filter(|stream| lane(*stream) == of) {
+            self.streams[stream as usize].outbound.lose_all();
+        }
+        self.retransmit_at[of] = Some(self.now + self.trips[of].timeout());
     }
 }

@@ -1,11 +1,11 @@
 //! Frames that wait for a connection to take them.
 
+use super::ByteStream;
 use super::framing::{HEADER, encode_header};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
 use std::task::{self, Poll};
-use tokio::net::TcpStream;
 
 /// So many frames go into one system call.
 const AT_ONCE: usize = 32;
@@ -50,7 +50,7 @@ impl Outgoing {
     /// out whole.
     pub(super) fn write(
         &mut self,
-        stream: &TcpStream,
+        stream: &impl ByteStream,
         task: &mut task::Context<'_>,
     ) -> io::Result<u64> {
         let mut sent = 0;
@@ -69,7 +69,7 @@ impl Outgoing {
         Ok(sent)
     }
 
-    fn write_once(&mut self, stream: &TcpStream) -> io::Result<u64> {
+    fn write_once(&mut self, stream: &impl ByteStream) -> io::Result<u64> {
         let mut headers = [[0; HEADER]; AT_ONCE];
         for (header, frame) in headers.iter_mut().zip(&self.frames) {
             *header = encode_header(frame.len());

@@ -1,20 +1,17 @@
-//! One peer of a TCP transport, and how the connection with it stands.
+//! One peer, and how the connection with it stands.
 
 use super::framing::{CHUNK, decode};
-use super::handshake::Underway;
 use super::outgoing::Outgoing;
+use super::{ByteStream, Family, Underway};
 use crate::medium::BUDGET;
 use crate::outlet::Outlet;
-use blastema_contract::transport::MediumAddress;
 use blastema_core::recovery::Backoff;
 use bytes::BytesMut;
 use std::future::Future;
 use std::io;
-use std::net::SocketAddr;
 use std::pin::Pin;
 use std::task::{self, Poll};
 use std::time::Duration;
-use tokio::net::TcpStream;
 use tokio::time::Sleep;
 
 /// The limit is how late a peer that is back, and does not dial us itself, may be noticed. With jitter,
@@ -27,9 +24,9 @@ const BACKOFF: Backoff = Backoff {
 };
 
 /// A peer, known by the address at which it listens.
-pub(super) struct Peer {
-    pub(super) address: SocketAddr,
-    pub(super) state: State,
+pub(super) struct Peer<F: Family> {
+    pub(super) address: F::Address,
+    pub(super) state: State<F::Stream>,
     pub(super) outgoing: Outgoing,
     failures: u32,
 }
@@ -41,20 +38,20 @@ pub(super) struct Peer {
 ///    └─────────────────┴────────── pause over ─────── Resting
 /// ```
 /// A connection that the peer makes leads to `Connected` from anywhere.
-pub(super) enum State {
+pub(super) enum State<S> {
     /// The next frame dials.
     Absent,
     /// A connection is being made; frames wait for it.
-    Dialing(Underway<TcpStream>),
+    Dialing(Underway<S>),
     /// Frames flow.
-    Connected(Connection),
+    Connected(Connection<S>),
     /// It failed or broke a moment ago; frames are dropped.
     Resting(Pin<Box<Sleep>>),
 }
 
 /// A connection on which both sides have introduced themselves.
-pub(super) struct Connection {
-    stream: TcpStream,
+pub(super) struct Connection<S> {
+    stream: S,
     buffer: BytesMut,
 }
 
@@ -66,8 +63,8 @@ pub(super) enum Broken {
     Refused,
 }
 
-impl Peer {
-    pub(super) fn new(address: SocketAddr) -> Self {
+impl<F: Family> Peer<F> {
+    pub(super) fn new(address: F::Address) -> Self {
         Peer { address, state: State::Absent, outgoing: Outgoing::default(), failures: 0 }
     }
 
@@ -81,7 +78,7 @@ impl Peer {
     }
 
     /// Frames flow over this connection from now on, beginning with a whole one.
-    pub(super) fn adopt(&mut self, stream: TcpStream) {
+    pub(super) fn adopt(&mut self, stream: F::Stream) {
         self.failures = 0;
         self.outgoing.rewind();
         self.state = State::Connected(Connection { stream, buffer: BytesMut::new() });
@@ -91,7 +88,7 @@ impl Peer {
     /// how many frames are lost with it.
     pub(super) fn rest(&mut self) -> u64 {
         self.failures = self.failures.saturating_add(1);
-        let seed = u64::from(self.address.port());
+        let seed = F::seed(&self.address);
         let pause = BACKOFF.delay(self.failures.saturating_add(1), seed);
         self.state = State::Resting(Box::pin(tokio::time::sleep(pause)));
         self.outgoing.clear()
@@ -144,7 +141,7 @@ impl Peer {
                 return Ok(true);
             }
             if let Some(frame) = decode(buffer, limit).map_err(|_| Broken::Refused)? {
-                outlet.deliver(MediumAddress::Ip(self.address), frame);
+                outlet.deliver(self.address.clone().into(), frame);
                 continue;
             }
             buffer.reserve(CHUNK);

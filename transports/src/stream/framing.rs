@@ -4,7 +4,8 @@
 //! each side:  preamble ─ frame ─ frame ─ …
 //!
 //! preamble    0       4        5       6      8
-//!             │ "BLST"│ version│ zero  │ port │   the port on which the speaker listens
+//!             │ "BLST"│ version│ zero  │ port │          TCP: the port on which the speaker listens
+//!             │ "BLST"│ version│ one   │ length │ path … Unix: the path at which it listens
 //!
 //! frame       0        4
 //!             │ length │ bytes …                  numbers are big-endian
@@ -39,6 +40,9 @@ pub enum FramingError {
     /// The other side says that it listens on no port.
     #[error("the peer listens on no port")]
     NoPort,
+    /// The other side says that it listens at what is no path of a socket.
+    #[error("the peer listens at no path")]
+    NoPath,
     /// A frame larger than agreed is announced. Raise the limit on this side if it is wanted.
     #[error("a frame of {length} bytes is announced, the limit is {limit}")]
     TooLarge {
@@ -72,6 +76,38 @@ pub fn decode_preamble(bytes: [u8; PREAMBLE]) -> Result<u16, FramingError> {
     match u16::from_be_bytes([high, low]) {
         0 => Err(FramingError::NoPort),
         port => Ok(port),
+    }
+}
+
+/// The longest path of a socket that Linux takes, in bytes (`sun_path` is 108 with its closing zero).
+pub const LONGEST_PATH: usize = 107;
+
+/// What a node says first on every connection between sockets with paths: the path at which it listens.
+/// A path that no socket can have is cut off.
+pub fn encode_path_preamble(path: &[u8]) -> Vec<u8> {
+    let path = &path[..path.len().min(LONGEST_PATH)];
+    let [high, low] = (path.len() as u16).to_be_bytes();
+    [&MAGIC[..], &[VERSION, 1, high, low], path].concat()
+}
+
+/// Reads how long the path is from the first bytes of a preamble.
+///
+/// # Errors
+/// The bytes are no preamble of ours.
+pub fn decode_path_length(bytes: [u8; PREAMBLE]) -> Result<usize, FramingError> {
+    let [a, b, c, d, version, one, high, low] = bytes;
+    if [a, b, c, d] != MAGIC {
+        return Err(FramingError::Foreign);
+    }
+    if version != VERSION {
+        return Err(FramingError::Version { version });
+    }
+    if one != 1 {
+        return Err(FramingError::Foreign);
+    }
+    match usize::from(u16::from_be_bytes([high, low])) {
+        length @ 1..=LONGEST_PATH => Ok(length),
+        _ => Err(FramingError::NoPath),
     }
 }
 
@@ -140,6 +176,21 @@ mod tests {
     fn the_wire_format_is_this() {
         assert_eq!(stream(&[Bytes::from("hello")]), b"\0\0\0\x05hello");
         assert_eq!(encode_preamble(7400), *b"BLST\x01\0\x1c\xe8");
+    }
+
+    #[test]
+    fn a_path_is_read_back_and_anything_else_refused() {
+        let preamble = encode_path_preamble(b"/run/a.sock");
+        assert_eq!(preamble, b"BLST\x01\x01\0\x0b/run/a.sock");
+        let head = |bytes: &[u8]| decode_path_length(*bytes.first_chunk().unwrap());
+
+        assert_eq!(head(&preamble), Ok(11));
+        assert_eq!(head(b"BLSTx\x01\0\x0b"), Err(FramingError::Version { version: b'x' }));
+        assert_eq!(head(b"BLST\x01\0\x1c\xe8"), Err(FramingError::Foreign));
+        assert_eq!(head(b"GET / HT"), Err(FramingError::Foreign));
+        assert_eq!(head(b"BLST\x01\x01\0\0"), Err(FramingError::NoPath));
+        assert_eq!(head(b"BLST\x01\x01\0\x6c"), Err(FramingError::NoPath));
+        assert_eq!(encode_path_preamble(&[b'x'; 200]).len(), PREAMBLE + LONGEST_PATH);
     }
 
     #[test]

@@ -1,0 +1,66 @@
+//! What a commander says to an actuator's node, and hears.
+
+use blastema_core::{Why, codec};
+use blastema_macros::{Request, Structure};
+
+/// The most bytes of an error on its way.
+const WHY_MAX: usize = 16 * 1024;
+
+/// What a commander wants. It is asked at the actuator's name.
+#[derive(Clone, Debug, Request)]
+#[contract(
+    crate = "crate",
+    name = "blastema/command",
+    version = 1,
+    reply = Ordered,
+    max_size = 1024 * 1024
+)]
+pub(crate) struct Order {
+    /// Name, version and fingerprint of the actuator's contract.
+    pub(crate) identity: Vec<u8>,
+    pub(crate) wish: Wish,
+}
+
+/// Which.
+#[derive(Clone, Debug, Structure)]
+#[contract(crate = "crate")]
+pub(crate) enum Wish {
+    Claim { commander: String, life: u64 },
+    Renew { epoch: u64 },
+    Release { epoch: u64 },
+    Command { epoch: u64, message: Vec<u8> },
+}
+
+/// What came of it.
+#[derive(Clone, Debug, Structure)]
+#[contract(crate = "crate")]
+pub(crate) enum Ordered {
+    Granted {
+        epoch: u64,
+        span_us: u64,
+    },
+    Done(Vec<u8>),
+    /// The contract is another one there: this.
+    Differs {
+        identity: Vec<u8>,
+    },
+    Refused {
+        why: Vec<u8>,
+    },
+}
+
+impl Ordered {
+    pub(crate) fn refused(why: &Why) -> Self {
+        let mut bytes = Vec::new();
+        if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
+            bytes.clear();
+        }
+        Ordered::Refused { why: bytes }
+    }
+
+    /// Reads an error that [`refused`](Self::refused) wrote.
+    pub(crate) fn why(bytes: &[u8]) -> Why {
+        codec::decode_bounded::<Why, WHY_MAX>(bytes)
+            .unwrap_or_else(|error| Why::Undecodable { reason: error.to_string() })
+    }
+}

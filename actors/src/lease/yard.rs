@@ -1,0 +1,305 @@
+//! The actuators of a node, and who may command them: the body of the lease machines.
+//!
+//! Orders are served on the thread of whoever brings them. One actor of the middleware's own watches
+//! the time, on the fault chain's arbiter: a component that hangs keeps nobody from being safe.
+
+use super::order::{Order, Ordered, Wish};
+use crate::desk::Desk;
+use crate::guardian::{Guardian, answers_the_monitor};
+use crate::panics::{self, Guarded};
+use crate::platform;
+use crate::registry::{Doorway, Port, Postmark, ReplyTo};
+use crate::reply::Answer;
+use actix::prelude::*;
+use blastema_contract::reports::AreYouAlive;
+use blastema_core::lease::{CommanderId, Lease, LeaseEnd, LeaseOutput};
+use blastema_core::{
+    ContractIdentity, FaultKind, Incarnation, Instant, Machine, ObjectName, PeerIdentity, Why,
+};
+use bytes::Bytes;
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
+use tracing::{error, info, warn};
+
+/// Brings outputs to rest without the component.
+pub(crate) type CutOff = Arc<dyn Fn() + Send + Sync>;
+
+/// An actuator as its component declares it.
+pub(crate) struct Declared {
+    pub(crate) identity: ContractIdentity,
+    pub(crate) span: Duration,
+    /// The command that brings it to rest, encoded.
+    pub(crate) safe: Result<Bytes, Why>,
+    pub(crate) cut_off: Option<CutOff>,
+}
+
+/// One actuator: one contract of commands to one component.
+struct Actuator {
+    object: ObjectName,
+    identity: ContractIdentity,
+    lease: Mutex<Lease>,
+    safe: Bytes,
+    cut_off: Option<CutOff>,
+    doorway: Arc<dyn Doorway>,
+    /// A command has been handed over and not been answered.
+    busy: Arc<AtomicBool>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+type Actuators = BTreeMap<(ObjectName, &'static str), Arc<Actuator>>;
+
+/// The actuators of a node. Clones share them.
+#[derive(Clone, Default)]
+pub(crate) struct Yard {
+    /// As many as its components declare.
+    actuators: Arc<Mutex<Actuators>>,
+    timekeeper: Arc<OnceLock<Recipient<Look>>>,
+}
+
+impl Yard {
+    /// Watches the time from now on. Says where the one who does can be asked whether it lives.
+    pub(crate) fn start(
+        &self,
+        name: ObjectName,
+        guardian: &Guardian,
+        arbiter: Option<&ArbiterHandle>,
+    ) -> Recipient<AreYouAlive> {
+        let yard = self.clone();
+        let make = move |_: &mut Context<Timekeeper>| Timekeeper { yard, armed: None };
+        let timekeeper = guardian.start(name, arbiter, make);
+        // A yard is started once, with its node.
+        let _ = self.timekeeper.set(timekeeper.clone().recipient());
+        timekeeper.recipient()
+    }
+
+    /// The object has these actuators from now on; the port is where they are commanded.
+    pub(crate) fn declare(
+        &self,
+        object: &ObjectName,
+        declared: Vec<(Declared, Arc<dyn Doorway>)>,
+    ) -> Result<Port, Why> {
+        for (Declared { identity, span, safe, cut_off }, doorway) in declared {
+            // Above every epoch of any earlier process of this node.
+            let lease = Lease::new(span, platform::node_incarnation().0 << 20);
+            let actuator = Actuator {
+                object: object.clone(),
+                identity: identity.clone(),
+                lease: Mutex::new(lease),
+                safe: safe?,
+                cut_off,
+                doorway,
+                busy: Arc::default(),
+            };
+            let key = (object.clone(), identity.name);
+            lock(&self.actuators).insert(key, Arc::new(actuator));
+        }
+        let (yard, object) = (self.clone(), object.clone());
+        let serve = move |order: Order, answer: Answer<Order>| yard.serve(&object, order, answer);
+        Ok(Port::of_desk(Desk::<Order>(Arc::new(serve))))
+    }
+
+    /// The object is gone, and its actuators with it.
+    pub(crate) fn withdraw(&self, object: &ObjectName) {
+        let gone = {
+            let mut actuators = lock(&self.actuators);
+            let keys: Vec<_> = actuators.keys().filter(|(of, _)| of == object).cloned().collect();
+            keys.iter().filter_map(|key| actuators.remove(key)).collect::<Vec<_>>()
+        };
+        drop(gone);
+    }
+
+    fn find(&self, object: &ObjectName, theirs: &PeerIdentity) -> Option<Arc<Actuator>> {
+        let actuators = lock(&self.actuators);
+        let mut own =
+            actuators.iter().filter(|((of, name), _)| of == object && *name == theirs.name);
+        own.next().map(|(_, actuator)| actuator.clone())
+    }
+
+    fn serve(&self, object: &ObjectName, order: Order, answer: Answer<Order>) {
+        let Order { identity, wish } = order;
+        let theirs = match PeerIdentity::decode(&identity) {
+            Ok(theirs) => theirs,
+            Err(error) => {
+                let why = Why::Undecodable { reason: error.to_string() };
+                return answer.give(Ordered::refused(&why));
+            }
+        };
+        let Some(actuator) = self.find(object, &theirs) else {
+            let why = Why::Unknown { name: format!("{} of {object}", theirs.name) };
+            return answer.give(Ordered::refused(&why));
+        };
+        if actuator.identity.check(&theirs).is_err() {
+            let identity = actuator.identity.full().encode();
+            return answer.give(Ordered::Differs { identity });
+        }
+        let now = platform::now();
+        let mut lease = lock(&actuator.lease);
+        let done = match wish {
+            Wish::Claim { commander, life } => {
+                let commander = CommanderId { name: commander, life: Incarnation(life) };
+                lease.handle_claim(commander, now).map(|grant| {
+                    let span_us = u64::try_from(grant.span.as_micros()).unwrap_or(u64::MAX);
+                    Ordered::Granted { epoch: grant.epoch, span_us }
+                })
+            }
+            Wish::Renew { epoch } => {
+                lease.handle_renewal(epoch, now).map(|()| Ordered::Done(Vec::new()))
+            }
+            Wish::Release { epoch } => {
+                lease.handle_release(epoch);
+                Ok(Ordered::Done(Vec::new()))
+            }
+            Wish::Command { epoch, message } => match lease.handle_renewal(epoch, now) {
+                Ok(()) => {
+                    drop(lease);
+                    return actuator.command(&message, answer);
+                }
+                Err(why) => Err(why),
+            },
+        };
+        drop(lease);
+        self.carry_out(&actuator);
+        self.look();
+        answer.give(done.unwrap_or_else(|why| Ordered::refused(&why)));
+    }
+
+    /// The timekeeper is to look when it has to be up next.
+    fn look(&self) {
+        if let Some(timekeeper) = self.timekeeper.get() {
+            timekeeper.do_send(Look);
+        }
+    }
+
+    /// Lets all leases act on the time, and says when they want to be looked at again.
+    fn advance(&self, now: Instant) -> Option<Instant> {
+        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
+        let mut next: Option<Instant> = None;
+        for actuator in all {
+            lock(&actuator.lease).handle_timeout(now);
+            self.carry_out(&actuator);
+            let due = lock(&actuator.lease).poll_timeout();
+            next = next.into_iter().chain(due).min();
+        }
+        next
+    }
+
+    fn carry_out(&self, actuator: &Arc<Actuator>) {
+        loop {
+            let output = lock(&actuator.lease).poll_output();
+            let Some(output) = output else { return };
+            let LeaseOutput::ApplySafeOutputs { commander, epoch, end, again } = output;
+            if !again {
+                let (object, who, life) = (&actuator.object, &commander.name, commander.life);
+                match end {
+                    LeaseEnd::Released => info!(%object, who, %life, epoch, "lease released"),
+                    LeaseEnd::Expired => {
+                        warn!(%object, who, %life, epoch, "commander gone: safe outputs applied");
+                        let detail = format!("its commander {who}{life} has gone");
+                        actuator.doorway.declare(FaultKind::CheckFailed, detail);
+                    }
+                }
+                actuator.cut_off();
+            }
+            let (yard, applied_at) = (self.clone(), actuator.clone());
+            let applied: ReplyTo = Box::new(move |result: Result<Bytes, Why>| {
+                lock(&applied_at.lease).handle_applied(result.is_ok(), platform::now());
+                yard.look();
+            });
+            // What came of it is told to the closure in every case.
+            let _ = actuator.doorway.deliver(&actuator.safe, Postmark::default(), Some(applied));
+        }
+    }
+}
+
+impl Actuator {
+    fn cut_off(&self) {
+        let Some(cut_off) = &self.cut_off else { return };
+        let _guarded = Guarded::enter();
+        if let Err(payload) = catch_unwind(AssertUnwindSafe(|| cut_off())) {
+            let text = panics::text_of(payload);
+            error!(object = %self.object, text, "the cut-off panicked");
+            let detail = format!("the cut-off panicked: {text}");
+            self.doorway.declare(FaultKind::CheckFailed, detail);
+        }
+    }
+
+    /// Hands a command over. One at a time: what waits behind a component that is stuck would be
+    /// carried out after its lease has ended.
+    fn command(&self, message: &[u8], answer: Answer<Order>) {
+        if self.busy.swap(true, Relaxed) {
+            return answer.give(Ordered::refused(&Why::Full));
+        }
+        let busy = self.busy.clone();
+        let reply_to: ReplyTo = Box::new(move |result: Result<Bytes, Why>| {
+            busy.store(false, Relaxed);
+            answer.give(match result {
+                Ok(reply) => Ordered::Done(reply.into()),
+                Err(why) => Ordered::refused(&why),
+            });
+        });
+        // What came of it is told to the closure in every case.
+        let _ = self.doorway.deliver(message, Postmark::default(), Some(reply_to));
+    }
+}
+
+/// Look when you have to be up next.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Look;
+
+/// Sees that leases end in time.
+struct Timekeeper {
+    yard: Yard,
+    armed: Option<(Instant, SpawnHandle)>,
+}
+
+impl Timekeeper {
+    fn look(&mut self, context: &mut Context<Self>) {
+        let now = platform::now();
+        let Some(due) = self.yard.advance(now) else { return };
+        match &self.armed {
+            // Renewals push the end of a lease out: the timer is left standing, and looks again.
+            Some((armed, _)) if *armed <= due && *armed > now => return,
+            Some((_, handle)) => drop(context.cancel_future(*handle)),
+            None => {}
+        }
+        let timer = tokio::time::sleep_until(platform::timer_at(due));
+        let timer = actix::fut::wrap_future::<_, Self>(timer);
+        let handle = context.spawn(timer.map(|(), timekeeper: &mut Self, context| {
+            timekeeper.armed = None;
+            timekeeper.look(context);
+        }));
+        self.armed = Some((due, handle));
+    }
+}
+
+answers_the_monitor!(Timekeeper);
+
+impl Actor for Timekeeper {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.armed = None;
+        self.look(context);
+    }
+}
+
+impl Supervised for Timekeeper {
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        self.started(context);
+    }
+}
+
+impl Handler<Look> for Timekeeper {
+    type Result = ();
+
+    fn handle(&mut self, _: Look, context: &mut Context<Self>) {
+        self.look(context);
+    }
+}

@@ -1,0 +1,192 @@
+//! What the gateway is told and asked.
+
+use super::errand::{Answered, Interested, Noticed, Notify, Published, Ship};
+use super::{Gateway, LEAVE_PATIENCE, topic};
+use crate::net::door::Condition;
+use crate::platform;
+use actix::prelude::*;
+use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
+use blastema_contract::router::PanicOnPurpose;
+use blastema_contract::session::{Leave, SessionReported};
+use blastema_core::net::exchange::Call;
+use blastema_core::{ObjectAddress, ObjectName, Why};
+use std::sync::atomic::Ordering::Relaxed;
+
+impl Handler<SessionReported> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: SessionReported, context: &mut Context<Self>) {
+        match message {
+            SessionReported::Reachable { node, incarnation } => {
+                let (peer, gate) = self.meet(&node);
+                self.exchange.handle_reachable(peer, true);
+                self.peers
+                    .entry(peer)
+                    .and_modify(|peer| peer.left &= peer.incarnation == incarnation);
+                if !gate.has_session() {
+                    self.set(peer, Condition::Opening);
+                }
+            }
+            SessionReported::Unreachable { node } => {
+                let (peer, gate) = self.meet(&node);
+                self.exchange.handle_reachable(peer, false);
+                if !gate.has_session() {
+                    self.set(peer, Condition::Unreachable);
+                }
+            }
+            SessionReported::Opened { node, incarnation, session } => {
+                let (peer, gate) = self.meet(&node);
+                self.peers.entry(peer).and_modify(|peer| {
+                    (peer.session, peer.incarnation, peer.left) = (session, incarnation, false);
+                });
+                self.exchange.handle_opened(peer, incarnation, platform::now());
+                for announcement in self.naming.handle_opened(node, incarnation) {
+                    let now = platform::now();
+                    self.exchange.handle_own_names(Some(peer), &announcement, now);
+                }
+                gate.set(Condition::Open);
+            }
+            SessionReported::Message { peer, message } => {
+                self.exchange.handle_message(peer, message, platform::now());
+            }
+            SessionReported::Returned { peer, message, why, sent } => {
+                let why = self.because(peer, why);
+                self.exchange.handle_returned(peer, message, why, sent);
+            }
+            SessionReported::Ended { peer, why } => {
+                let condition = match self.exchange.is_reachable(peer) {
+                    true => Condition::Opening,
+                    false => Condition::Unreachable,
+                };
+                self.set(peer, condition);
+                let why = self.because(peer, why);
+                self.exchange.handle_ended(peer, &why);
+                self.naming.handle_ended(peer);
+            }
+            SessionReported::Full { peer } => self.set(peer, Condition::Full),
+            SessionReported::Room { peer } => self.set(peer, Condition::Open),
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<Ship> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: Ship, context: &mut Context<Self>) {
+        let Ship { to, contract, id, sent, until, payload, reply_to, gate } = message;
+        gate.taken();
+        let reply_as = reply_to.map(|reply_to| {
+            let number = self.number();
+            self.replies.insert(number, (to.node.clone(), reply_to));
+            number
+        });
+        let ObjectAddress { node, object } = to;
+        let call = Call { node, object, contract, id, sent, until, payload, reply_as };
+        self.exchange.handle_call(call);
+        self.drive(context);
+    }
+}
+
+impl Handler<Answered> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: Answered, context: &mut Context<Self>) {
+        let Answered { peer, epoch, call, result } = message;
+        self.exchange.handle_answer(peer, epoch, call, result, platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<Published> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: Published, context: &mut Context<Self>) {
+        let Published { peer, subscription, event, sent } = message;
+        if let Some(forwarded) = self.forwards.get(&(peer, subscription)) {
+            forwarded.waiting.fetch_sub(1, Relaxed);
+        }
+        match self.verify((peer, subscription)) {
+            Ok(by) => self.exchange.handle_event(peer, by, event, sent),
+            Err(why @ Why::ContractDiffers { .. }) => {
+                self.differs(peer, &why.to_string());
+                self.end_forward((peer, subscription));
+                self.exchange.handle_subscribe_refused(peer, subscription, why);
+            }
+            Err(_) => self.lost += 1,
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<Interested> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: Interested, context: &mut Context<Self>) {
+        let Interested { key, more } = message;
+        let identities = if more { self.wiring.topics.identities(&key) } else { Vec::new() };
+        self.exchange.handle_interest(topic(&key), identities);
+        self.drive(context);
+    }
+}
+
+impl Handler<Notify> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: Notify, context: &mut Context<Self>) {
+        let Notify { peer, payload, confirm } = message;
+        let number = self.number();
+        self.notices.insert(number, confirm);
+        self.exchange.handle_notice(peer, number, payload);
+        self.drive(context);
+    }
+}
+
+impl Handler<Noticed> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: Noticed, context: &mut Context<Self>) {
+        let Noticed { peer, epoch, number } = message;
+        self.exchange.handle_noticed(peer, epoch, number);
+        self.drive(context);
+    }
+}
+
+impl Handler<Leave> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, _: Leave, context: &mut Context<Self>) {
+        self.leaving = true;
+        context.run_later(LEAVE_PATIENCE, |gateway, _| gateway.leave());
+        self.drive(context);
+    }
+}
+
+impl Handler<FindObject> for Gateway {
+    type Result = MessageResult<FindObject>;
+
+    fn handle(&mut self, message: FindObject, _: &mut Context<Self>) -> Self::Result {
+        MessageResult(self.naming.find(&message.object))
+    }
+}
+
+impl Handler<ReadNames> for Gateway {
+    type Result = MessageResult<ReadNames>;
+
+    fn handle(&mut self, _: ReadNames, _: &mut Context<Self>) -> Self::Result {
+        let rows = self.naming.nodes().map(|(node, incarnation, objects)| {
+            let address = |object: &ObjectName| ObjectAddress::new(node.clone(), object.clone());
+            let objects = objects.iter().map(address).collect();
+            NodeRow { node: node.clone(), incarnation, objects }
+        });
+        MessageResult(rows.collect())
+    }
+}
+
+impl Handler<PanicOnPurpose> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+        panic!("the gateway panics on purpose");
+    }
+}

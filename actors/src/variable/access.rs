@@ -1,0 +1,134 @@
+//! How variables are asked for, in this process and from other nodes alike.
+
+use blastema_core::codec;
+use blastema_core::variables::{Choice, ValueReport, ValueState};
+use blastema_core::{ObjectName, Why};
+use blastema_macros::{Request, Structure};
+use std::time::Duration;
+
+/// The most bytes of an error on its way.
+const WHY_MAX: usize = 16 * 1024;
+
+/// What is wanted of a node's variables. It is asked at any object of the node that has some.
+#[derive(Clone, Debug, Request)]
+#[contract(
+    crate = "crate",
+    name = "blastema/variables",
+    version = 1,
+    reply = Accessed,
+    max_size = 1024 * 1024
+)]
+pub(crate) enum Access {
+    Read { variable: Wanted },
+    Watch { variable: Wanted, after: u64 },
+    Write { writes: Vec<Written> },
+    Choose { variable: Wanted, choice: Chosen },
+}
+
+/// A variable, and what its value is taken for.
+#[derive(Clone, Debug, Structure)]
+#[contract(crate = "crate")]
+pub(crate) struct Wanted {
+    pub(crate) object: ObjectName,
+    /// The contract's name, version and fingerprint.
+    pub(crate) identity: Vec<u8>,
+}
+
+/// One value to be written.
+#[derive(Clone, Debug, Structure)]
+#[contract(crate = "crate")]
+pub(crate) struct Written {
+    pub(crate) variable: Wanted,
+    pub(crate) value: Vec<u8>,
+    pub(crate) if_revision: Option<u64>,
+}
+
+/// A decision.
+#[derive(Clone, Debug, Structure)]
+#[contract(crate = "crate")]
+pub(crate) enum Chosen {
+    Restore,
+    Default,
+    Value(Vec<u8>),
+}
+
+/// What came of it.
+#[derive(Clone, Debug, Structure)]
+#[contract(crate = "crate")]
+pub(crate) enum Accessed {
+    Value {
+        value: Vec<u8>,
+        revision: u64,
+        state: Reliance,
+        age_us: u64,
+    },
+    Revision(u64),
+    /// The contract is another one here: this.
+    Differs {
+        identity: Vec<u8>,
+    },
+    Refused {
+        why: Vec<u8>,
+    },
+}
+
+/// How far a value can be relied on.
+#[derive(Clone, Debug, Structure)]
+#[contract(crate = "crate")]
+pub(crate) enum Reliance {
+    Current,
+    Held,
+    Undecided,
+}
+
+impl From<Chosen> for Choice {
+    fn from(chosen: Chosen) -> Self {
+        match chosen {
+            Chosen::Restore => Choice::Restore,
+            Chosen::Default => Choice::Default,
+            Chosen::Value(value) => Choice::Value(value.into()),
+        }
+    }
+}
+
+impl Accessed {
+    pub(crate) fn refused(why: &Why) -> Self {
+        let mut bytes = Vec::new();
+        if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
+            bytes.clear();
+        }
+        Accessed::Refused { why: bytes }
+    }
+
+    /// Reads an error that [`refused`](Self::refused) wrote.
+    pub(crate) fn why(bytes: &[u8]) -> Why {
+        codec::decode_bounded::<Why, WHY_MAX>(bytes)
+            .unwrap_or_else(|error| Why::Undecodable { reason: error.to_string() })
+    }
+}
+
+impl From<ValueReport> for Accessed {
+    fn from(report: ValueReport) -> Self {
+        let state = match report.state {
+            ValueState::Current => Reliance::Current,
+            ValueState::Held => Reliance::Held,
+            ValueState::Undecided => Reliance::Undecided,
+        };
+        let age_us = u64::try_from(report.age.as_micros()).unwrap_or(u64::MAX);
+        let value = report.value.into();
+        Accessed::Value { value, revision: report.revision, state, age_us }
+    }
+}
+
+impl From<Reliance> for ValueState {
+    fn from(reliance: Reliance) -> Self {
+        match reliance {
+            Reliance::Current => ValueState::Current,
+            Reliance::Held => ValueState::Held,
+            Reliance::Undecided => ValueState::Undecided,
+        }
+    }
+}
+
+/// How long a watcher waits before it asks again, so that one who has gone is not kept for ever.
+pub(crate) const WATCH_WITHIN: Duration = Duration::from_secs(3);

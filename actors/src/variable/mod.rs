@@ -1,0 +1,332 @@
+//! Variables: values that an object owns, and that any node may read, write and watch.
+//!
+//! ```text
+//!  VariableRef ─ read, write, watch ─► the owner's node: Store ─ checks, policies ─► value
+//!  Transaction ─ several together ───►
+//! ```
+//!
+//! They are kept by the node, not by the component: a value outlives the lives of its owner, as its
+//! policy says, and can be read while the owner hangs.
+
+mod access;
+mod store;
+
+pub use blastema_core::variables::{RestorePolicy, ValueState};
+
+pub(crate) use store::{Declared, Store};
+
+use crate::registry::Registry;
+use crate::sender::Sender;
+use access::{Access, Accessed, Chosen, WATCH_WITHIN, Wanted, Written};
+use blastema_core::{
+    ContractIdentity, NodeName, ObjectAddress, ObjectName, PeerIdentity, Variable, Why, codec,
+};
+use std::fmt;
+use std::marker::PhantomData;
+use std::time::Duration;
+
+/// Says why a value is refused.
+type ValueCheck<V> = Box<dyn Fn(&V) -> Result<(), String> + Send + Sync>;
+
+/// How a component owns a variable; given to [`Ports::variable`](crate::Ports::variable).
+pub struct VariableSpec<V: Variable> {
+    default: V,
+    policy: RestorePolicy,
+    check: ValueCheck<V>,
+}
+
+impl<V: Variable> VariableSpec<V> {
+    /// A variable with this value until it is written. It keeps its value over its owner's restarts.
+    pub fn new(default: V) -> Self {
+        let check = Box::new(|_: &V| Ok(()));
+        VariableSpec { default, policy: RestorePolicy::Restore, check }
+    }
+
+    /// What becomes of the value when a life of its owner ends.
+    #[must_use]
+    pub fn after_restart(mut self, policy: RestorePolicy) -> Self {
+        self.policy = policy;
+        self
+    }
+
+    /// Refuses values for which this says why. It runs on the thread of whoever writes, and must not
+    /// block.
+    #[must_use]
+    pub fn check(
+        mut self,
+        check: impl Fn(&V) -> Result<(), String> + Send + Sync + 'static,
+    ) -> Self {
+        self.check = Box::new(check);
+        self
+    }
+
+    pub(crate) fn declared(self) -> Declared {
+        Declared::new(&self.default, self.policy, self.check)
+    }
+}
+
+impl<V: Variable> fmt::Debug for VariableSpec<V> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "VariableSpec of {}, {:?}", V::NAME, self.policy)
+    }
+}
+
+/// A value, and how it stands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reading<V> {
+    /// The value.
+    pub value: V,
+    /// Of which change. It rises with every change, also over restarts of the owner and its node.
+    pub revision: u64,
+    /// How far the value can be relied on.
+    pub state: ValueState,
+    /// For how long it had stood so when it was read, on the owner's clock.
+    pub age: Duration,
+}
+
+/// What is to become of a variable that awaits a decision.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Decision<V> {
+    /// The value from before.
+    Restore,
+    /// The default.
+    Default,
+    /// This one.
+    Value(V),
+}
+
+/// A variable of an object, here or on another node alike. It outlives restarts of both.
+pub struct VariableRef<V: Variable> {
+    sender: Sender<Access>,
+    node: Option<NodeName>,
+    object: ObjectName,
+    value: PhantomData<fn() -> V>,
+}
+
+impl<V: Variable> Clone for VariableRef<V> {
+    fn clone(&self) -> Self {
+        let (sender, node) = (self.sender.clone(), self.node.clone());
+        VariableRef { sender, node, object: self.object.clone(), value: PhantomData }
+    }
+}
+
+impl<V: Variable> fmt::Debug for VariableRef<V> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} of {}", V::NAME, self.object)
+    }
+}
+
+/// The variable `V` of the object of this name.
+pub(crate) fn find<V: Variable>(registry: &Registry, name: &str) -> Result<VariableRef<V>, Why> {
+    let unknown = |_| Why::Unknown { name: name.to_owned() };
+    let sender = registry.sender::<Access>(name)?;
+    let (node, object) = match name.contains(':') {
+        true => {
+            let ObjectAddress { node, object } = name.parse().map_err(unknown)?;
+            (registry.elsewhere(node), object)
+        }
+        false => (None, ObjectName::new(name).map_err(unknown)?),
+    };
+    Ok(VariableRef { sender, node, object, value: PhantomData })
+}
+
+impl<V: Variable> VariableRef<V> {
+    fn wanted(&self) -> Wanted {
+        let identity = ContractIdentity::of::<V>().brief().encode();
+        Wanted { object: self.object.clone(), identity }
+    }
+
+    async fn ask(&self, access: Access, within: Duration) -> Result<Accessed, Why> {
+        let asked = self.sender.ask_within(access, within).await;
+        understood::<V>(asked.map_err(|error| error.why)?)
+    }
+
+    async fn ask_for_value(&self, access: Access, within: Duration) -> Result<Reading<V>, Why> {
+        match self.ask(access, within).await? {
+            Accessed::Value { value, revision, state, age_us } => {
+                let value = codec::decode::<V>(&value)
+                    .map_err(|error| Why::Undecodable { reason: error.to_string() })?;
+                let age = Duration::from_micros(age_us);
+                Ok(Reading { value, revision, state: state.into(), age })
+            }
+            other => Err(odd(&other)),
+        }
+    }
+
+    /// Reads the value.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where the object has no such variable, [`Why::ContractDiffers`] where it is
+    /// another one, [`Why::Undecided`] while a decision is awaited; from other nodes, what any request
+    /// may meet with.
+    pub async fn read(&self) -> Result<Reading<V>, Why> {
+        self.ask_for_value(Access::Read { variable: self.wanted() }, WATCH_WITHIN).await
+    }
+
+    /// Writes a value, and says of which revision it is.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read), and [`Why::CheckFailed`] where the owner's check refuses the value.
+    pub async fn write(&self, value: V) -> Result<u64, Why> {
+        Transaction::new().write(self, value).commit().await
+    }
+
+    /// Writes a value if the variable's revision is still this one.
+    ///
+    /// # Errors
+    /// As [`write`](Self::write), and [`Why::Changed`] where it is another.
+    pub async fn write_if(&self, value: V, revision: u64) -> Result<u64, Why> {
+        Transaction::new().write_if(self, value, revision).commit().await
+    }
+
+    /// Decides what becomes of the value after a restart, where the owner's policy is to ask first.
+    ///
+    /// # Errors
+    /// As [`write`](Self::write), and [`Why::Changed`] where no decision is awaited any more.
+    pub async fn decide(&self, decision: Decision<V>) -> Result<u64, Why> {
+        let choice = match decision {
+            Decision::Restore => Chosen::Restore,
+            Decision::Default => Chosen::Default,
+            Decision::Value(value) => Chosen::Value(store::encoded(&value)?),
+        };
+        let access = Access::Choose { variable: self.wanted(), choice };
+        match self.ask(access, WATCH_WITHIN).await? {
+            Accessed::Revision(revision) => Ok(revision),
+            other => Err(odd(&other)),
+        }
+    }
+
+    /// Follows the variable: first its value as it stands, then every change. Of several changes in
+    /// one round trip the newest is told.
+    pub fn watch(&self) -> VariableWatch<V> {
+        VariableWatch { variable: self.clone(), seen: 0 }
+    }
+}
+
+/// Follows one variable. From [`VariableRef::watch`].
+#[derive(Debug)]
+pub struct VariableWatch<V: Variable> {
+    variable: VariableRef<V>,
+    /// No change has this revision.
+    seen: u64,
+}
+
+impl<V: Variable> VariableWatch<V> {
+    /// Waits for the next change. A value that awaits a decision is told as such, with the value from
+    /// before.
+    ///
+    /// # Errors
+    /// As [`VariableRef::read`]; the watch goes on with the next call, and misses nothing that is still
+    /// true by then. Where the owner's node cannot be reached, wait a little before that.
+    pub async fn next(&mut self) -> Result<Reading<V>, Why> {
+        loop {
+            let variable = self.variable.wanted();
+            let access = Access::Watch { variable, after: self.seen };
+            match self.variable.ask_for_value(access, WATCH_WITHIN).await {
+                // Nothing has changed: we are still here.
+                Err(Why::DeadlinePassed) => {}
+                Ok(reading) => {
+                    self.seen = reading.revision;
+                    return Ok(reading);
+                }
+                Err(why) => return Err(why),
+            }
+        }
+    }
+}
+
+/// Values that are written together or not at all. All of the variables must be on one node.
+#[derive(Debug, Default)]
+#[must_use = "nothing is written before commit()"]
+pub struct Transaction {
+    writes: Vec<Written>,
+    place: Option<(Sender<Access>, Option<NodeName>)>,
+    wrong: Option<Why>,
+}
+
+impl Transaction {
+    /// Nothing to be written yet.
+    pub fn new() -> Self {
+        Transaction::default()
+    }
+
+    /// Writes this value.
+    pub fn write<V: Variable>(self, variable: &VariableRef<V>, value: V) -> Self {
+        self.add(variable, &value, None)
+    }
+
+    /// Writes this value if the variable's revision is still this one.
+    pub fn write_if<V: Variable>(self, variable: &VariableRef<V>, value: V, revision: u64) -> Self {
+        self.add(variable, &value, Some(revision))
+    }
+
+    fn add<V: Variable>(
+        mut self,
+        variable: &VariableRef<V>,
+        value: &V,
+        if_revision: Option<u64>,
+    ) -> Self {
+        let node = &variable.node;
+        let place = self.place.get_or_insert_with(|| (variable.sender.clone(), node.clone()));
+        if place.1 != *node {
+            let reason = format!("{variable:?} is on another node: write there separately");
+            self.wrong.get_or_insert(Why::CheckFailed { reason });
+        }
+        match store::encoded(value) {
+            Ok(value) => {
+                self.writes.push(Written { variable: variable.wanted(), value, if_revision });
+            }
+            Err(why) => {
+                self.wrong.get_or_insert(why);
+            }
+        }
+        self
+    }
+
+    /// Writes everything, and says of which revision it is.
+    ///
+    /// # Errors
+    /// The first thing that stands in the way, as for [`VariableRef::write_if`]; nothing is written
+    /// then. After [`Why::DeadlinePassed`], and where the node was lost meanwhile, it is not known
+    /// whether everything or nothing was: read one of them.
+    pub async fn commit(self) -> Result<u64, Why> {
+        if let Some(why) = self.wrong {
+            return Err(why);
+        }
+        let Some((sender, _)) = self.place else {
+            return Err(Why::CheckFailed { reason: "nothing is to be written".into() });
+        };
+        let asked = sender.ask_within(Access::Write { writes: self.writes }, WATCH_WITHIN).await;
+        match asked.map_err(|error| error.why)? {
+            Accessed::Revision(revision) => Ok(revision),
+            Accessed::Refused { why } => Err(Accessed::why(&why)),
+            Accessed::Differs { identity } => {
+                let name = PeerIdentity::decode(&identity).map(|known| known.name);
+                let name = name.unwrap_or_default();
+                let difference = format!("{name} is another one there: read it to see how");
+                Err(Why::ContractDiffers { difference })
+            }
+            other => Err(odd(&other)),
+        }
+    }
+}
+
+fn understood<V: Variable>(accessed: Accessed) -> Result<Accessed, Why> {
+    match accessed {
+        Accessed::Refused { why } => Err(Accessed::why(&why)),
+        Accessed::Differs { identity } => {
+            let theirs = PeerIdentity::decode(&identity)
+                .map_err(|error| Why::Undecodable { reason: error.to_string() })?;
+            let difference = match ContractIdentity::of::<V>().check(&theirs) {
+                Err(difference) => difference.to_string(),
+                Ok(()) => "the owner says so".to_owned(),
+            };
+            Err(Why::ContractDiffers { difference })
+        }
+        value => Ok(value),
+    }
+}
+
+fn odd(accessed: &Accessed) -> Why {
+    Why::Undecodable { reason: format!("an answer to another question: {accessed:?}") }
+}

@@ -1,0 +1,225 @@
+//! The node's variables: the body of the machine in the core.
+
+use super::access::{Access, Accessed, Wanted, Written};
+use crate::death_watch::{Ending, Mourner};
+use crate::desk::Desk;
+use crate::host::life::LifeToken;
+use crate::panics::{self, Guarded};
+use crate::platform;
+use crate::registry::{Port, Registry};
+use crate::reply::Answer;
+use blastema_core::variables::{
+    Choice, Declaration, RestorePolicy, ValueWrite, VariableKey, Variables, Watched,
+};
+use blastema_core::{ContractIdentity, ObjectName, PeerIdentity, Variable, Why, codec};
+use bytes::Bytes;
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Says whether bytes are a value that the owner takes.
+type Check = Arc<dyn Fn(&[u8]) -> Result<(), Why> + Send + Sync>;
+/// Somebody who waits, and what is told.
+type Told = (Answer<Access>, Accessed);
+
+/// A variable as a component declares it, without its type.
+pub(crate) struct Declared {
+    identity: ContractIdentity,
+    default: Result<Bytes, Why>,
+    policy: RestorePolicy,
+    check: Check,
+}
+
+impl Declared {
+    pub(crate) fn new<V: Variable>(
+        default: &V,
+        policy: RestorePolicy,
+        check: impl Fn(&V) -> Result<(), String> + Send + Sync + 'static,
+    ) -> Self {
+        let check = move |bytes: &[u8]| {
+            let undecodable = |error: codec::DecodeError| error.to_string();
+            let value = codec::decode::<V>(bytes)
+                .map_err(|error| Why::Undecodable { reason: undecodable(error) })?;
+            // The check is the user's, and runs on the thread of whoever writes.
+            let _guarded = Guarded::enter();
+            let checked = catch_unwind(AssertUnwindSafe(|| check(&value)));
+            let reason = match checked {
+                Ok(Ok(())) => return Ok(()),
+                Ok(Err(reason)) => reason,
+                Err(payload) => format!("it panicked: {}", panics::text_of(payload)),
+            };
+            Err(Why::CheckFailed { reason })
+        };
+        Declared {
+            identity: ContractIdentity::of::<V>(),
+            default: encoded(default).map(Bytes::from),
+            policy,
+            check: Arc::new(check),
+        }
+    }
+}
+
+pub(crate) fn encoded<V: Variable>(value: &V) -> Result<Vec<u8>, Why> {
+    let mut bytes = Vec::new();
+    codec::encode(value, &mut bytes).map_err(|_| Why::TooLarge { limit: V::MAX_SIZE })?;
+    Ok(bytes)
+}
+
+/// What is known of a variable beside its value.
+#[derive(Clone)]
+struct Facts {
+    identity: ContractIdentity,
+    check: Check,
+}
+
+struct Inner {
+    machine: Variables,
+    facts: BTreeMap<VariableKey, Facts>,
+    waiting: BTreeMap<u64, Answer<Access>>,
+    next: u64,
+}
+
+/// The variables of a node. Clones share them.
+#[derive(Clone)]
+pub(crate) struct Store(Arc<Mutex<Inner>>);
+
+impl Default for Store {
+    fn default() -> Self {
+        // Above every revision of any earlier process, as long as fewer than a million changes come
+        // in one millisecond.
+        let machine = Variables::new(platform::node_incarnation().0 << 20);
+        let (facts, waiting) = (BTreeMap::new(), BTreeMap::new());
+        Store(Arc::new(Mutex::new(Inner { machine, facts, waiting, next: 0 })))
+    }
+}
+
+impl Store {
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The object has these variables from now on; the port is where they are asked for.
+    pub(crate) fn declare(
+        &self,
+        object: &ObjectName,
+        declared: Vec<Declared>,
+        is_isolated: impl Fn() -> bool + Send + Sync + 'static,
+    ) -> Result<Port, Why> {
+        let mut inner = self.lock();
+        for Declared { identity, default, policy, check } in declared {
+            let key = (object.clone(), identity.name.to_owned());
+            let declaration = Declaration { default: default?, policy };
+            inner.machine.handle_declared(key.clone(), declaration, platform::now());
+            inner.facts.insert(key, Facts { identity, check });
+        }
+        drop(inner);
+        let store = self.clone();
+        let serve = move |access: Access, answer: Answer<Access>| match is_isolated() {
+            true => answer.give(Accessed::refused(&Why::Isolated)),
+            false => store.serve(access, answer),
+        };
+        Ok(Port::of_desk(Desk::<Access>(Arc::new(serve))))
+    }
+
+    /// Applies the policies whenever a life of the object ends.
+    pub(crate) fn mourn(&self, object: &ObjectName, registry: &Registry) {
+        let (store, of) = (self.clone(), object.clone());
+        let tell = move |down: crate::death_watch::Down| {
+            if !matches!(down.ending, Ending::NotAlive | Ending::Unknown) {
+                let mut inner = store.lock();
+                inner.machine.handle_owner_ended(&of, platform::now());
+                store.answer(inner);
+            }
+        };
+        let who = ObjectName::new("blastema/variables").expect("a name of letters");
+        let life = Arc::new(LifeToken::default());
+        registry.watch(object.clone(), Mourner { who, life, tell: Box::new(tell) });
+    }
+
+    /// The object is gone.
+    pub(crate) fn withdraw(&self, object: &ObjectName) {
+        let mut inner = self.lock();
+        inner.facts.retain(|(owner, _), _| owner != object);
+        inner.machine.handle_withdrawn(object);
+        self.answer(inner);
+    }
+
+    fn serve(&self, access: Access, answer: Answer<Access>) {
+        let now = platform::now();
+        let accessed = match access {
+            Access::Read { variable } => self.find(&variable).and_then(|(key, _)| {
+                let report = self.lock().machine.read(&key, now);
+                report.map(Accessed::from).map_err(|why| Accessed::refused(&why))
+            }),
+            Access::Watch { variable, after } => match self.find(&variable) {
+                Ok((key, _)) => return self.watch(key, after, answer),
+                Err(refused) => Err(refused),
+            },
+            Access::Write { writes } => self.write(writes),
+            Access::Choose { variable, choice } => self.find(&variable).and_then(|(key, facts)| {
+                let choice = Choice::from(choice);
+                if let Choice::Value(value) = &choice {
+                    (facts.check)(value).map_err(|why| Accessed::refused(&why))?;
+                }
+                let mut inner = self.lock();
+                let chosen = inner.machine.handle_choice(&key, choice, now);
+                self.answer(inner);
+                chosen.map(Accessed::Revision).map_err(|why| Accessed::refused(&why))
+            }),
+        };
+        answer.give(accessed.unwrap_or_else(|refused| refused));
+    }
+
+    fn watch(&self, variable: VariableKey, after: u64, answer: Answer<Access>) {
+        let mut inner = self.lock();
+        inner.next += 1;
+        let watcher = inner.next;
+        inner.waiting.insert(watcher, answer);
+        inner.machine.handle_watch(watcher, variable, after, platform::now());
+        self.answer(inner);
+    }
+
+    fn write(&self, writes: Vec<Written>) -> Result<Accessed, Accessed> {
+        let mut checked = Vec::new();
+        for Written { variable, value, if_revision } in writes {
+            let (variable, facts) = self.find(&variable)?;
+            (facts.check)(&value).map_err(|why| Accessed::refused(&why))?;
+            checked.push(ValueWrite { variable, value: value.into(), if_revision });
+        }
+        let mut inner = self.lock();
+        let written = inner.machine.handle_write(checked, platform::now());
+        self.answer(inner);
+        written.map(Accessed::Revision).map_err(|why| Accessed::refused(&why))
+    }
+
+    /// The variable, if it is what the asker takes it for.
+    fn find(&self, wanted: &Wanted) -> Result<(VariableKey, Facts), Accessed> {
+        let theirs = PeerIdentity::decode(&wanted.identity)
+            .map_err(|error| Accessed::refused(&Why::Undecodable { reason: error.to_string() }))?;
+        let key = (wanted.object.clone(), theirs.name.clone());
+        let facts = self.lock().facts.get(&key).cloned().ok_or_else(|| {
+            let name = format!("{} of {}", key.1, key.0);
+            Accessed::refused(&Why::Unknown { name })
+        })?;
+        match facts.identity.check(&theirs) {
+            Ok(()) => Ok((key, facts)),
+            Err(_) => Err(Accessed::Differs { identity: facts.identity.full().encode() }),
+        }
+    }
+
+    /// Tells the watchers what the machine wants them told, outside of the lock.
+    fn answer(&self, mut inner: MutexGuard<'_, Inner>) {
+        let mut told: Vec<Told> = Vec::new();
+        while let Some(Watched { watcher, result }) = inner.machine.poll_output() {
+            if let Some(answer) = inner.waiting.remove(&watcher) {
+                let accessed = match result {
+                    Ok(report) => Accessed::from(report),
+                    Err(why) => Accessed::refused(&why),
+                };
+                told.push((answer, accessed));
+            }
+        }
+        drop(inner);
+        told.into_iter().for_each(|(answer, accessed)| answer.give(accessed));
+    }
+}

@@ -1,0 +1,220 @@
+//! One frame of a CAN bus.
+
+use std::fmt;
+
+/// The most bytes that a classic frame carries.
+pub const CLASSIC_MAX: usize = 8;
+/// The most bytes that a CAN FD frame carries.
+pub const FD_MAX: usize = 64;
+
+/// The lengths that a CAN FD frame can have beyond eight bytes (ISO 11898-1).
+const FD_LENGTHS: [usize; 7] = [12, 16, 20, 24, 32, 48, 64];
+const STANDARD_MAX: u32 = 0x7ff;
+const EXTENDED_MAX: u32 = 0x1fff_ffff;
+
+/// What a frame is about. On the bus, of two that begin at the same time the lower number goes first.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum CanId {
+    /// 11 bits.
+    Standard(StandardId),
+    /// 29 bits.
+    Extended(ExtendedId),
+}
+
+/// A number of 11 bits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct StandardId(u16);
+
+/// A number of 29 bits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ExtendedId(u32);
+
+impl CanId {
+    /// An identifier of 11 bits; `None` where the number has more.
+    pub const fn standard(number: u32) -> Option<Self> {
+        match number {
+            0..=STANDARD_MAX => Some(CanId::Standard(StandardId(number as u16))),
+            _ => None,
+        }
+    }
+
+    /// An identifier of 29 bits; `None` where the number has more.
+    pub const fn extended(number: u32) -> Option<Self> {
+        match number {
+            0..=EXTENDED_MAX => Some(CanId::Extended(ExtendedId(number))),
+            _ => None,
+        }
+    }
+
+    /// Its number, whatever its kind.
+    pub const fn number(self) -> u32 {
+        match self {
+            CanId::Standard(StandardId(number)) => number as u32,
+            CanId::Extended(ExtendedId(number)) => number,
+        }
+    }
+
+    /// Whether it has 29 bits.
+    pub const fn is_extended(self) -> bool {
+        matches!(self, CanId::Extended(_))
+    }
+}
+
+/// As `candump` writes it: three digits for 11 bits, eight for 29.
+impl fmt::Display for CanId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            CanId::Standard(id) => write!(f, "{:03X}", id.0),
+            CanId::Extended(id) => write!(f, "{:08X}", id.0),
+        }
+    }
+}
+
+impl fmt::Debug for CanId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{self}")
+    }
+}
+
+/// Which of the bus's formats a frame has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Format {
+    /// Up to 8 bytes, all at one bit rate.
+    Classic,
+    /// Up to 64 bytes (ISO 11898-1:2015).
+    Fd {
+        /// The data at the bus's second, higher bit rate.
+        fast: bool,
+    },
+}
+
+impl Format {
+    /// The most bytes that a frame carries.
+    pub const fn capacity(self) -> usize {
+        match self {
+            Format::Classic => CLASSIC_MAX,
+            Format::Fd { .. } => FD_MAX,
+        }
+    }
+
+    /// The least length that a frame can have and that holds so many bytes; `None` beyond the largest.
+    pub fn length_for(self, bytes: usize) -> Option<usize> {
+        match self {
+            _ if bytes <= CLASSIC_MAX => Some(bytes),
+            Format::Classic => None,
+            Format::Fd { .. } => FD_LENGTHS.into_iter().find(|length| *length >= bytes),
+        }
+    }
+}
+
+/// One frame: an identifier, and up to 8 or 64 bytes, or the request for them.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct CanFrame {
+    id: CanId,
+    format: Format,
+    remote: bool,
+    length: u8,
+    bytes: [u8; FD_MAX],
+}
+
+impl CanFrame {
+    /// A frame with these bytes; `None` where the format has no frame of that length.
+    ///
+    /// ```
+    /// use blastema_core::can::{CanFrame, CanId, Format};
+    /// let id = CanId::standard(0x123).unwrap();
+    /// assert!(CanFrame::new(id, Format::Classic, b"12345678").is_some());
+    /// assert!(CanFrame::new(id, Format::Classic, b"123456789").is_none());
+    /// assert!(CanFrame::new(id, Format::Fd { fast: true }, b"123456789abc").is_some());
+    /// ```
+    pub fn new(id: CanId, format: Format, data: &[u8]) -> Option<Self> {
+        if format.length_for(data.len()) != Some(data.len()) {
+            return None;
+        }
+        let mut bytes = [0; FD_MAX];
+        bytes[..data.len()].copy_from_slice(data);
+        Some(CanFrame { id, format, remote: false, length: data.len() as u8, bytes })
+    }
+
+    /// The request for a frame of this length; only classic buses have it, and up to 8 bytes.
+    pub fn remote(id: CanId, length: usize) -> Option<Self> {
+        let length =
+            u8::try_from(length).ok().filter(|length| usize::from(*length) <= CLASSIC_MAX)?;
+        Some(CanFrame { id, format: Format::Classic, remote: true, length, bytes: [0; FD_MAX] })
+    }
+
+    /// What it is about.
+    pub fn id(&self) -> CanId {
+        self.id
+    }
+
+    /// Classic or FD.
+    pub fn format(&self) -> Format {
+        self.format
+    }
+
+    /// Whether it asks for data instead of carrying any.
+    pub fn is_remote(&self) -> bool {
+        self.remote
+    }
+
+    /// Its length, or the one that it asks for.
+    pub fn length(&self) -> usize {
+        self.length.into()
+    }
+
+    /// What it carries: nothing where it asks.
+    pub fn data(&self) -> &[u8] {
+        if self.remote { &[] } else { &self.bytes[..self.length()] }
+    }
+}
+
+impl fmt::Debug for CanFrame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mark = match (self.format, self.remote) {
+            (Format::Classic, false) => "",
+            (Format::Classic, true) => "R",
+            (Format::Fd { fast: false }, _) => "#0",
+            (Format::Fd { fast: true }, _) => "#1",
+        };
+        write!(f, "{}#{mark}", self.id)?;
+        self.data().iter().try_for_each(|byte| write!(f, "{byte:02X}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_identifier_has_11_or_29_bits() {
+        assert!(CanId::standard(0x7ff).is_some() && CanId::standard(0x800).is_none());
+        assert!(CanId::extended(0x1fff_ffff).is_some() && CanId::extended(0x2000_0000).is_none());
+        let (short, long) = (CanId::standard(7).unwrap(), CanId::extended(7).unwrap());
+        assert_ne!(short, long);
+        assert_eq!((short.to_string(), long.to_string()), ("007".into(), "00000007".into()));
+    }
+
+    #[test]
+    fn a_frame_has_only_the_lengths_that_its_format_knows() {
+        let id = CanId::standard(1).unwrap();
+        let lengths = |format| {
+            let data = [0; 70];
+            let fits = |n: &usize| CanFrame::new(id, format, &data[..*n]).is_some();
+            (0..70).filter(fits).collect::<Vec<_>>()
+        };
+        assert_eq!(lengths(Format::Classic), (0..=8).collect::<Vec<_>>());
+        let fd: Vec<usize> = (0..=8).chain(FD_LENGTHS).collect();
+        assert_eq!(lengths(Format::Fd { fast: false }), fd);
+        assert_eq!(Format::Fd { fast: true }.length_for(33), Some(48));
+        assert_eq!(Format::Fd { fast: true }.length_for(65), None);
+        assert!(CanFrame::remote(id, 8).is_some() && CanFrame::remote(id, 9).is_none());
+    }
+
+    #[test]
+    fn a_request_carries_nothing_and_says_how_much_it_asks_for() {
+        let frame = CanFrame::remote(CanId::standard(1).unwrap(), 5).unwrap();
+
+        assert_eq!((frame.data(), frame.length(), frame.is_remote()), (&[][..], 5, true));
+    }
+}

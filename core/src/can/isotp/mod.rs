@@ -1,0 +1,391 @@
+//! Messages longer than a CAN frame: ISO 15765-2 (2016), between all the nodes of one bus.
+//!
+//! ```text
+//! sender                                receiver
+//!   ├─ first: 1,000 bytes, the first 6 ───►│
+//!   │◄──── flow: go on, 8 at a time, 1 ms ─┤
+//!   ├─ consecutive 1 ─────────────────────►│
+//!   ├─ … 8 ───────────────────────────────►│
+//!   │◄──────── flow: wait (no room yet) ───┤
+//!   │◄──────── flow: go on ────────────────┤
+//!   ├─ consecutive 9 …  ──────────────────►│
+//! ```
+//!
+//! * Between two nodes one message is under way at a time in each direction; between different pairs
+//!   any number. Where several of ours go out, frames take turns.
+//! * To all nodes a message goes without anybody's word, at a fixed pace. The standard knows only
+//!   single frames to all; longer messages go as Linux sends them (`CAN_ISOTP_CF_BROADCAST`).
+//! * A target that does not answer loses all that waits for it: what is old when it is back helps
+//!   nobody.
+//!
+//! Nothing is repeated here: a message that fails is reported and gone. ISO 15765-2 has no check over a
+//! message, only that of each frame; whoever wants one, puts it into the message.
+
+mod config;
+mod pdu;
+mod reception;
+mod transmission;
+
+pub use config::IsoTpConfig;
+pub use pdu::{FlowControl, FlowStatus, Pdu, PduError, SHORT_LENGTH_MAX, Separation, Writer};
+pub use reception::ReceiveError;
+pub use transmission::SendError;
+
+use self::reception::{Heard, Reception, Terms};
+use self::transmission::{Audience, Transmission};
+use super::address::{Addressing, BusAddress, Parties};
+use super::frame::CanFrame;
+use crate::{Instant, Machine};
+use bytes::Bytes;
+use std::collections::{BTreeMap, VecDeque};
+
+/// Why a message is not taken to be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TakeError {
+    /// No node of this bus can have the address.
+    #[error("no node on this bus can have the address {to}")]
+    NoSuchAddress {
+        /// The address.
+        to: BusAddress,
+    },
+    /// It is longer than `message_max`, or empty, which ISO 15765-2 cannot say.
+    #[error("a message has 1 to {limit} bytes, this one {length}")]
+    Length {
+        /// Of the message.
+        length: usize,
+        /// As configured.
+        limit: usize,
+    },
+    /// Too much waits for the target already.
+    #[error("the queue towards {to} is full")]
+    Full {
+        /// The target.
+        to: BusAddress,
+    },
+}
+
+/// What an [`IsoTp`] has to say.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum IsoTpOutput {
+    /// A message arrived.
+    Received {
+        /// From whom.
+        from: BusAddress,
+        /// What.
+        message: Bytes,
+    },
+    /// A message is out; its receiver may have got it.
+    Sent {
+        /// To whom.
+        to: BusAddress,
+    },
+    /// A message is not out.
+    NotSent {
+        /// To whom it should have gone.
+        to: BusAddress,
+        /// Why not.
+        error: SendError,
+        /// How many others that waited for the same target are gone with it.
+        with_it: u64,
+    },
+    /// A message is lost on its way in, or a frame belongs to none.
+    NotReceived {
+        /// From whom.
+        from: BusAddress,
+        /// Why not.
+        error: ReceiveError,
+    },
+    /// Another node speaks under our address. Give one of the two another.
+    AddressTaken,
+}
+
+/// What came in and was no use, by its reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct IsoTpRefusals {
+    /// Frames that ISO 15765-2 does not know.
+    pub malformed: u64,
+    /// Words on how to go on that nobody had asked for.
+    pub unasked: u64,
+    /// Frames under our own address.
+    pub forged: u64,
+    /// Messages that did not come in, and frames of no message.
+    pub broken: u64,
+    /// Frames that other things on the bus use: no fault at all.
+    pub foreign: u64,
+}
+
+/// The machine of one node on one bus.
+///
+/// It hands out frames only as the bus takes them, by [`poll_frame`](IsoTp::poll_frame): nothing piles
+/// up between it and the bus.
+#[derive(Debug)]
+pub struct IsoTp {
+    own: BusAddress,
+    addressing: Addressing,
+    config: IsoTpConfig,
+    outgoing: BTreeMap<BusAddress, Lane>,
+    /// What is under way to us, by source, and whether it is to all.
+    incoming: BTreeMap<(BusAddress, bool), Reception>,
+    /// Whose frame went out last.
+    last: BusAddress,
+    room: bool,
+    refusals: IsoTpRefusals,
+    outputs: VecDeque<IsoTpOutput>,
+}
+
+/// What goes to one target.
+#[derive(Debug, Default)]
+struct Lane {
+    current: Option<Transmission>,
+    waiting: VecDeque<Bytes>,
+}
+
+impl IsoTp {
+    /// A node with this address; `None` where no node can have it.
+    pub fn new(own: BusAddress, addressing: Addressing, config: IsoTpConfig) -> Option<Self> {
+        addressing.names(own).then(|| IsoTp {
+            own,
+            addressing,
+            config,
+            outgoing: BTreeMap::new(),
+            incoming: BTreeMap::new(),
+            last: BusAddress::ALL,
+            room: true,
+            refusals: IsoTpRefusals::default(),
+            outputs: VecDeque::new(),
+        })
+    }
+
+    /// What was refused so far.
+    pub fn refusals(&self) -> IsoTpRefusals {
+        self.refusals
+    }
+
+    /// Takes a message to be sent.
+    ///
+    /// # Errors
+    /// [`TakeError`]; the message is dropped.
+    pub fn handle_message(
+        &mut self,
+        to: BusAddress,
+        message: Bytes,
+        now: Instant,
+    ) -> Result<(), TakeError> {
+        if to == self.own || to != BusAddress::ALL && !self.addressing.names(to) {
+            return Err(TakeError::NoSuchAddress { to });
+        }
+        let (length, limit) = (message.len(), self.config.message_max);
+        if length == 0 || length > limit {
+            return Err(TakeError::Length { length, limit });
+        }
+        let lane = self.outgoing.entry(to).or_default();
+        if lane.current.is_none() {
+            lane.current = Some(Transmission::new(message, audience(to), &self.config, now));
+        } else if lane.waiting.len() >= self.config.queue_messages {
+            return Err(TakeError::Full { to });
+        } else {
+            lane.waiting.push_back(message);
+        }
+        Ok(())
+    }
+
+    /// A frame came from the bus.
+    pub fn handle_frame(&mut self, frame: &CanFrame, now: Instant) {
+        let parties = self.addressing.parties(frame.id()).filter(|_| !frame.is_remote());
+        let Some(Parties { source, target }) = parties else {
+            self.refusals.foreign += 1;
+            return;
+        };
+        if source == self.own {
+            self.refusals.forged += 1;
+            if self.refusals.forged == 1 {
+                self.outputs.push_back(IsoTpOutput::AddressTaken);
+            }
+            return;
+        }
+        let to_all = target == BusAddress::ALL;
+        if !to_all && target != self.own {
+            return;
+        }
+        match Pdu::decode(frame.data()) {
+            Ok(Pdu::Flow(flow)) => self.handle_flow(source, to_all, flow, now),
+            Ok(pdu) => self.handle_content(source, to_all, pdu, now),
+            Err(_) => self.refusals.malformed += 1,
+        }
+    }
+
+    fn handle_flow(&mut self, source: BusAddress, to_all: bool, flow: FlowControl, now: Instant) {
+        let lane = self.outgoing.get_mut(&source).filter(|_| !to_all);
+        let current = lane.and_then(|lane| lane.current.as_mut());
+        let asked = current.is_some_and(|current| current.handle_flow(flow, &self.config, now));
+        if !asked {
+            self.refusals.unasked += 1;
+        }
+        self.settle(source, now);
+    }
+
+    fn handle_content(&mut self, from: BusAddress, to_all: bool, pdu: Pdu<'_>, now: Instant) {
+        let key = (from, to_all);
+        let audience = if to_all { Audience::All } else { Audience::One };
+        let admitted =
+            self.incoming.contains_key(&key) || self.incoming.len() < self.config.receptions_max;
+        let terms = Terms { config: &self.config, room: self.room, now };
+        let reception = self.incoming.entry(key).or_insert_with(|| Reception::new(audience));
+        let heard = match pdu {
+            Pdu::Single(data) => reception.handle_single(data),
+            Pdu::First { length, data } => reception.handle_first(length, data, admitted, terms),
+            Pdu::Consecutive { sequence, data } => {
+                reception.handle_consecutive(sequence, data, terms)
+            }
+            Pdu::Flow(_) => Heard::default(),
+        };
+        if reception.is_idle() {
+            self.incoming.remove(&key);
+        }
+        let Heard { failed, message } = heard;
+        if let Some(error) = failed {
+            self.fail(from, error);
+        }
+        if let Some(message) = message {
+            self.outputs.push_back(IsoTpOutput::Received { from, message });
+        }
+    }
+
+    /// Whether whoever is to get the messages can take more. While not, senders are told to wait; what
+    /// is in a single frame or under way already comes nevertheless.
+    pub fn handle_room(&mut self, room: bool, now: Instant) {
+        if room && !self.room {
+            let terms = Terms { config: &self.config, room, now };
+            self.incoming.values_mut().for_each(|reception| reception.handle_room(terms));
+        }
+        self.room = room;
+    }
+
+    /// The bus is gone: nothing that waits or is under way will arrive. The answer is how many messages
+    /// were to go out.
+    pub fn handle_loss(&mut self) -> u64 {
+        self.incoming.clear();
+        let lanes = std::mem::take(&mut self.outgoing).into_values();
+        lanes.map(|lane| u64::from(lane.current.is_some()) + lane.waiting.len() as u64).sum()
+    }
+
+    /// The next frame that is to go out now, if any. Ask only when the bus takes one: it counts as sent.
+    pub fn poll_frame(&mut self, now: Instant) -> Option<CanFrame> {
+        self.poll_answer(now).or_else(|| self.poll_message(now))
+    }
+
+    /// Whether [`poll_frame`](IsoTp::poll_frame) has one.
+    pub fn has_frame(&self) -> bool {
+        self.incoming.values().any(Reception::is_ready) || self.turn().is_some()
+    }
+
+    /// Others wait for our word: it goes before what we have to say ourselves.
+    fn poll_answer(&mut self, now: Instant) -> Option<CanFrame> {
+        let (&(source, to_all), reception) =
+            self.incoming.iter_mut().find(|(_, reception)| reception.is_ready())?;
+        let id = self.addressing.id(Parties { source: self.own, target: source });
+        let id = id.expect("we and whoever speaks have addresses of this bus");
+        let writer = Writer { id, format: self.config.format, padding: self.config.padding };
+        let terms = Terms { config: &self.config, room: self.room, now };
+        let frame = reception.poll_frame(&writer, terms);
+        if reception.is_idle() {
+            self.incoming.remove(&(source, to_all));
+        }
+        frame
+    }
+
+    /// Whose frame is next: the first target after the last one that has one.
+    fn turn(&self) -> Option<BusAddress> {
+        let ready = |(_, lane): &(&BusAddress, &Lane)| {
+            lane.current.as_ref().is_some_and(Transmission::is_ready)
+        };
+        let after = (std::ops::Bound::Excluded(self.last), std::ops::Bound::Unbounded);
+        let mut rest = self.outgoing.range(after).chain(self.outgoing.range(..=self.last));
+        rest.find(ready).map(|(to, _)| *to)
+    }
+
+    fn poll_message(&mut self, now: Instant) -> Option<CanFrame> {
+        let to = self.turn()?;
+        let id = self.addressing.id(Parties { source: self.own, target: to });
+        let id = id.expect("messages are taken for addresses of this bus only");
+        let writer = Writer { id, format: self.config.format, padding: self.config.padding };
+        let current = self.outgoing.get_mut(&to)?.current.as_mut()?;
+        let frame = current.poll_frame(&writer, &self.config, now);
+        self.last = to;
+        self.settle(to, now);
+        frame
+    }
+
+    /// Looks whether the message to this target has ended, and begins the next.
+    fn settle(&mut self, to: BusAddress, now: Instant) {
+        let Some(lane) = self.outgoing.get_mut(&to) else { return };
+        let Some(result) = lane.current.as_ref().and_then(Transmission::ended) else { return };
+        if matches!(result, Err(SendError::Unanswered | SendError::BusStuck)) {
+            let with_it = lane.waiting.len() as u64;
+            let error = result.expect_err("it was one a moment ago");
+            self.outgoing.remove(&to);
+            self.outputs.push_back(IsoTpOutput::NotSent { to, error, with_it });
+            return;
+        }
+        self.outputs.push_back(match result {
+            Ok(()) => IsoTpOutput::Sent { to },
+            Err(error) => IsoTpOutput::NotSent { to, error, with_it: 0 },
+        });
+        match lane.waiting.pop_front() {
+            Some(message) => {
+                lane.current = Some(Transmission::new(message, audience(to), &self.config, now));
+            }
+            None => drop(self.outgoing.remove(&to)),
+        }
+    }
+
+    fn fail(&mut self, from: BusAddress, error: ReceiveError) {
+        self.refusals.broken += 1;
+        self.outputs.push_back(IsoTpOutput::NotReceived { from, error });
+    }
+}
+
+fn audience(to: BusAddress) -> Audience {
+    if to == BusAddress::ALL { Audience::All } else { Audience::One }
+}
+
+impl Machine for IsoTp {
+    type Output = IsoTpOutput;
+
+    fn poll_output(&mut self) -> Option<IsoTpOutput> {
+        self.outputs.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let out = self.outgoing.values().filter_map(|lane| lane.current.as_ref()?.poll_timeout());
+        out.chain(self.incoming.values().filter_map(Reception::poll_timeout)).min()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        let due = |lane: &Lane| {
+            let timeout = lane.current.as_ref().and_then(Transmission::poll_timeout);
+            timeout.is_some_and(|due| due <= now)
+        };
+        let late: Vec<BusAddress> =
+            self.outgoing.iter().filter(|(_, lane)| due(lane)).map(|(to, _)| *to).collect();
+        for to in late {
+            let current = self.outgoing.get_mut(&to).and_then(|lane| lane.current.as_mut());
+            if let Some(current) = current {
+                current.handle_timeout(&self.config, now);
+            }
+            self.settle(to, now);
+        }
+        let terms = Terms { config: &self.config, room: self.room, now };
+        let mut failed = Vec::new();
+        self.incoming.retain(|(from, _), reception| {
+            failed.extend(reception.handle_timeout(terms).map(|error| (*from, error)));
+            !reception.is_idle()
+        });
+        failed.into_iter().for_each(|(from, error)| self.fail(from, error));
+    }
+}
+
+#[cfg(test)]
+mod tests;

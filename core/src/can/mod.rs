@@ -1,0 +1,19 @@
+//! What a CAN bus needs, as pure logic: frames, who speaks to whom, messages longer than a frame, and
+//! the text that serial adapters speak.
+//!
+//! ```text
+//!        messages ──► isotp ──► frames ──► socket                 (SocketCAN)
+//!                       │          └─────► slcan ──► serial line  (adapters)
+//!                    address: who speaks to whom, in the identifier
+//! ```
+//!
+//! Not here: sockets, serial lines, and what a message means.
+
+pub mod address;
+pub mod frame;
+pub mod isotp;
+pub mod slcan;
+
+pub use address::{Addressing, BusAddress, Parties};
+pub use frame::{CLASSIC_MAX, CanFrame, CanId, FD_MAX, Format};
+pub use isotp::{IsoTp, IsoTpConfig, IsoTpOutput};

@@ -1,0 +1,383 @@
+//! The text that CAN adapters on a serial line speak: SLCAN, after Lawicel's CAN232.
+//!
+//! ```text
+//! to the adapter                     from it
+//!   S6⏎     500 kbit/s                 ⏎    done
+//!   O⏎      open                       BEL  refused
+//!   C⏎      close                      z⏎   a short frame is sent (some: Z⏎ a long one)
+//!
+//! frames, both ways, in hexadecimal:
+//!   t iii l dd…⏎        11 bits, l = 0 to 8 bytes          r iii l⏎  a request for them
+//!   T iiiiiiii l dd…⏎   29 bits                            R iiiiiiii l⏎
+//!   d, D                CAN FD, l = 0 to F as on the bus
+//!   b, B                CAN FD with its data at the faster rate
+//! ```
+//!
+//! A frame from the adapter may end with four digits of time, in milliseconds of a minute. A line that
+//! says nothing is thrown away up to its end, so that after garbage the next line is understood again;
+//! no line is longer than [`LINE_MAX`].
+
+mod dialogue;
+
+pub use dialogue::{AdapterError, Dialogue};
+
+use super::frame::{CanFrame, CanId, FD_MAX, Format};
+
+/// The longest line: a CAN FD frame of 64 bytes with a time.
+pub const LINE_MAX: usize = 1 + 8 + 1 + 2 * FD_MAX + 4;
+
+const END: u8 = b'\r';
+const REFUSAL: u8 = 0x07;
+/// The lengths that 9 to 15 stand for in CAN FD (ISO 11898-1).
+const FD_CODES: [usize; 7] = [12, 16, 20, 24, 32, 48, 64];
+/// Milliseconds in the minute that an adapter's time counts.
+const MINUTE: u16 = 60_000;
+
+/// The bit rates that adapters know by a number.
+const BIT_RATES_HZ: [u32; 9] =
+    [10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000];
+
+/// A bit rate that adapters know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct BitRate(u8);
+
+impl BitRate {
+    /// The rate of so many bits a second; `None` where adapters have no number for it: 10, 20, 50, 100,
+    /// 125, 250, 500, 800 and 1000 kbit/s have one.
+    ///
+    /// ```
+    /// use blastema_core::can::slcan::BitRate;
+    /// assert_eq!(BitRate::of(500_000).map(BitRate::hz), Some(500_000));
+    /// assert_eq!(BitRate::of(42), None);
+    /// ```
+    pub fn of(hz: u32) -> Option<Self> {
+        BIT_RATES_HZ.iter().position(|known| *known == hz).map(|at| BitRate(at as u8))
+    }
+
+    /// In bits a second.
+    pub fn hz(self) -> u32 {
+        BIT_RATES_HZ[usize::from(self.0)]
+    }
+}
+
+/// A data rate of CAN FD that adapters know, after the CANable's extension.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DataRate {
+    /// 2 Mbit/s.
+    TwoMegabit,
+    /// 5 Mbit/s.
+    FiveMegabit,
+}
+
+/// What is said to an adapter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// Leave the bus.
+    Close,
+    /// Join the bus.
+    Open,
+    /// Join the bus without ever speaking, not even to confirm frames.
+    Listen,
+    /// This is the bus's bit rate. Only while closed.
+    BitRate(BitRate),
+    /// This is its data rate for CAN FD. Only while closed.
+    DataRate(DataRate),
+    /// Whether frames are to come with a time. Only while closed.
+    Times(bool),
+    /// Who are you?
+    Version,
+    /// How are you?
+    Status,
+    /// Send this.
+    Send(CanFrame),
+}
+
+/// What an adapter says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Reply {
+    /// A frame came from the bus.
+    Frame {
+        /// Which.
+        frame: CanFrame,
+        /// When, in milliseconds of the adapter's minute, if it says so.
+        time_ms: Option<u16>,
+    },
+    /// The last command is done.
+    Done,
+    /// A frame of ours is sent, or at least taken.
+    Sent,
+    /// The last command, or frame, is refused.
+    Refused,
+    /// An answer to a question: `V1013`, `NA123`, `F00`.
+    Answer(String),
+}
+
+/// Why a line says nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LineError {
+    /// No command or answer begins so.
+    #[error("a line of SLCAN does not begin with {first:#04x}")]
+    Kind {
+        /// The first byte.
+        first: u8,
+    },
+    /// It ends too early, or goes on where it should end.
+    #[error("the line is not as long as what it says")]
+    Length,
+    /// There is a sign in it that is no hexadecimal digit, or a number that is too large.
+    #[error("the line has a number that is none")]
+    Number,
+}
+
+impl Command {
+    /// Writes it as a line.
+    pub fn encode(&self, line: &mut Vec<u8>) {
+        match self {
+            Command::Close => line.push(b'C'),
+            Command::Open => line.push(b'O'),
+            Command::Listen => line.push(b'L'),
+            Command::BitRate(BitRate(number)) => line.extend([b'S', b'0' + number]),
+            Command::DataRate(DataRate::TwoMegabit) => line.extend(b"Y2"),
+            Command::DataRate(DataRate::FiveMegabit) => line.extend(b"Y5"),
+            Command::Times(wanted) => line.extend([b'Z', b'0' + u8::from(*wanted)]),
+            Command::Version => line.push(b'V'),
+            Command::Status => line.push(b'F'),
+            Command::Send(frame) => put_frame(frame, line),
+        }
+        line.push(END);
+    }
+
+    /// Reads a line without its end, as an adapter does.
+    ///
+    /// # Errors
+    /// [`LineError`] for what adapters of this kind do not know.
+    pub fn decode(line: &[u8]) -> Result<Command, LineError> {
+        let (&first, rest) = line.split_first().ok_or(LineError::Length)?;
+        let none = |command| if rest.is_empty() { Ok(command) } else { Err(LineError::Length) };
+        match first {
+            b'C' => none(Command::Close),
+            b'O' => none(Command::Open),
+            b'L' => none(Command::Listen),
+            b'V' => none(Command::Version),
+            b'F' => none(Command::Status),
+            b'S' => match rest {
+                [number @ b'0'..=b'8'] => Ok(Command::BitRate(BitRate(number - b'0'))),
+                [_] => Err(LineError::Number),
+                _ => Err(LineError::Length),
+            },
+            b'Y' => match rest {
+                b"2" => Ok(Command::DataRate(DataRate::TwoMegabit)),
+                b"5" => Ok(Command::DataRate(DataRate::FiveMegabit)),
+                [_] => Err(LineError::Number),
+                _ => Err(LineError::Length),
+            },
+            b'Z' => match rest {
+                b"0" => Ok(Command::Times(false)),
+                b"1" => Ok(Command::Times(true)),
+                [_] => Err(LineError::Number),
+                _ => Err(LineError::Length),
+            },
+            _ => match read_frame(line)? {
+                (frame, []) => Ok(Command::Send(frame)),
+                _ => Err(LineError::Length),
+            },
+        }
+    }
+}
+
+impl Reply {
+    /// Writes it as a line, as an adapter does.
+    pub fn encode(&self, line: &mut Vec<u8>) {
+        match self {
+            Reply::Frame { frame, time_ms } => {
+                put_frame(frame, line);
+                if let Some(time) = time_ms {
+                    put_hex((*time).into(), 4, line);
+                }
+            }
+            Reply::Done => {}
+            Reply::Sent => line.push(b'z'),
+            Reply::Refused => return line.push(REFUSAL),
+            Reply::Answer(text) => line.extend(text.bytes()),
+        }
+        line.push(END);
+    }
+
+    /// Reads a line that ended well, without its end.
+    ///
+    /// # Errors
+    /// [`LineError`] for what no adapter says.
+    pub fn decode(line: &[u8]) -> Result<Reply, LineError> {
+        match line {
+            [] => Ok(Reply::Done),
+            b"z" | b"Z" => Ok(Reply::Sent),
+            [b'V' | b'v' | b'N' | b'F', rest @ ..] if rest.iter().all(u8::is_ascii_graphic) => {
+                Ok(Reply::Answer(line.iter().map(|byte| char::from(*byte)).collect()))
+            }
+            _ => {
+                let (frame, rest) = read_frame(line)?;
+                let time_ms = match rest {
+                    [] => None,
+                    digits if digits.len() == 4 => Some(read_hex(digits)? as u16),
+                    _ => return Err(LineError::Length),
+                };
+                if time_ms.is_some_and(|time| time >= MINUTE) {
+                    return Err(LineError::Number);
+                }
+                Ok(Reply::Frame { frame, time_ms })
+            }
+        }
+    }
+}
+
+/// How a line ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Line {
+    /// As lines do.
+    Whole(Vec<u8>),
+    /// With a BEL: whatever stood before it is void.
+    Refusal,
+}
+
+/// Parts a stream of bytes into lines.
+#[derive(Debug, Default)]
+pub struct Lines {
+    line: Vec<u8>,
+    /// The line is too long: it is thrown away up to its end.
+    lost: bool,
+    refused: u64,
+}
+
+impl Lines {
+    /// How many lines were too long, or broken off.
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+
+    /// One more byte came. Line feeds say nothing: some adapters end lines with both.
+    pub fn handle_byte(&mut self, byte: u8) -> Option<Line> {
+        match byte {
+            END => {
+                let line = std::mem::take(&mut self.line);
+                (!std::mem::take(&mut self.lost)).then_some(Line::Whole(line))
+            }
+            REFUSAL => {
+                self.refused += u64::from(!self.line.is_empty());
+                self.line.clear();
+                self.lost = false;
+                Some(Line::Refusal)
+            }
+            b'\n' => None,
+            _ if self.lost => None,
+            _ if self.line.len() == LINE_MAX => {
+                self.refused += 1;
+                self.line.clear();
+                self.lost = true;
+                None
+            }
+            _ => {
+                self.line.push(byte);
+                None
+            }
+        }
+    }
+}
+
+/// Hears what an adapter says.
+#[derive(Debug, Default)]
+pub struct Listener {
+    lines: Lines,
+    refused: u64,
+}
+
+impl Listener {
+    /// One more byte came from the adapter.
+    pub fn handle_byte(&mut self, byte: u8) -> Option<Reply> {
+        match self.lines.handle_byte(byte)? {
+            Line::Refusal => Some(Reply::Refused),
+            Line::Whole(line) => {
+                let reply = Reply::decode(&line).ok();
+                self.refused += u64::from(reply.is_none());
+                reply
+            }
+        }
+    }
+
+    /// How many lines said nothing.
+    pub fn refused(&self) -> u64 {
+        self.refused + self.lines.refused()
+    }
+}
+
+fn put_frame(frame: &CanFrame, line: &mut Vec<u8>) {
+    let kind = match (frame.format(), frame.is_remote()) {
+        (Format::Classic, false) => b't',
+        (Format::Classic, true) => b'r',
+        (Format::Fd { fast: false }, _) => b'd',
+        (Format::Fd { fast: true }, _) => b'b',
+    };
+    if frame.id().is_extended() {
+        line.push(kind.to_ascii_uppercase());
+        put_hex(frame.id().number(), 8, line);
+    } else {
+        line.push(kind);
+        put_hex(frame.id().number(), 3, line);
+    }
+    let code = FD_CODES.iter().position(|length| *length == frame.length());
+    let code = code.map_or(frame.length(), |at| at + 9);
+    put_hex(code as u32, 1, line);
+    frame.data().iter().for_each(|byte| put_hex((*byte).into(), 2, line));
+}
+
+/// Reads a frame; what follows it is handed back.
+fn read_frame(line: &[u8]) -> Result<(CanFrame, &[u8]), LineError> {
+    let (&first, rest) = line.split_first().ok_or(LineError::Length)?;
+    let (format, remote) = match first.to_ascii_lowercase() {
+        b't' => (Format::Classic, false),
+        b'r' => (Format::Classic, true),
+        b'd' => (Format::Fd { fast: false }, false),
+        b'b' => (Format::Fd { fast: true }, false),
+        _ => return Err(LineError::Kind { first }),
+    };
+    let extended = first.is_ascii_uppercase();
+    let (number, rest) = split(rest, if extended { 8 } else { 3 })?;
+    let number = read_hex(number)?;
+    let id = if extended { CanId::extended(number) } else { CanId::standard(number) };
+    let id = id.ok_or(LineError::Number)?;
+    let (code, rest) = split(rest, 1)?;
+    let code = read_hex(code)? as usize;
+    let length = match code.checked_sub(9) {
+        None => code,
+        Some(at) => *FD_CODES.get(at).ok_or(LineError::Number)?,
+    };
+    if remote {
+        return Ok((CanFrame::remote(id, length).ok_or(LineError::Number)?, rest));
+    }
+    let (digits, rest) = split(rest, 2 * length)?;
+    let mut bytes = [0; FD_MAX];
+    for (byte, digits) in bytes.iter_mut().zip(digits.chunks(2)) {
+        *byte = read_hex(digits)? as u8;
+    }
+    let frame = CanFrame::new(id, format, &bytes[..length]).ok_or(LineError::Number)?;
+    Ok((frame, rest))
+}
+
+fn split(bytes: &[u8], at: usize) -> Result<(&[u8], &[u8]), LineError> {
+    bytes.split_at_checked(at).ok_or(LineError::Length)
+}
+
+/// At most eight digits.
+fn read_hex(digits: &[u8]) -> Result<u32, LineError> {
+    digits.iter().try_fold(0, |number, digit| {
+        let digit = char::from(*digit).to_digit(16).ok_or(LineError::Number)?;
+        Ok(number << 4 | digit)
+    })
+}
+
+fn put_hex(number: u32, digits: u32, line: &mut Vec<u8>) {
+    let digit = |at| b"0123456789ABCDEF"[(number >> (4 * at) & 0xf) as usize];
+    line.extend((0..digits).rev().map(digit));
+}
+
+#[cfg(test)]
+mod tests;

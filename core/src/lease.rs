@@ -1,0 +1,291 @@
+//! A commander's right to move an actuator, which ends by itself.
+//!
+//! ```text
+//!            claim              lease over, or released
+//!   Free ─────────────► Held ───────────────────────────► Settling
+//!    ▲                   │ ▲                                 │
+//!    │                   └─┘ renewed, commanded              │ safe outputs applied
+//!    └───────────────────────────────────────────────────────┘
+//! ```
+//!
+//! The lease is counted where the actuator is, on its clock alone: whatever becomes of the commander,
+//! its process or the cable, the safe outputs are applied there when the lease is over. Every claim
+//! that is granted has a greater epoch than any before; what comes under an older one is refused.
+
+use crate::{Incarnation, Instant, Machine, Why};
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// How soon safe outputs that did not get through are applied again: one beat.
+const RETRY: Duration = Duration::from_millis(10);
+
+/// Who commands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CommanderId {
+    /// Its name, unique in the robot.
+    pub name: String,
+    /// In which of its lives.
+    pub life: Incarnation,
+}
+
+/// A right to command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LeaseGrant {
+    /// Stands in every command.
+    pub epoch: u64,
+    /// For how long it holds unless it is renewed.
+    pub span: Duration,
+}
+
+/// Why a lease ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LeaseEnd {
+    /// The commander was silent for too long.
+    Expired,
+    /// The commander gave it back.
+    Released,
+}
+
+/// What is to be done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum LeaseOutput {
+    /// Apply the safe outputs, and tell [`Lease::handle_applied`] what came of it.
+    ApplySafeOutputs {
+        /// Who commanded until now.
+        commander: CommanderId,
+        /// Under which epoch.
+        epoch: u64,
+        /// Why no longer.
+        end: LeaseEnd,
+        /// It has been tried before.
+        again: bool,
+    },
+}
+
+/// The lease of one actuator.
+#[derive(Debug)]
+pub struct Lease {
+    span: Duration,
+    last_epoch: u64,
+    state: State,
+    outputs: VecDeque<LeaseOutput>,
+}
+
+#[derive(Debug)]
+enum State {
+    Free,
+    Held { commander: CommanderId, due: Instant },
+    Settling { commander: CommanderId, end: LeaseEnd, retry: Option<Instant> },
+}
+
+impl Lease {
+    /// A lease that nobody holds. Epochs are above `last_epoch`; let it rise with every life of the
+    /// node, so that commands from before are known as such.
+    pub fn new(span: Duration, last_epoch: u64) -> Self {
+        Lease { span, last_epoch, state: State::Free, outputs: VecDeque::new() }
+    }
+
+    /// Who holds the lease, and under which epoch.
+    pub fn holder(&self) -> Option<(&CommanderId, u64)> {
+        match &self.state {
+            State::Held { commander, .. } => Some((commander, self.last_epoch)),
+            State::Free | State::Settling { .. } => None,
+        }
+    }
+
+    /// Somebody wants to command.
+    ///
+    /// # Errors
+    /// [`Why::Held`] while another one does; a later life of the same commander takes over from the
+    /// one before. [`Why::Restarting`] while safe outputs are being applied.
+    pub fn handle_claim(
+        &mut self,
+        commander: CommanderId,
+        now: Instant,
+    ) -> Result<LeaseGrant, Why> {
+        self.handle_timeout(now);
+        match &self.state {
+            State::Settling { .. } => return Err(Why::Restarting),
+            State::Held { commander: holder, .. }
+                if holder.name != commander.name || holder.life > commander.life =>
+            {
+                return Err(Why::Held { by: format!("{}{}", holder.name, holder.life) });
+            }
+            State::Free | State::Held { .. } => {}
+        }
+        self.last_epoch += 1;
+        self.state = State::Held { commander, due: now + self.span };
+        Ok(LeaseGrant { epoch: self.last_epoch, span: self.span })
+    }
+
+    /// The commander lives, or commands: the lease begins anew.
+    ///
+    /// # Errors
+    /// [`Why::Superseded`] where another claim holds, [`Why::LeaseEnded`] where none does.
+    pub fn handle_renewal(&mut self, epoch: u64, now: Instant) -> Result<(), Why> {
+        self.handle_timeout(now);
+        let span = self.span;
+        match &mut self.state {
+            State::Held { due, .. } if epoch == self.last_epoch => {
+                *due = now + span;
+                Ok(())
+            }
+            State::Held { .. } => Err(Why::Superseded { epoch: self.last_epoch }),
+            State::Free | State::Settling { .. } => Err(Why::LeaseEnded),
+        }
+    }
+
+    /// The commander gives the lease back.
+    pub fn handle_release(&mut self, epoch: u64) {
+        if epoch == self.last_epoch {
+            self.end(LeaseEnd::Released);
+        }
+    }
+
+    /// The safe outputs were applied, or could not be.
+    pub fn handle_applied(&mut self, applied: bool, now: Instant) {
+        if let State::Settling { retry, .. } = &mut self.state {
+            match applied {
+                true => self.state = State::Free,
+                false => *retry = Some(now + RETRY),
+            }
+        }
+    }
+
+    fn end(&mut self, end: LeaseEnd) {
+        if let State::Held { commander, .. } = &self.state {
+            let commander = commander.clone();
+            self.apply(&commander, end, false);
+            self.state = State::Settling { commander, end, retry: None };
+        }
+    }
+
+    fn apply(&mut self, commander: &CommanderId, end: LeaseEnd, again: bool) {
+        let (commander, epoch) = (commander.clone(), self.last_epoch);
+        self.outputs.push_back(LeaseOutput::ApplySafeOutputs { commander, epoch, end, again });
+    }
+}
+
+impl Machine for Lease {
+    type Output = LeaseOutput;
+
+    fn poll_output(&mut self) -> Option<LeaseOutput> {
+        self.outputs.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        match &self.state {
+            State::Free => None,
+            State::Held { due, .. } => Some(*due),
+            State::Settling { retry, .. } => *retry,
+        }
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        match &mut self.state {
+            State::Held { due, .. } if now >= *due => self.end(LeaseEnd::Expired),
+            State::Settling { commander, end, retry } if retry.is_some_and(|due| now >= due) => {
+                *retry = None;
+                let (commander, end) = (commander.clone(), *end);
+                self.apply(&commander, end, true);
+            }
+            State::Free | State::Held { .. } | State::Settling { .. } => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SPAN: Duration = Duration::from_millis(100);
+
+    fn ms(millis: u64) -> Instant {
+        Instant::from_millis(millis)
+    }
+
+    fn who(name: &str, life: u64) -> CommanderId {
+        CommanderId { name: name.into(), life: Incarnation(life) }
+    }
+
+    fn held() -> (Lease, u64) {
+        let mut lease = Lease::new(SPAN, 7);
+        let grant = lease.handle_claim(who("planner", 1), ms(0)).unwrap();
+        assert_eq!(grant, LeaseGrant { epoch: 8, span: SPAN });
+        (lease, grant.epoch)
+    }
+
+    fn applied(lease: &mut Lease) -> Option<(LeaseEnd, bool)> {
+        let LeaseOutput::ApplySafeOutputs { end, again, .. } = lease.poll_output()?;
+        Some((end, again))
+    }
+
+    #[test]
+    fn safe_outputs_are_applied_when_the_lease_is_over_and_not_before() {
+        let (mut lease, epoch) = held();
+        lease.handle_renewal(epoch, ms(60)).unwrap();
+
+        lease.handle_timeout(ms(159));
+        assert_eq!(applied(&mut lease), None);
+        assert_eq!(lease.poll_timeout(), Some(ms(160)));
+        lease.handle_timeout(ms(160));
+
+        assert_eq!(applied(&mut lease), Some((LeaseEnd::Expired, false)));
+        assert_eq!(lease.holder(), None);
+        assert_eq!(lease.handle_renewal(epoch, ms(161)), Err(Why::LeaseEnded));
+    }
+
+    #[test]
+    fn a_late_command_ends_the_lease_itself_where_the_timer_was_later_still() {
+        let (mut lease, epoch) = held();
+        assert_eq!(lease.handle_renewal(epoch, ms(100)), Err(Why::LeaseEnded));
+        assert_eq!(applied(&mut lease), Some((LeaseEnd::Expired, false)));
+    }
+
+    #[test]
+    fn a_second_commander_is_refused_while_the_lease_holds_and_until_all_is_safe() {
+        let (mut lease, epoch) = held();
+        let held = Err(Why::Held { by: "planner#1".into() });
+        assert_eq!(lease.handle_claim(who("console", 1), ms(99)), held);
+
+        let settling = lease.handle_claim(who("console", 1), ms(100));
+        assert_eq!(settling, Err(Why::Restarting));
+        assert_eq!(applied(&mut lease), Some((LeaseEnd::Expired, false)));
+        lease.handle_applied(true, ms(101));
+        let grant = lease.handle_claim(who("console", 1), ms(102)).unwrap();
+
+        assert!(grant.epoch > epoch);
+        assert_eq!(
+            lease.handle_renewal(epoch, ms(103)),
+            Err(Why::Superseded { epoch: grant.epoch })
+        );
+        lease.handle_release(epoch);
+        assert_eq!(lease.holder(), Some((&who("console", 1), grant.epoch)));
+    }
+
+    #[test]
+    fn the_next_life_of_a_commander_takes_over_and_fences_the_one_before() {
+        let (mut lease, old) = held();
+        let grant = lease.handle_claim(who("planner", 2), ms(10)).unwrap();
+        assert_eq!(lease.handle_renewal(old, ms(11)), Err(Why::Superseded { epoch: grant.epoch }));
+        let late = lease.handle_claim(who("planner", 1), ms(12));
+        assert_eq!(late, Err(Why::Held { by: "planner#2".into() }));
+        assert_eq!(applied(&mut lease), None);
+    }
+
+    #[test]
+    fn safe_outputs_that_did_not_get_through_are_applied_again_and_again() {
+        let (mut lease, epoch) = held();
+        lease.handle_release(epoch);
+        assert_eq!(applied(&mut lease), Some((LeaseEnd::Released, false)));
+        for round in 1..100 {
+            lease.handle_applied(false, ms(10 * round));
+            lease.handle_timeout(ms(10 * round + 9));
+            assert_eq!(applied(&mut lease), None);
+            lease.handle_timeout(ms(10 * round + 10));
+            assert_eq!(applied(&mut lease), Some((LeaseEnd::Released, true)));
+        }
+        lease.handle_applied(true, ms(2000));
+        assert_eq!(lease.poll_timeout(), None);
+    }
+}

@@ -1,0 +1,65 @@
+//! What a session does with what arrives.
+
+use super::best_effort::Came;
+use super::inbound::Arrived;
+use super::replicas;
+use super::{Session, SessionOutput, State};
+use crate::Why;
+use crate::net::packet::Class;
+use crate::net::segment::{Data, Datagram, Segment, Stream};
+
+impl Session {
+    pub(super) fn handle_data(&mut self, data: Data) {
+        let Data { stream, sequence, first, last, again, piece, ack, payload, .. } = data;
+        if let Some(ack) = ack {
+            self.handle_ack(stream, &ack);
+        }
+        let copied = stream == Stream::Redundant && !again && piece.is_none();
+        if copied && self.replicas.handle(sequence) == replicas::Came::Replica {
+            return self.close_when_done();
+        }
+        let whole = match piece {
+            Some(piece) if self.streams[stream as usize].inbound.expects(sequence) => {
+                self.pieces.handle((stream, sequence), piece, payload, self.now)
+            }
+            _ => Some(payload),
+        };
+        if let Some(payload) = whole {
+            let mut messages = Vec::new();
+            let inbound = &mut self.streams[stream as usize].inbound;
+            let times = (self.now, self.config.ack_delay);
+            let arrived = inbound.handle(sequence, (first, last, payload), times, &mut messages);
+            let outputs = messages.into_iter();
+            self.outputs.extend(outputs.map(|message| SessionOutput::Message { stream, message }));
+            match arrived {
+                Ok(Arrived::New) => {}
+                Ok(Arrived::Again) => self.counters.doubled += 1,
+                Ok(Arrived::Beyond) => self.refusals.unexpected += 1,
+                Err(error) => {
+                    // The peer is broken; whatever it says next cannot be trusted to be in order.
+                    self.refusals.count(&error);
+                    let State::Open { peer } = self.state else { return };
+                    let reset = Segment::Reset { tag: self.tag };
+                    self.transmit(Class::Control, reset);
+                    self.newest = self.newest.max((peer.incarnation, peer.number + 1));
+                    self.end(Why::Undecodable { reason: error.to_string() });
+                    return;
+                }
+            }
+        }
+        self.close_when_done();
+    }
+
+    pub(super) fn handle_datagram(&mut self, datagram: Datagram) {
+        let channel = datagram.channel;
+        match self.best_effort.handle(datagram, self.now) {
+            Came::Newest(message) => {
+                self.outputs.push_back(SessionOutput::Newest { channel, message });
+            }
+            Came::InPart => {}
+            Came::Again => self.counters.doubled += 1,
+            Came::Overtaken => self.counters.overtaken += 1,
+            Came::TooMany => self.refusals.too_large += 1,
+        }
+    }
+}

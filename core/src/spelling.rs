@@ -1,0 +1,47 @@
+//! Finds what somebody may have meant to write.
+
+/// The known word that is spelt most like `wrong`, unless none is like it at all.
+///
+/// ```
+/// use blastema_core::spelling::nearest;
+///
+/// assert_eq!(nearest("buad", ["baud", "parity"]), Some("baud"));
+/// assert_eq!(nearest("colour", ["baud", "parity"]), None);
+/// ```
+pub fn nearest<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let (distance, word) = known
+        .into_iter()
+        .map(|word| (edits(wrong, word), word))
+        .min_by_key(|&(distance, _)| distance)?;
+    // More than a third of the letters differ: that is another word, not a slip.
+    (distance <= 1 + wrong.len() / 3).then_some(word)
+}
+
+/// How many letters must be changed, added or removed (Levenshtein).
+fn edits(a: &str, b: &str) -> usize {
+    let mut row: Vec<usize> = (0..=b.chars().count()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, y) in b.chars().enumerate() {
+            let substituted = diagonal + usize::from(x != y);
+            diagonal = row[j + 1];
+            row[j + 1] = substituted.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.chars().count()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_word_is_found_unless_all_are_far() {
+        let known = ["interface", "baud", "mtu"];
+
+        assert_eq!(nearest("inteface", known), Some("interface"));
+        assert_eq!(nearest("bauds", known), Some("baud"));
+        assert_eq!(nearest("stop_bits", known), None);
+        assert_eq!(nearest("baud", []), None);
+    }
+}

@@ -1,0 +1,442 @@
+//! The variables of one node's objects: values that any node may read, write and watch.
+//!
+//! A variable belongs to an object and outlives its lives; what becomes of the value when a life ends
+//! is the owner's choice. Several are written together or not at all. Values are bytes here: what they
+//! mean is for those who read and write.
+//!
+//! Every change has a revision, which rises over all variables and over the lives of the node, so that
+//! "has it changed since?" has an answer whatever happened in between.
+
+use crate::{Instant, ObjectName, Why};
+use bytes::Bytes;
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+/// Watchers that may wait for one node's variables: more than a robot has consoles and planners.
+pub const WATCHERS_MAX: usize = 4096;
+/// Variables that may be written together: all that one movement sets, several times over.
+pub const WRITES_MAX: usize = 256;
+/// A watcher that has not asked again for so long has gone.
+const WATCHER_PATIENCE: Duration = Duration::from_secs(10);
+
+/// What becomes of a variable's value when a life of its owner ends.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RestorePolicy {
+    /// It stays: the next life goes on with it.
+    #[default]
+    Restore,
+    /// It becomes the default, as at the start.
+    Default,
+    /// It stays, and is marked as held until it is written again.
+    Hold,
+    /// Nobody may read or write it until somebody has decided what it is to be.
+    AskFirst,
+}
+
+/// How far a value can be relied on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ValueState {
+    /// It was written, or is the default.
+    Current,
+    /// It was written before a life of its owner ended, and not since.
+    Held,
+    /// It is the last one that was written before a life of its owner ended; whether it is to be used
+    /// awaits a decision.
+    Undecided,
+}
+
+/// The answer to a variable that awaits a decision.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Choice {
+    /// The value from before.
+    Restore,
+    /// The default.
+    Default,
+    /// This one.
+    Value(Bytes),
+}
+
+/// A variable as it stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ValueReport {
+    /// The value.
+    pub value: Bytes,
+    /// Of which change; rises.
+    pub revision: u64,
+    /// How far it can be relied on.
+    pub state: ValueState,
+    /// For how long it has stood so.
+    pub age: Duration,
+}
+
+/// Which variable: its owner, and the name of its contract.
+pub type VariableKey = (ObjectName, String);
+
+/// One value to be written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ValueWrite {
+    /// Where to.
+    pub variable: VariableKey,
+    /// What.
+    pub value: Bytes,
+    /// Only if this is still the variable's revision.
+    pub if_revision: Option<u64>,
+}
+
+/// A variable as its owner declares it.
+#[derive(Clone, Debug)]
+pub struct Declaration {
+    /// Its value until it is written.
+    pub default: Bytes,
+    /// What becomes of it when a life of its owner ends.
+    pub policy: RestorePolicy,
+}
+
+/// An answer to somebody who watches.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Watched {
+    /// The number under which it was asked.
+    pub watcher: u64,
+    /// What has become of the variable.
+    pub result: Result<ValueReport, Why>,
+}
+
+/// The variables of one node.
+#[derive(Debug)]
+pub struct Variables {
+    entries: BTreeMap<VariableKey, Entry>,
+    last_revision: u64,
+    watchers: BTreeMap<u64, Watcher>,
+    outputs: VecDeque<Watched>,
+}
+
+#[derive(Debug)]
+struct Entry {
+    declaration: Declaration,
+    value: Bytes,
+    revision: u64,
+    state: ValueState,
+    since: Instant,
+}
+
+#[derive(Debug)]
+struct Watcher {
+    variable: VariableKey,
+    asked: Instant,
+}
+
+impl Variables {
+    /// No variables yet. Revisions are above this one; let it rise with every life of the node.
+    pub fn new(last_revision: u64) -> Self {
+        Variables {
+            entries: BTreeMap::new(),
+            last_revision,
+            watchers: BTreeMap::new(),
+            outputs: VecDeque::new(),
+        }
+    }
+
+    /// The next watcher to be answered.
+    pub fn poll_output(&mut self) -> Option<Watched> {
+        self.outputs.pop_front()
+    }
+
+    /// An object has this variable from now on.
+    pub fn handle_declared(&mut self, variable: VariableKey, declared: Declaration, now: Instant) {
+        self.last_revision += 1;
+        let entry = Entry {
+            value: declared.default.clone(),
+            declaration: declared,
+            revision: self.last_revision,
+            state: ValueState::Current,
+            since: now,
+        };
+        self.entries.insert(variable, entry);
+    }
+
+    /// An object has gone for good.
+    pub fn handle_withdrawn(&mut self, object: &ObjectName) {
+        self.entries.retain(|(owner, _), _| owner != object);
+        self.answer(
+            |watcher| &watcher.variable.0 == object,
+            |watcher| Err(unknown(&watcher.variable)),
+        );
+    }
+
+    /// Reads a variable.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`], and [`Why::Undecided`] while a decision is awaited.
+    pub fn read(&self, variable: &VariableKey, now: Instant) -> Result<ValueReport, Why> {
+        let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
+        entry.check(variable)?;
+        Ok(entry.report(now))
+    }
+
+    /// Somebody wants to know as soon as the variable's revision is another than `after`.
+    pub fn handle_watch(&mut self, watcher: u64, variable: VariableKey, after: u64, now: Instant) {
+        let result = match self.entries.get(&variable) {
+            None => Err(unknown(&variable)),
+            Some(entry) if entry.revision != after => Ok(entry.report(now)),
+            Some(_) => {
+                // Those who went without a word make room.
+                let stale = |known: &Watcher| now - known.asked > WATCHER_PATIENCE;
+                self.answer(stale, |_| Err(Why::DeadlinePassed));
+                if self.watchers.len() < WATCHERS_MAX {
+                    let waiting = Watcher { variable, asked: now };
+                    self.watchers.insert(watcher, waiting);
+                    return;
+                }
+                Err(Why::Full)
+            }
+        };
+        self.outputs.push_back(Watched { watcher, result });
+    }
+
+    /// Writes all of these, or none.
+    ///
+    /// # Errors
+    /// The first thing that stands in the way; nothing is written then.
+    pub fn handle_write(&mut self, writes: Vec<ValueWrite>, now: Instant) -> Result<u64, Why> {
+        if writes.len() > WRITES_MAX {
+            return Err(Why::TooLarge { limit: WRITES_MAX });
+        }
+        for ValueWrite { variable, if_revision, .. } in &writes {
+            let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
+            entry.check(variable)?;
+            if if_revision.is_some_and(|wanted| wanted != entry.revision) {
+                let variable = shown(variable);
+                return Err(Why::Changed { variable, revision: entry.revision });
+            }
+        }
+        self.last_revision += 1;
+        for ValueWrite { variable, value, .. } in writes {
+            self.set(&variable, Some(value), ValueState::Current, now);
+        }
+        Ok(self.last_revision)
+    }
+
+    /// A life of the owner has ended: each variable becomes what its policy says.
+    pub fn handle_owner_ended(&mut self, object: &ObjectName, now: Instant) {
+        let own = |(key, _): &(&VariableKey, &Entry)| &key.0 == object;
+        let keys: Vec<_> = self.entries.iter().filter(own).map(|(key, _)| key.clone()).collect();
+        for key in keys {
+            let Some(entry) = self.entries.get(&key) else { continue };
+            let (value, state) = match entry.declaration.policy {
+                RestorePolicy::Restore => continue,
+                RestorePolicy::Default => {
+                    (Some(entry.declaration.default.clone()), ValueState::Current)
+                }
+                RestorePolicy::Hold => (None, ValueState::Held),
+                RestorePolicy::AskFirst => (None, ValueState::Undecided),
+            };
+            self.last_revision += 1;
+            self.set(&key, value, state, now);
+        }
+    }
+
+    /// Somebody has decided what a variable is to be.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`]; [`Why::Changed`] where no decision is awaited, or not any more.
+    pub fn handle_choice(
+        &mut self,
+        variable: &VariableKey,
+        choice: Choice,
+        now: Instant,
+    ) -> Result<u64, Why> {
+        let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
+        if entry.state != ValueState::Undecided {
+            return Err(Why::Changed { variable: shown(variable), revision: entry.revision });
+        }
+        let value = match choice {
+            Choice::Restore => None,
+            Choice::Default => Some(entry.declaration.default.clone()),
+            Choice::Value(value) => Some(value),
+        };
+        self.last_revision += 1;
+        self.set(variable, value, ValueState::Current, now);
+        Ok(self.last_revision)
+    }
+
+    fn set(&mut self, key: &VariableKey, value: Option<Bytes>, state: ValueState, now: Instant) {
+        let Some(entry) = self.entries.get_mut(key) else { return };
+        if let Some(value) = value {
+            entry.value = value;
+        }
+        entry.state = state;
+        entry.revision = self.last_revision;
+        entry.since = now;
+        let report = entry.report(now);
+        let waited = |watcher: &Watcher| watcher.variable == *key;
+        self.answer(waited, |_| Ok(report.clone()));
+    }
+
+    /// Tells those watchers of whom this holds, once.
+    fn answer(
+        &mut self,
+        whom: impl Fn(&Watcher) -> bool,
+        what: impl Fn(&Watcher) -> Result<ValueReport, Why>,
+    ) {
+        let outputs = &mut self.outputs;
+        self.watchers.retain(|&number, watcher| {
+            let told = whom(watcher);
+            if told {
+                outputs.push_back(Watched { watcher: number, result: what(watcher) });
+            }
+            !told
+        });
+    }
+}
+
+impl Entry {
+    fn check(&self, variable: &VariableKey) -> Result<(), Why> {
+        match self.state {
+            ValueState::Undecided => Err(Why::Undecided { variable: shown(variable) }),
+            ValueState::Current | ValueState::Held => Ok(()),
+        }
+    }
+
+    fn report(&self, now: Instant) -> ValueReport {
+        ValueReport {
+            value: self.value.clone(),
+            revision: self.revision,
+            state: self.state,
+            age: now - self.since,
+        }
+    }
+}
+
+fn shown((object, variable): &VariableKey) -> String {
+    format!("{variable} of {object}")
+}
+
+fn unknown(variable: &VariableKey) -> Why {
+    Why::Unknown { name: shown(variable) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOW: Instant = Instant::from_millis(5);
+
+    fn key(variable: &str) -> VariableKey {
+        (ObjectName::new("arm").unwrap(), variable.into())
+    }
+
+    fn value(byte: u8) -> Bytes {
+        Bytes::copy_from_slice(&[byte])
+    }
+
+    fn write(variable: &str, byte: u8) -> ValueWrite {
+        ValueWrite { variable: key(variable), value: value(byte), if_revision: None }
+    }
+
+    fn declared(all: &[(&str, RestorePolicy)]) -> Variables {
+        let mut variables = Variables::new(100);
+        for &(name, policy) in all {
+            let declaration = Declaration { default: value(0), policy };
+            variables.handle_declared(key(name), declaration, NOW);
+        }
+        variables
+    }
+
+    fn now_is(variables: &Variables, name: &str) -> Result<(u8, ValueState), Why> {
+        variables.read(&key(name), NOW).map(|report| (report.value[0], report.state))
+    }
+
+    #[test]
+    fn each_policy_says_what_is_left_when_the_owner_dies() {
+        let policies = [
+            ("speed", RestorePolicy::Restore),
+            ("torque", RestorePolicy::Default),
+            ("height", RestorePolicy::Hold),
+            ("target", RestorePolicy::AskFirst),
+        ];
+        let mut variables = declared(&policies);
+        let all = policies.iter().map(|(name, _)| write(name, 7)).collect();
+        variables.handle_write(all, NOW).unwrap();
+
+        variables.handle_owner_ended(&ObjectName::new("arm").unwrap(), NOW);
+
+        assert_eq!(now_is(&variables, "speed"), Ok((7, ValueState::Current)));
+        assert_eq!(now_is(&variables, "torque"), Ok((0, ValueState::Current)));
+        assert_eq!(now_is(&variables, "height"), Ok((7, ValueState::Held)));
+        let undecided = Err(Why::Undecided { variable: "target of arm".into() });
+        assert_eq!(now_is(&variables, "target"), undecided);
+        variables.handle_write(vec![write("height", 8)], NOW).unwrap();
+        assert_eq!(now_is(&variables, "height"), Ok((8, ValueState::Current)));
+    }
+
+    #[test]
+    fn what_awaits_a_decision_is_not_written_until_somebody_has_decided() {
+        for (choice, left) in
+            [(Choice::Restore, 7), (Choice::Default, 0), (Choice::Value(value(3)), 3)]
+        {
+            let mut variables = declared(&[("target", RestorePolicy::AskFirst)]);
+            variables.handle_write(vec![write("target", 7)], NOW).unwrap();
+            variables.handle_owner_ended(&ObjectName::new("arm").unwrap(), NOW);
+
+            let early = variables.handle_write(vec![write("target", 9)], NOW);
+            assert!(matches!(early, Err(Why::Undecided { .. })), "{early:?}");
+            variables.handle_choice(&key("target"), choice.clone(), NOW).unwrap();
+
+            assert_eq!(now_is(&variables, "target"), Ok((left, ValueState::Current)));
+            let again = variables.handle_choice(&key("target"), choice, NOW);
+            assert!(matches!(again, Err(Why::Changed { .. })), "{again:?}");
+        }
+    }
+
+    #[test]
+    fn several_are_written_together_or_not_at_all() {
+        let mut variables =
+            declared(&[("speed", RestorePolicy::Restore), ("torque", RestorePolicy::Restore)]);
+        let before = variables.read(&key("torque"), NOW).unwrap().revision;
+
+        let unknown = variables.handle_write(vec![write("speed", 1), write("heat", 1)], NOW);
+        assert!(matches!(unknown, Err(Why::Unknown { .. })));
+        let late = ValueWrite { if_revision: Some(before - 1), ..write("torque", 1) };
+        let changed = variables.handle_write(vec![write("speed", 1), late], NOW);
+        assert!(matches!(changed, Err(Why::Changed { .. })));
+        assert_eq!(now_is(&variables, "speed"), Ok((0, ValueState::Current)));
+
+        let right = ValueWrite { if_revision: Some(before), ..write("torque", 1) };
+        variables.handle_write(vec![write("speed", 1), right], NOW).unwrap();
+        assert_eq!(now_is(&variables, "speed"), Ok((1, ValueState::Current)));
+        assert_eq!(now_is(&variables, "torque"), Ok((1, ValueState::Current)));
+    }
+
+    #[test]
+    fn a_watcher_is_told_once_of_the_next_change_and_at_once_of_one_it_has_missed() {
+        let mut variables = declared(&[("speed", RestorePolicy::Restore)]);
+        let first = variables.read(&key("speed"), NOW).unwrap().revision;
+
+        variables.handle_watch(1, key("speed"), first, NOW);
+        assert_eq!(variables.poll_output(), None);
+        let second = variables.handle_write(vec![write("speed", 1)], NOW).unwrap();
+        let told = variables.poll_output().unwrap();
+        assert_eq!((told.watcher, told.result.unwrap().revision), (1, second));
+        variables.handle_write(vec![write("speed", 2)], NOW).unwrap();
+        assert_eq!(variables.poll_output(), None);
+
+        variables.handle_watch(2, key("speed"), second, NOW);
+        assert_eq!(variables.poll_output().unwrap().result.unwrap().value, value(2));
+    }
+
+    #[test]
+    fn watchers_that_went_make_room_and_too_many_are_refused() {
+        let mut variables = declared(&[("speed", RestorePolicy::Restore)]);
+        let after = variables.read(&key("speed"), NOW).unwrap().revision;
+        for watcher in 0..=WATCHERS_MAX as u64 {
+            variables.handle_watch(watcher, key("speed"), after, NOW);
+        }
+        assert_eq!(variables.poll_output().unwrap().result, Err(Why::Full));
+
+        variables.handle_watch(9999, key("speed"), after, NOW + 2 * WATCHER_PATIENCE);
+        assert_eq!(variables.outputs.len(), WATCHERS_MAX);
+        variables.outputs.clear();
+        variables.handle_withdrawn(&ObjectName::new("arm").unwrap());
+        assert!(matches!(variables.poll_output().unwrap().result, Err(Why::Unknown { .. })));
+    }
+}

@@ -1,0 +1,124 @@
+//! A node that ends in order is no fault to the others, and its return an ordinary join.
+
+use blastema::core::detection::Opinion;
+use blastema::prelude::*;
+use blastema::{Link, MemoryMedium, Network, NodeBuilder};
+use blastema_testkit::TestNode;
+use std::net::{SocketAddr, UdpSocket};
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+/// For real nodes to find each other, or to be silent for long enough to be missed.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Adds to a sum, and answers it.
+#[derive(Debug, Request)]
+#[contract(name = "sum/add", reply = u32)]
+struct Add(u32);
+
+#[derive(Default)]
+struct Sum(u32);
+
+impl Component for Sum {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Add>();
+    }
+}
+
+impl Handle<Add> for Sum {
+    async fn handle(&mut self, add: Add, _: &mut Context<Self>) -> u32 {
+        self.0 += add.0;
+        self.0
+    }
+}
+
+fn module(medium: &MemoryMedium, own: &str, far: &str) -> NodeBuilder {
+    Node::builder(own)
+        .network(Network::memory("ethernet", medium, own).link(Link::in_memory(far, far)))
+        .child(ChildSpec::new("sum", Sum::default))
+}
+
+#[blastema_testkit::test]
+async fn a_node_that_leaves_in_order_is_no_fault_and_its_return_no_recovery() {
+    let medium = MemoryMedium::default();
+    let here = TestNode::start(module(&medium, "here", "there")).await;
+    let there = TestNode::start(module(&medium, "there", "here")).await;
+    here.advance(2000 * MS).await;
+    let sum: Sender<Add> = here.sender("there:sum").unwrap();
+    assert_eq!(sum.ask(Add(1)).await.unwrap(), 1);
+
+    there.shutdown().await;
+    drop(there);
+    here.advance(5000 * MS).await;
+
+    let why = sum.ask(Add(1)).await.unwrap_err().why;
+    assert_eq!(why, Why::Left { node: "there".into() });
+    here.expect_no_faults().await;
+    assert_eq!(here.row("there").await.opinion, Opinion::AtRest);
+
+    let there = TestNode::start(module(&medium, "there", "here")).await;
+    here.advance(5000 * MS).await;
+
+    assert_eq!(sum.ask(Add(1)).await.unwrap(), 1, "a new life");
+    let row = here.row("there").await;
+    assert_eq!((row.opinion, row.restarts), (Opinion::Trusted, 0));
+    here.expect_no_faults().await;
+    there.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn a_node_that_goes_without_a_word_is_lost() {
+    let medium = MemoryMedium::default();
+    let builder = module(&medium, "here", "there");
+    let mut here = TestNode::start(builder).await;
+    let ethernet = Network::memory("ethernet", &medium, "there");
+    let ethernet = ethernet.link(Link::in_memory("here", "here")).with_faults(7);
+    let there = TestNode::start(Node::builder("there").network(ethernet)).await;
+    here.advance(2000 * MS).await;
+
+    there.cable("ethernet").unwrap().cut(blastema::Direction::Both, false);
+
+    here.await_fault(FaultKind::NodeLost, "there").await;
+}
+
+/// Free addresses: held all at once, so that they are different, and let go.
+fn addresses() -> [SocketAddr; 2] {
+    let held = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0").expect("loopback has free ports"));
+    held.map(|socket| socket.local_addr().expect("a bound socket has an address"))
+}
+
+async fn real(own: &str, at: SocketAddr, far: &str, remote: SocketAddr) -> Node {
+    let ethernet = Network::udp("ethernet", at).link(Link::new(far, remote));
+    let sum = ChildSpec::new("sum", Sum::default);
+    Node::builder(own).network(ethernet).child(sum).start().await.expect("it starts")
+}
+
+#[test]
+fn a_real_node_that_leaves_in_order_is_no_fault_to_another() {
+    blastema::run(async {
+        let [near, far] = addresses();
+        let here = real("here", near, "there", far).await;
+        let there = real("there", far, "here", near).await;
+        assert!(here.connected("there", PATIENCE).await);
+        let sum: Sender<Add> = here.sender("there:sum").unwrap();
+        assert_eq!(sum.ask_within(Add(1), PATIENCE).await.unwrap(), 1);
+
+        there.shutdown().await;
+        drop(there);
+        let unreachable = async {
+            while !here.routes().await.is_empty() {
+                tokio::time::sleep(MS).await;
+            }
+        };
+        tokio::time::timeout(PATIENCE, unreachable).await.expect("its silence is noticed");
+
+        let why = sum.ask(Add(1)).await.unwrap_err().why;
+        assert_eq!(why, Why::Left { node: "there".into() });
+        let there = real("there", far, "here", near).await;
+        assert!(here.connected("there", PATIENCE).await);
+        assert_eq!(sum.ask_within(Add(5), PATIENCE).await.unwrap(), 5);
+        assert!(here.faults().await.entries.is_empty(), "{:?}", here.faults().await);
+        there.shutdown().await;
+        here.shutdown().await;
+    });
+}

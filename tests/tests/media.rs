@@ -1,0 +1,288 @@
+//! Whole nodes over every medium, on real sockets and ptys, described by endpoint strings.
+
+#[path = "../../transports/tests/cable/mod.rs"]
+mod cable;
+
+use blastema::prelude::*;
+use blastema::{EndpointProblem, Link, Network};
+use cable::Cable;
+use std::net::{SocketAddr, TcpListener, UdpSocket};
+use std::path::Path;
+use std::time::Duration;
+use tempfile::TempDir;
+
+/// For two nodes to find each other on a computer that is busy with other tests.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Gives back what it was sent, turned around.
+#[derive(Debug, Request)]
+#[contract(name = "media/mirror", reply = Vec<u8>)]
+struct Turn(Vec<u8>);
+
+struct Mirror;
+
+impl Component for Mirror {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Turn>();
+    }
+}
+
+impl Handle<Turn> for Mirror {
+    async fn handle(&mut self, turn: Turn, _: &mut Context<Self>) -> Vec<u8> {
+        turn.0.into_iter().rev().collect()
+    }
+}
+
+/// Starts two nodes on these networks, and asks one for what the other has, from small to far above what
+/// one frame carries.
+async fn speak_over(here: Network, there: Network) {
+    let far = Node::builder("module2")
+        .network(there)
+        .child(ChildSpec::new("mirror", || Mirror))
+        .start()
+        .await
+        .expect("module2 starts");
+    let near = Node::builder("module1").network(here).start().await.expect("module1 starts");
+    assert!(near.connected("module2", PATIENCE).await, "{:?}", near.links().await);
+
+    let mirror: Sender<Turn> = near.sender("module2:mirror").expect("a name");
+    for length in [0, 1, 100, 1_000, 5_000] {
+        let bytes: Vec<u8> = (0..length).map(|n| (n % 251) as u8).collect();
+        let turned = mirror.ask_within(Turn(bytes.clone()), PATIENCE).await;
+        let expected: Vec<u8> = bytes.into_iter().rev().collect();
+        assert_eq!(turned.expect("it is answered"), expected, "{length} bytes");
+    }
+    near.shutdown().await;
+    far.shutdown().await;
+}
+
+/// Two addresses of this machine that nobody has at present.
+fn free() -> [String; 2] {
+    let sockets = [0; 2].map(|_| {
+        let tcp = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let address: SocketAddr = tcp.local_addr().expect("it is bound");
+        (UdpSocket::bind(address), tcp, address)
+    });
+    sockets.map(|(_, _, address)| address.to_string())
+}
+
+#[test]
+fn two_nodes_speak_over_udp_bound_to_an_interface() {
+    blastema::run(async {
+        let [a, b] = free();
+        let at = |own: &str, peer: &str, far: &str| {
+            Network::new("ieee1394", &format!("udp://{own}?interface=lo")).peer(peer, far)
+        };
+        speak_over(at(&a, "module2", &b), at(&b, "module1", &a)).await;
+    });
+}
+
+#[test]
+fn two_nodes_speak_over_udp_while_they_hear_a_group() {
+    blastema::run(async {
+        let [a, b] = free();
+        let at = |own: &str, peer: &str, far: &str| {
+            Network::new("group", &format!("udp://239.255.77.3:7400?own={own}")).peer(peer, far)
+        };
+        speak_over(at(&a, "module2", &b), at(&b, "module1", &a)).await;
+    });
+}
+
+#[test]
+fn two_nodes_speak_over_tcp() {
+    blastema::run(async {
+        let [a, b] = free();
+        let at = |own: &str, peer: &str, far: &str| {
+            Network::new("tcp", &format!("tcp://{own}")).peer(peer, far)
+        };
+        speak_over(at(&a, "module2", &b), at(&b, "module1", &a)).await;
+    });
+}
+
+#[test]
+fn two_nodes_speak_over_unix_sockets() {
+    blastema::run(async {
+        let folder = TempDir::new().expect("a folder");
+        let path = |name: &str| folder.path().join(name).display().to_string();
+        let at = |own: &str, peer: &str| {
+            Network::new("local", &format!("unix://{}", path(own))).peer(peer, &path(peer))
+        };
+        speak_over(at("module1", "module2"), at("module2", "module1")).await;
+    });
+}
+
+#[test]
+fn two_nodes_speak_over_a_serial_line() {
+    blastema::run(async {
+        let cable = Cable::new();
+        let at = |own: &Path, peer: &str| {
+            Network::new("cable", &format!("serial://{}?baud=921600", own.display())).peer(peer, "")
+        };
+        speak_over(at(&cable.left(), "module2"), at(&cable.right(), "module1")).await;
+    });
+}
+
+#[test]
+fn two_nodes_speak_over_a_serial_line_of_9600_bits_a_second() {
+    blastema::run(async {
+        let cable = Cable::new();
+        let at = |own: &Path, name: &str| {
+            Network::new("cable", &format!("serial://{}?baud=9600", own.display())).peer(name, "")
+        };
+        let far = Node::builder("module2")
+            .network(at(&cable.right(), "module1"))
+            .child(ChildSpec::new("mirror", || Mirror))
+            .start()
+            .await
+            .expect("module2 starts");
+        let near = Node::builder("module1")
+            .network(at(&cable.left(), "module2"))
+            .start()
+            .await
+            .expect("module1 starts");
+        assert!(near.connected("module2", PATIENCE).await, "{:?}", near.links().await);
+
+        let mirror: Sender<Turn> = near.sender("module2:mirror").expect("a name");
+        let turned = mirror.ask_within(Turn(vec![1, 2, 3]), PATIENCE).await;
+        assert_eq!(turned.expect("it is answered"), [3, 2, 1]);
+        near.shutdown().await;
+        far.shutdown().await;
+    });
+}
+
+#[test]
+fn two_nodes_of_one_process_speak_over_memory() {
+    blastema::run(async {
+        let at = |own: &str, peer: &str| {
+            Network::new("memory", &format!("memory://media-test/{own}"))
+                .peer(peer, &format!("media-test/{peer}"))
+        };
+        speak_over(at("module1", "module2"), at("module2", "module1")).await;
+    });
+}
+
+#[test]
+fn a_serial_cable_that_is_pulled_and_plugged_in_again_carries_on() {
+    blastema::run(async {
+        let cable = Cable::new();
+        let at = |own: &Path, peer: &str| {
+            let endpoint = format!("serial://{}?baud=921600", own.display());
+            Network::new("cable", &endpoint).peer(peer, "")
+        };
+        let far = Node::builder("module2")
+            .network(at(&cable.right(), "module1"))
+            .child(ChildSpec::new("mirror", || Mirror))
+            .start()
+            .await
+            .expect("module2 starts");
+        let near = Node::builder("module1")
+            .network(at(&cable.left(), "module2"))
+            .start()
+            .await
+            .expect("module1 starts");
+        assert!(near.connected("module2", PATIENCE).await);
+        let mut faults = near.fault_events();
+
+        cable.inject(&cable.left(), b"\r\nDebian GNU/Linux 12 module2 ttyS0\r\n\0");
+        cable.unplug();
+        let fault = link_fault(&mut faults).await;
+        assert_eq!(fault.place.to_string(), "module1 -cable- module2");
+        cable.plug();
+
+        assert!(near.connected("module2", PATIENCE).await, "{:?}", near.links().await);
+        let mirror: Sender<Turn> = near.sender("module2:mirror").expect("a name");
+        let patience = tokio::time::timeout(PATIENCE, async {
+            loop {
+                if let Ok(turned) = mirror.ask(Turn(vec![1, 2])).await {
+                    return turned;
+                }
+            }
+        });
+        assert_eq!(patience.await.expect("the link comes back"), [2, 1]);
+        near.shutdown().await;
+        far.shutdown().await;
+    });
+}
+
+/// The next fault of a link.
+async fn link_fault(faults: &mut blastema::FaultEvents) -> blastema::Fault {
+    let found = async {
+        loop {
+            let event = faults.next().await.expect("the node lives");
+            if event.fault.kind == FaultKind::LinkDown {
+                return event.fault;
+            }
+        }
+    };
+    tokio::time::timeout(PATIENCE, found).await.expect("a link fails")
+}
+
+#[test]
+fn a_port_that_is_taken_is_a_fault_that_says_what_to_do_and_ends_when_the_port_is_free() {
+    blastema::run(async {
+        for medium in ["udp", "tcp"] {
+            for peers in [0, 1] {
+                let tcp = TcpListener::bind("127.0.0.1:0").expect("a free port");
+                let taken = tcp.local_addr().expect("it is bound");
+                let udp = UdpSocket::bind(taken).expect("the same port of UDP");
+                let mut network = Network::new("ethernet", &format!("{medium}://{taken}"));
+                if peers == 1 {
+                    network = network.peer("module2", "127.0.0.1:9");
+                }
+
+                let node = Node::builder("module1").network(network).start().await;
+                let node = node.expect("a medium may come later");
+                let mut faults = node.fault_events();
+                // It may have been found before anybody listened.
+                let found = node.faults().await.entries.pop().map(|entry| entry.fault.detail);
+                let detail = match found {
+                    Some(detail) => detail,
+                    None => link_fault(&mut faults).await.detail,
+                };
+                assert!(detail.contains("choose another port"), "{detail}");
+                assert!(detail.contains(&format!("{medium} {taken}")), "{detail}");
+
+                drop((udp, tcp));
+                if peers == 0 {
+                    let cleared = async {
+                        while !node.table().await.iter().any(|row| {
+                            row.place.to_string().contains("ethernet")
+                                && row.opinion == blastema::Opinion::Trusted
+                        }) {
+                            tokio::task::yield_now().await;
+                        }
+                    };
+                    tokio::time::timeout(PATIENCE, cleared).await.expect("it opens");
+                }
+                node.shutdown().await;
+            }
+        }
+    });
+}
+
+#[test]
+fn a_wrong_endpoint_or_address_is_refused_at_start_with_the_wrong_part_underlined() {
+    blastema::run(async {
+        let start = async |network: Network| {
+            let error = Node::builder("module1").network(network).start().await;
+            match error.expect_err("it is wrong") {
+                StartError::Endpoint { network, error } => {
+                    assert_eq!(network, "cable");
+                    error
+                }
+                other => panic!("{other}"),
+            }
+        };
+
+        let error = start(Network::new("cable", "serial:///dev/ttyUSB0?buad=9600")).await;
+        assert_eq!(error.part(), "buad");
+        assert!(matches!(error.problem(), EndpointProblem::UnknownKey { .. }));
+        let lines: Vec<String> = error.to_string().lines().map(str::to_owned).collect();
+        assert_eq!(lines[0], "serial has no key `buad`: did you mean `baud`?");
+        assert_eq!(lines[2].trim(), "^^^^");
+
+        let network = Network::new("cable", "tcp://127.0.0.1:0");
+        let error = start(network.link(Link::to("module2", "module2:7400").cost(3))).await;
+        assert_eq!(error.part(), "module2");
+    });
+}

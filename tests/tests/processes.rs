@@ -1,0 +1,136 @@
+//! Nodes that are processes of their own, and are killed without a word.
+//!
+//! This test starts itself again for them: a process that finds a role in its environment plays it, and
+//! is killed when its part is over.
+
+use blastema::prelude::*;
+use blastema::{ActuatorSpec, Link, Network};
+use std::net::{SocketAddr, UdpSocket};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+/// The role of a process that was started by a test.
+const ROLE: &str = "BLASTEMA_TEST_ROLE";
+/// The addresses of all nodes, by number.
+const ADDRESSES: &str = "BLASTEMA_TEST_ADDRESSES";
+/// For everything that takes time on a busy computer.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// A process that is killed at the latest when the test ends.
+struct Process(Child);
+
+impl Process {
+    fn start(role: &str, addresses: &[SocketAddr]) -> Self {
+        let addresses: Vec<String> = addresses.iter().map(SocketAddr::to_string).collect();
+        let program = std::env::current_exe().expect("a running program has a path");
+        let child = Command::new(program)
+            .args(["--exact", "a_process_plays_its_role", "--nocapture"])
+            .env(ROLE, role)
+            .env(ADDRESSES, addresses.join(","))
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .spawn();
+        Process(child.expect("the test can be started again"))
+    }
+
+    /// As `kill -9` does.
+    fn kill(&mut self) {
+        self.0.kill().expect("it still runs");
+        self.0.wait().expect("it was started here");
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // It may have been killed already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Addresses of this computer that nobody uses.
+fn free_addresses(count: usize) -> Vec<SocketAddr> {
+    let held: Vec<_> = (0..count).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap()).collect();
+    held.iter().map(|socket| socket.local_addr().unwrap()).collect()
+}
+
+/// The network of node `own` of these, with a link to every other.
+fn ethernet(addresses: &[SocketAddr], own: usize) -> Network {
+    let mut network = Network::udp("ethernet", addresses[own]);
+    for (number, address) in addresses.iter().enumerate().filter(|(number, _)| *number != own) {
+        let link = Link::new(&format!("module{number}"), *address);
+        network = network.link(link.hello_every(Duration::from_millis(10)));
+    }
+    network
+}
+
+fn addresses() -> Vec<SocketAddr> {
+    let text = std::env::var(ADDRESSES).expect("whoever gives a role gives addresses");
+    text.split(',').map(|address| address.parse().expect("an address")).collect()
+}
+
+#[test]
+fn a_process_plays_its_role() {
+    let Ok(role) = std::env::var(ROLE) else { return };
+    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
+    blastema::run(async {
+        match role.as_str() {
+            "commander" => command_wheels().await,
+            other => panic!("there is no role {other}"),
+        }
+    });
+}
+
+/// Turns the wheels; answers how fast they turn now.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "wheels/drive", reply = f32)]
+struct Drive(f32);
+
+struct Wheels(std::sync::mpsc::SyncSender<f32>);
+
+impl Component for Wheels {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(Duration::from_millis(200)));
+    }
+}
+
+impl Handle<Drive> for Wheels {
+    async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) -> f32 {
+        self.0.send(drive.0).expect("the test listens");
+        drive.0
+    }
+}
+
+async fn command_wheels() {
+    let node = Node::builder("module1").network(ethernet(&addresses(), 1)).start().await.unwrap();
+    assert!(node.connected("module0", PATIENCE).await);
+    let wheels = node.commander::<Drive>("module0:wheels", "console").unwrap();
+    wheels.claim().await.unwrap();
+    wheels.command(Drive(1.0)).await.unwrap();
+    std::future::pending::<()>().await;
+}
+
+#[test]
+fn wheels_stop_by_themselves_when_their_commanders_process_is_killed() {
+    let addresses = free_addresses(2);
+    let (turned, turns) = std::sync::mpsc::sync_channel(16);
+    let mut commander = Process::start("commander", &addresses);
+
+    blastema::run(async {
+        let wheels = ChildSpec::new("wheels", move || Wheels(turned.clone()));
+        let node = Node::builder("module0").network(ethernet(&addresses, 0)).child(wheels);
+        let node = node.start().await.unwrap();
+
+        assert_eq!(turns.recv_timeout(PATIENCE), Ok(1.0));
+        assert!(turns.try_recv().is_err(), "while the commander lives nothing stops");
+        commander.kill();
+        assert_eq!(turns.recv_timeout(PATIENCE), Ok(0.0));
+
+        let next = node.commander::<Drive>("wheels", "next").unwrap();
+        while next.claim().await.is_err() {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(next.command(Drive(0.5)).await, Ok(0.5));
+        node.shutdown().await;
+    });
+}

@@ -1,0 +1,245 @@
+//! Commanders and the actuators that they hold, in virtual time.
+
+use blastema::prelude::*;
+use blastema::{ActuatorSpec, Commander, Direction, Link, MemoryMedium, Network, NodeBuilder};
+use blastema_testkit::{TestNode, now};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+const LEASE: Duration = Duration::from_millis(100);
+/// The lease and one beat.
+const BOUND: Duration = Duration::from_millis(110);
+
+/// Turns the wheels; answers how fast they turn now.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "wheels/drive", reply = f32)]
+struct Drive(f32);
+
+#[derive(Clone, Debug, Event)]
+struct Blow;
+
+/// What the wheels did, and when.
+type Track = Arc<Mutex<Vec<(f32, blastema::Instant)>>>;
+
+struct Wheels(Track);
+
+impl Component for Wheels {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(LEASE)).accept::<Blow>();
+    }
+}
+
+impl Handle<Drive> for Wheels {
+    async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) -> f32 {
+        self.0.lock().unwrap().push((drive.0, now()));
+        drive.0
+    }
+}
+
+impl Handle<Blow> for Wheels {
+    async fn handle(&mut self, _: Blow, _: &mut Context<Self>) {
+        panic!("a blow");
+    }
+}
+
+fn node(name: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
+    let network = Network::memory("ethernet", medium, name).link(Link::in_memory(far, far));
+    Node::builder(name).network(network.with_faults(7))
+}
+
+struct Robot {
+    here: TestNode,
+    there: TestNode,
+    track: Track,
+}
+
+impl Robot {
+    async fn start() -> Self {
+        Robot::start_with(|node| node).await
+    }
+
+    async fn start_with(more: impl FnOnce(NodeBuilder) -> NodeBuilder) -> Self {
+        let (track, medium) = (Track::default(), MemoryMedium::default());
+        let kept = track.clone();
+        let wheels = ChildSpec::new("wheels", move || Wheels(kept.clone()));
+        let here = TestNode::start(more(node("module1", "module2", &medium))).await;
+        let there = TestNode::start(node("module2", "module1", &medium).child(wheels)).await;
+        here.advance(2000 * MS).await;
+        Robot { here, there, track }
+    }
+
+    fn commander(&self, own: &str) -> Commander<Drive> {
+        self.here.commander("module2:wheels", own).unwrap()
+    }
+
+    fn speeds(&self) -> Vec<f32> {
+        self.track.lock().unwrap().iter().map(|(speed, _)| *speed).collect()
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_commander_holds_the_wheels_for_as_long_as_it_lives_and_gives_them_back() {
+    let robot = Robot::start().await;
+    let commander = robot.commander("console");
+
+    assert_eq!(commander.command(Drive(1.0)).await, Err(Why::LeaseEnded));
+    commander.claim().await.unwrap();
+    assert_eq!(commander.command(Drive(1.0)).await, Ok(1.0));
+    robot.here.advance(10_000 * MS).await;
+    assert!(commander.holds());
+    assert_eq!(robot.speeds(), [1.0]);
+
+    drop(commander);
+    robot.here.advance(100 * MS).await;
+    assert_eq!(robot.speeds(), [1.0, 0.0]);
+    robot.there.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn nobody_commands_the_wheels_past_their_lease() {
+    let robot = Robot::start().await;
+    let around = robot.here.sender::<Drive>("module2:wheels").unwrap().ask(Drive(9.0)).await;
+    assert!(matches!(around.unwrap_err().why, Why::Unknown { .. }));
+    assert_eq!(robot.speeds(), []);
+}
+
+#[blastema_testkit::test]
+async fn a_cut_cable_stops_the_wheels_within_the_lease_and_one_beat() {
+    let mut robot = Robot::start().await;
+    let commander = robot.commander("console");
+    commander.claim().await.unwrap();
+    commander.command(Drive(1.0)).await.unwrap();
+
+    let cut_at = now();
+    robot.here.cable("ethernet").unwrap().cut(Direction::Both, false);
+    robot.here.advance(BOUND).await;
+
+    let (speed, at) = *robot.track.lock().unwrap().last().unwrap();
+    assert_eq!(speed, 0.0);
+    assert!(at - cut_at <= BOUND, "{:?}", at - cut_at);
+    assert!(!commander.holds(), "it knows by itself");
+    assert_eq!(commander.command(Drive(2.0)).await, Err(Why::LeaseEnded));
+    robot.there.await_fault(FaultKind::CheckFailed, "wheels").await;
+
+    robot.here.cable("ethernet").unwrap().restore();
+    robot.here.advance(1000 * MS).await;
+    assert_eq!(robot.speeds(), [1.0, 0.0], "what came late was not carried out");
+    commander.claim().await.unwrap();
+    assert_eq!(commander.command(Drive(3.0)).await, Ok(3.0));
+}
+
+#[blastema_testkit::test]
+async fn a_second_commander_is_refused_while_the_lease_holds_and_the_first_once_it_has_lost_it() {
+    let robot = Robot::start().await;
+    let (first, second) = (robot.commander("planner"), robot.commander("console"));
+    let old = first.claim().await.unwrap();
+
+    assert_eq!(second.claim().await, Err(Why::Held { by: holder(&robot) }));
+    assert_eq!(second.command(Drive(2.0)).await, Err(Why::LeaseEnded));
+    first.release().await.unwrap();
+    robot.here.advance(10 * MS).await;
+    let new = second.claim().await.unwrap();
+
+    assert!(new > old);
+    assert_eq!(first.command(Drive(1.0)).await, Err(Why::LeaseEnded));
+    assert_eq!(second.command(Drive(2.0)).await, Ok(2.0));
+    assert_eq!(robot.speeds(), [0.0, 2.0]);
+}
+
+fn holder(robot: &Robot) -> String {
+    format!("module1:planner{}", robot.here.incarnation())
+}
+
+#[blastema_testkit::test]
+async fn two_of_one_name_fence_each_other_by_epoch() {
+    let robot = Robot::start().await;
+    let (first, second) = (robot.commander("planner"), robot.commander("planner"));
+    first.claim().await.unwrap();
+    let epoch = second.claim().await.unwrap();
+
+    // Its own renewal may have told it already.
+    let refused = first.command(Drive(1.0)).await.unwrap_err();
+    assert!(refused == Why::Superseded { epoch } || refused == Why::LeaseEnded, "{refused}");
+    assert_eq!(second.command(Drive(2.0)).await, Ok(2.0));
+    assert_eq!(robot.speeds(), [2.0]);
+}
+
+/// Drives, until it is struck or stuck.
+struct Planner;
+
+#[derive(Clone, Debug, Event)]
+struct Stick;
+
+impl Component for Planner {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Blow>().accept::<Stick>();
+    }
+
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let wheels = cx.commander::<Drive>("module2:wheels")?;
+        // The first life of all finds no network yet.
+        cx.spawn(async move {
+            while wheels.claim().await.is_err() {
+                tokio::time::sleep(10 * MS).await;
+            }
+            let _ = wheels.command(Drive(1.0)).await;
+            std::future::pending::<()>().await;
+            drop(wheels);
+        });
+        Ok(())
+    }
+}
+
+impl Handle<Blow> for Planner {
+    async fn handle(&mut self, _: Blow, _: &mut Context<Self>) {
+        panic!("a blow");
+    }
+}
+
+impl Handle<Stick> for Planner {
+    async fn handle(&mut self, _: Stick, cx: &mut Context<Self>) {
+        cx.stop();
+    }
+}
+
+#[blastema_testkit::test]
+async fn the_next_life_of_a_commander_goes_on_without_a_stop() {
+    let planner = ChildSpec::new("planner", || Planner);
+    let mut robot = Robot::start_with(|node| node.child(planner)).await;
+    assert_eq!(robot.speeds(), [1.0]);
+
+    robot.here.sender::<Blow>("planner").unwrap().tell(Blow).unwrap();
+    robot.here.await_recovered(FaultKind::Panic, "planner").await;
+    robot.here.advance(500 * MS).await;
+
+    let speeds = robot.speeds();
+    assert!(matches!(speeds[..], [1.0, 1.0] | [1.0, 0.0, 1.0]), "{speeds:?}");
+}
+
+#[blastema_testkit::test]
+async fn a_commander_that_is_gone_for_good_leaves_the_wheels_at_rest() {
+    let planner = ChildSpec::new("planner", || Planner);
+    let add = |node: NodeBuilder| node.child_with(planner, Restart::Temporary);
+    let robot = Robot::start_with(add).await;
+
+    robot.here.sender::<Stick>("planner").unwrap().tell(Stick).unwrap();
+    robot.here.advance(BOUND + 10 * MS).await;
+
+    assert_eq!(robot.speeds(), [1.0, 0.0]);
+}
+
+#[blastema_testkit::test]
+async fn wheels_that_are_between_two_lives_are_stopped_in_the_next() {
+    let mut robot = Robot::start().await;
+    let commander = robot.commander("console");
+    commander.claim().await.unwrap();
+    commander.command(Drive(1.0)).await.unwrap();
+
+    drop(commander);
+    robot.there.sender::<Blow>("wheels").unwrap().tell(Blow).unwrap();
+    robot.there.await_recovered(FaultKind::Panic, "wheels").await;
+    robot.here.advance(100 * MS).await;
+
+    assert_eq!(robot.speeds().last(), Some(&0.0));
+}

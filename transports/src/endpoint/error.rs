@@ -1,0 +1,168 @@
+//! What is wrong with an endpoint string, and where.
+
+use std::fmt;
+use std::ops::Range;
+
+/// Why a text is no endpoint. It shows the text with the wrong part underlined:
+///
+/// ```text
+/// serial has no key `buad`: did you mean `baud`?
+///   serial:///dev/ttyUSB0?buad=9600
+///                         ^^^^
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EndpointError {
+    text: String,
+    at: Range<usize>,
+    // An error that is passed on through every call is better small.
+    problem: Box<EndpointProblem>,
+}
+
+/// What is wrong with the part that an [`EndpointError`] points at.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EndpointProblem {
+    /// Nothing says which medium is meant.
+    #[error("an endpoint begins with its medium, as in udp://0.0.0.0:7400")]
+    NoMedium,
+    /// No medium has this name, or this program was built without it.
+    #[error("no medium is called `{found}`: {}", suggest(.nearest.as_ref(), .known))]
+    UnknownMedium {
+        /// What stands there.
+        found: String,
+        /// What may have been meant.
+        nearest: Option<String>,
+        /// All that there are.
+        known: Vec<String>,
+    },
+    /// There is no IP address where one must stand. Names of hosts are not looked up: who answers would
+    /// depend on a server, and it takes time.
+    #[error(
+        "`{found}` is no IP address: write it in numbers, as in 10.0.0.1:7400 or [fd00::1]:7400"
+    )]
+    NotIp {
+        /// What stands there.
+        found: String,
+    },
+    /// An IP address stands there without a port.
+    #[error("the port is missing: write {example}")]
+    NoPort {
+        /// The address with a port.
+        example: String,
+    },
+    /// What stands where a port must is none.
+    #[error("`{found}` is no port: ports are 0 (any) to 65535")]
+    NotPort {
+        /// What stands there.
+        found: String,
+    },
+    /// The path is relative, or there is none: who starts the program, and where, must not matter.
+    #[error("a path begins with a slash, as in {example}")]
+    NoPath {
+        /// A right one.
+        example: &'static str,
+    },
+    /// A `%` is not followed by two hexadecimal digits.
+    #[error("after % there are two hexadecimal digits, as in %20 for a space")]
+    BadEscape,
+    /// There is nothing where a name must stand.
+    #[error("the name of {what} is missing, as in {example}")]
+    NoName {
+        /// Of what.
+        what: &'static str,
+        /// A right one.
+        example: &'static str,
+    },
+    /// The medium has no such setting.
+    #[error("{medium} has no key `{key}`: {}", suggest(.nearest.as_ref(), .known))]
+    UnknownKey {
+        /// The medium.
+        medium: &'static str,
+        /// What stands there.
+        key: String,
+        /// What may have been meant.
+        nearest: Option<String>,
+        /// All that there are.
+        known: Vec<String>,
+    },
+    /// A setting stands there twice: which one holds?
+    #[error("`{key}` is said twice: leave one of them out")]
+    Twice {
+        /// The key.
+        key: String,
+    },
+    /// A key stands there without `=` and a value.
+    #[error("`{key}` has no value: write {key}=…")]
+    NoValue {
+        /// The key.
+        key: String,
+    },
+    /// A value is not among those that the setting takes.
+    #[error("`{key}` cannot be `{found}`: it takes {expected}")]
+    BadValue {
+        /// The key.
+        key: String,
+        /// What stands there.
+        found: String,
+        /// What may stand there.
+        expected: String,
+    },
+    /// Two settings exclude each other, or one needs another.
+    #[error("{why}")]
+    Contradiction {
+        /// What goes with what.
+        why: &'static str,
+    },
+    /// The address of a peer is none on this medium.
+    #[error("`{found}` is no peer on {medium}: {expected}")]
+    NotPeer {
+        /// The medium.
+        medium: &'static str,
+        /// What stands there.
+        found: String,
+        /// What may stand there.
+        expected: &'static str,
+    },
+}
+
+fn suggest(nearest: Option<&String>, known: &[String]) -> String {
+    match nearest {
+        Some(nearest) => format!("did you mean `{nearest}`?"),
+        None => format!("there are {}", known.join(", ")),
+    }
+}
+
+impl EndpointError {
+    pub(super) fn new(text: &str, at: Range<usize>, problem: EndpointProblem) -> Self {
+        EndpointError { text: text.to_owned(), at, problem: Box::new(problem) }
+    }
+
+    /// What is wrong.
+    pub fn problem(&self) -> &EndpointProblem {
+        &self.problem
+    }
+
+    /// The wrong part, as it stands in the text; empty where something is missing.
+    pub fn part(&self) -> &str {
+        &self.text[self.at.clone()]
+    }
+
+    /// Where the wrong part stands in the text, in bytes.
+    pub fn at(&self) -> Range<usize> {
+        self.at.clone()
+    }
+}
+
+impl fmt::Display for EndpointError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // One line stays one line, whatever stands in the text, and every letter one column.
+        let shown = |text: &str| text.replace(char::is_control, "\u{FFFD}");
+        let before = self.text[..self.at.start].chars().count();
+        let width = self.part().chars().count().max(1);
+        writeln!(f, "{}", self.problem)?;
+        writeln!(f, "  {}", shown(&self.text))?;
+        write!(f, "  {:before$}{}", "", "^".repeat(width))
+    }
+}
+
+impl std::error::Error for EndpointError {}

@@ -1,0 +1,436 @@
+//! A medium and its settings, written as one string.
+//!
+//! ```text
+//! udp://0.0.0.0:7400?interface=eth0&mtu=1400
+//! └┬┘   └────┬─────┘ └──────────┬──────────┘
+//! medium   where            settings
+//! ```
+//!
+//! A pure parser: it opens nothing and looks nothing up. Deliberately not here: whether an interface, a
+//! port or a file exists; that the transport finds out, and again after every loss.
+
+mod can;
+mod error;
+mod settings;
+
+pub use self::can::{CanConfig, CanNodeConfig, SLCAN_BIT_RATES, SlcanConfig};
+pub use self::error::{EndpointError, EndpointProblem};
+
+use self::settings::{Settings, is_interface};
+#[cfg(feature = "serial")]
+use crate::serial::{Parity, SerialConfig, StopBits};
+#[cfg(feature = "tcp")]
+use crate::tcp::TcpConfig;
+#[cfg(feature = "udp")]
+use crate::udp::UdpConfig;
+#[cfg(feature = "unix")]
+use crate::unix::UnixConfig;
+use blastema_contract::transport::MediumAddress;
+use blastema_core::net::router::MTU_MIN;
+use blastema_core::spelling::nearest;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::ops::Range;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::time::Duration;
+
+/// The largest frame that any setting allows, in bytes: each receiver must be able to hold it.
+const MOST_BYTES: u64 = 1 << 24;
+/// The smallest largest frame, in bytes: what routers tell each other must fit.
+const LEAST_BYTES: u64 = MTU_MIN as u64;
+/// The longest time that a setting may name.
+const LONGEST: Duration = Duration::from_secs(3600);
+
+/// A medium and its settings.
+///
+/// | text | medium | settings |
+/// | --- | --- | --- |
+/// | `udp://0.0.0.0:7400` | UDP at this address; port 0 takes a free one | `interface`, `mtu`, `receive_buffer`, `send_buffer`, `queue_frames` |
+/// | `udp://239.255.0.1:7400` | UDP, hearing a multicast group | those, and `own` (the address that we send from), `hops` |
+/// | `udp://10.0.1.1:7400?interface=firewire0` | IP over IEEE 1394, bound to its interface | as UDP |
+/// | `tcp://10.0.0.1:7400` | TCP | `interface`, `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout`, `user_timeout` |
+/// | `unix:///run/x.sock` | a Unix-domain socket | `mode` (octal), `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout` |
+/// | `serial:///dev/ttyUSB0` | a serial line | `baud`, `parity`, `stop_bits`, `flow`, `mtu`, `queue_time` |
+/// | `can://can0` | a CAN interface | `fd`, `bit_rate_switch`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
+/// | `slcan:///dev/ttyACM0` | a CAN adapter on a serial port | `bitrate`, `baud`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
+/// | `memory://name` | between nodes of one process | |
+///
+/// Times have a unit (`500ms`). In a path, `%3F` is a question mark, and `%25` a percent sign.
+///
+/// ```
+/// use blastema_transports::Endpoint;
+///
+/// let error = "serial:///dev/ttyUSB0?buad=921600".parse::<Endpoint>().expect_err("misspelt");
+/// assert_eq!(
+///     error.to_string(),
+///     "serial has no key `buad`: did you mean `baud`?\n  \
+///        serial:///dev/ttyUSB0?buad=921600\n                        \
+///                              ^^^^"
+/// );
+/// ```
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum Endpoint {
+    /// `udp://`
+    #[cfg(feature = "udp")]
+    Udp(UdpConfig),
+    /// `tcp://`
+    #[cfg(feature = "tcp")]
+    Tcp(TcpConfig),
+    /// `unix://`
+    #[cfg(feature = "unix")]
+    Unix(UnixConfig),
+    /// `serial://`
+    #[cfg(feature = "serial")]
+    Serial(SerialConfig),
+    /// `can://`
+    Can(CanConfig),
+    /// `slcan://`
+    Slcan(SlcanConfig),
+    /// `memory://`: the name of our end.
+    Memory(String),
+}
+
+/// All media that this program was built with.
+const MEDIA: &[&str] = &[
+    #[cfg(feature = "udp")]
+    "udp",
+    #[cfg(feature = "tcp")]
+    "tcp",
+    #[cfg(feature = "unix")]
+    "unix",
+    #[cfg(feature = "serial")]
+    "serial",
+    "can",
+    "slcan",
+    "memory",
+];
+
+impl FromStr for Endpoint {
+    type Err = EndpointError;
+
+    fn from_str(text: &str) -> Result<Self, EndpointError> {
+        let Some((medium, rest)) = text.split_once("://") else {
+            return Err(EndpointError::new(text, 0..0, EndpointProblem::NoMedium));
+        };
+        let (place, query) = match rest.split_once('?') {
+            Some((place, query)) => (place, Some(query)),
+            None => (rest, None),
+        };
+        let at = medium.len() + 3..medium.len() + 3 + place.len();
+        let parts = Parts { text, place, at, query };
+        match medium {
+            #[cfg(feature = "udp")]
+            "udp" => udp(&parts),
+            #[cfg(feature = "tcp")]
+            "tcp" => tcp(&parts),
+            #[cfg(feature = "unix")]
+            "unix" => unix(&parts),
+            #[cfg(feature = "serial")]
+            "serial" => serial(&parts),
+            "can" => can(&parts),
+            "slcan" => slcan(&parts),
+            "memory" => memory(&parts),
+            _ => {
+                let problem = EndpointProblem::UnknownMedium {
+                    found: medium.to_owned(),
+                    nearest: nearest(medium, MEDIA.iter().copied()).map(str::to_owned),
+                    known: MEDIA.iter().map(|&medium| medium.to_owned()).collect(),
+                };
+                Err(EndpointError::new(text, 0..medium.len(), problem))
+            }
+        }
+    }
+}
+
+impl Endpoint {
+    /// The medium's name, as it stands before `://`.
+    pub fn medium(&self) -> &'static str {
+        match self {
+            #[cfg(feature = "udp")]
+            Endpoint::Udp(_) => "udp",
+            #[cfg(feature = "tcp")]
+            Endpoint::Tcp(_) => "tcp",
+            #[cfg(feature = "unix")]
+            Endpoint::Unix(_) => "unix",
+            #[cfg(feature = "serial")]
+            Endpoint::Serial(_) => "serial",
+            Endpoint::Can(_) => "can",
+            Endpoint::Slcan(_) => "slcan",
+            Endpoint::Memory(_) => "memory",
+        }
+    }
+
+    /// Reads a peer's address as this medium writes it: `10.0.0.2:7400`, a path, a number on the CAN
+    /// bus, the name of an end in memory; nothing on a serial line, which leads to one peer only.
+    ///
+    /// # Errors
+    /// The text is no address there.
+    pub fn peer(&self, text: &str) -> Result<MediumAddress, EndpointError> {
+        let parsed = match self {
+            #[cfg(feature = "udp")]
+            Endpoint::Udp(_) => return ip(text, 0..text.len(), text).map(MediumAddress::Ip),
+            #[cfg(feature = "tcp")]
+            Endpoint::Tcp(_) => return ip(text, 0..text.len(), text).map(MediumAddress::Ip),
+            #[cfg(feature = "unix")]
+            Endpoint::Unix(_) => {
+                let path = text.starts_with('/').then(|| PathBuf::from(text).into());
+                path.map(MediumAddress::Unix)
+                    .ok_or("write the path of its socket, as in /run/b.sock")
+            }
+            #[cfg(feature = "serial")]
+            Endpoint::Serial(_) => match text {
+                "" => Ok(MediumAddress::Line),
+                _ => Err("a line leads to one peer only, which needs no address: leave it empty"),
+            },
+            Endpoint::Can(_) | Endpoint::Slcan(_) => {
+                let number = match text.strip_prefix("0x") {
+                    Some(digits) => u8::from_str_radix(digits, 16),
+                    None => text.parse(),
+                };
+                number.map(MediumAddress::Can).map_err(|_| "write its number on the bus, 0 to 255")
+            }
+            Endpoint::Memory(_) => match text {
+                "" => Err("write the name of its end"),
+                name => Ok(MediumAddress::Memory(name.into())),
+            },
+        };
+        parsed.map_err(|expected| {
+            let (medium, found) = (self.medium(), text.to_owned());
+            let problem = EndpointProblem::NotPeer { medium, found, expected };
+            EndpointError::new(text, 0..text.len(), problem)
+        })
+    }
+}
+
+/// An endpoint string behind its medium.
+struct Parts<'a> {
+    text: &'a str,
+    place: &'a str,
+    /// Where `place` stands in `text`.
+    at: Range<usize>,
+    query: Option<&'a str>,
+}
+
+impl<'a> Parts<'a> {
+    fn settings(&self, medium: &'static str) -> Result<Settings<'a>, EndpointError> {
+        Settings::new(self.text, medium, self.query)
+    }
+
+    fn error(&self, problem: EndpointProblem) -> EndpointError {
+        EndpointError::new(self.text, self.at.clone(), problem)
+    }
+
+    fn path(&self, example: &'static str) -> Result<PathBuf, EndpointError> {
+        if !self.place.starts_with('/') {
+            return Err(self.error(EndpointProblem::NoPath { example }));
+        }
+        let mut bytes = Vec::with_capacity(self.place.len());
+        let mut rest = self.place.bytes().enumerate();
+        while let Some((place, byte)) = rest.next() {
+            if byte != b'%' {
+                bytes.push(byte);
+                continue;
+            }
+            let mut digit = || rest.next().and_then(|(_, byte)| char::from(byte).to_digit(16));
+            let (Some(high), Some(low)) = (digit(), digit()) else {
+                let start = self.at.start + place;
+                let problem = EndpointProblem::BadEscape;
+                return Err(EndpointError::new(self.text, start..start + 1, problem));
+            };
+            bytes.push((high * 16 + low) as u8);
+        }
+        // Escapes can spell what is no UTF-8, and a zero, which no path holds.
+        match String::from_utf8(bytes) {
+            Ok(path) if !path.contains('\0') => Ok(path.into()),
+            _ => Err(self.error(EndpointProblem::NoPath { example })),
+        }
+    }
+}
+
+/// An IP address with its port, at `at` in `text`.
+fn ip(text: &str, at: Range<usize>, found: &str) -> Result<SocketAddr, EndpointError> {
+    if let Ok(address) = found.parse() {
+        return Ok(address);
+    }
+    let whole = |problem| Err(EndpointError::new(text, at.clone(), problem));
+    let bare = found.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(found);
+    if let Ok(address) = bare.parse::<IpAddr>() {
+        let example = SocketAddr::new(address, 7400).to_string();
+        return whole(EndpointProblem::NoPort { example });
+    }
+    let Some((host, port)) = found.rsplit_once(':') else {
+        return whole(EndpointProblem::NotIp { found: found.to_owned() });
+    };
+    let inner = host.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(host);
+    if inner.parse::<IpAddr>().is_err() {
+        let end = at.start + host.len();
+        let problem = EndpointProblem::NotIp { found: host.to_owned() };
+        return Err(EndpointError::new(text, at.start..end, problem));
+    }
+    let start = at.start + host.len() + 1;
+    let problem = EndpointProblem::NotPort { found: port.to_owned() };
+    Err(EndpointError::new(text, start..at.end, problem))
+}
+
+#[cfg(feature = "udp")]
+fn udp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
+    let mut settings = parts.settings("udp")?;
+    let address = ip(parts.text, parts.at.clone(), parts.place)?;
+    let mut config = UdpConfig { bind: address, ..UdpConfig::default() };
+    if address.ip().is_multicast() {
+        if address.port() == 0 {
+            let example = SocketAddr::new(address.ip(), 7400).to_string();
+            return Err(parts.error(EndpointProblem::NoPort { example }));
+        }
+        let any: IpAddr = match address {
+            SocketAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
+            SocketAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
+        };
+        let expected =
+            format!("our own address with its port, as in {}", SocketAddr::new(any, 7401));
+        let own = settings.take("own", expected, |text| {
+            let own: SocketAddr = text.parse().ok()?;
+            (own.is_ipv4() == address.is_ipv4() && !own.ip().is_multicast()).then_some(own)
+        })?;
+        settings.number("hops", 1..=255, &mut config.hops)?;
+        config.bind = own.unwrap_or(SocketAddr::new(any, 0));
+        config.group = Some(address);
+    }
+    config.interface = settings.interface()?;
+    config.mtu = largest_frame(&mut settings, 65_507)?;
+    settings.number("receive_buffer", 4_096..=1 << 30, &mut config.receive_buffer)?;
+    settings.number("send_buffer", 4_096..=1 << 30, &mut config.send_buffer)?;
+    settings.number("queue_frames", 1..=65_536, &mut config.queue_frames)?;
+    settings.finish()?;
+    Ok(Endpoint::Udp(config))
+}
+
+#[cfg(feature = "tcp")]
+fn tcp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
+    let mut settings = parts.settings("tcp")?;
+    let bind = ip(parts.text, parts.at.clone(), parts.place)?;
+    if bind.ip().is_multicast() {
+        let why = "a group is heard by UDP only: write udp:// before it";
+        return Err(parts.error(EndpointProblem::Contradiction { why }));
+    }
+    let mut config = TcpConfig { bind, interface: settings.interface()?, ..TcpConfig::default() };
+    settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut config.mtu)?;
+    settings.number("peers", 1..=65_536, &mut config.peers)?;
+    settings.number("strangers", 1..=65_536, &mut config.strangers)?;
+    settings.number("queue_bytes", LEAST_BYTES..=1 << 30, &mut config.queue_bytes)?;
+    let times = Duration::from_millis(1)..=LONGEST;
+    settings.span("connect_timeout", times.clone(), &mut config.connect_timeout)?;
+    settings.span("hello_timeout", times.clone(), &mut config.hello_timeout)?;
+    settings.span("user_timeout", times, &mut config.user_timeout)?;
+    settings.finish()?;
+    Ok(Endpoint::Tcp(config))
+}
+
+#[cfg(feature = "unix")]
+fn unix(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
+    let mut settings = parts.settings("unix")?;
+    let mut config = UnixConfig::new(parts.path("unix:///run/robot.sock")?);
+    let mode = settings.take("mode", "permissions in octal, as in 660", |text| {
+        u32::from_str_radix(text, 8).ok().filter(|mode| *mode <= 0o777)
+    })?;
+    config.mode = mode.unwrap_or(config.mode);
+    settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut config.mtu)?;
+    settings.number("peers", 1..=65_536, &mut config.peers)?;
+    settings.number("strangers", 1..=65_536, &mut config.strangers)?;
+    settings.number("queue_bytes", LEAST_BYTES..=1 << 30, &mut config.queue_bytes)?;
+    let times = Duration::from_millis(1)..=LONGEST;
+    settings.span("connect_timeout", times.clone(), &mut config.connect_timeout)?;
+    settings.span("hello_timeout", times, &mut config.hello_timeout)?;
+    settings.finish()?;
+    Ok(Endpoint::Unix(config))
+}
+
+#[cfg(feature = "serial")]
+fn serial(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
+    let mut settings = parts.settings("serial")?;
+    let mut config = SerialConfig::new(parts.path("serial:///dev/ttyUSB0")?);
+    settings.number("baud", BAUD, &mut config.baud)?;
+    let parities = [("none", Parity::None), ("odd", Parity::Odd), ("even", Parity::Even)];
+    settings.choice("parity", &parities, &mut config.parity)?;
+    let stops = [("1", StopBits::One), ("2", StopBits::Two)];
+    settings.choice("stop_bits", &stops, &mut config.stop_bits)?;
+    // XON and XOFF are not among them: their bytes stand in frames, too.
+    let flows = [("none", false), ("hardware", true)];
+    settings.choice("flow", &flows, &mut config.hardware_flow)?;
+    config.mtu = largest_frame(&mut settings, 65_535)?;
+    settings.span("queue_time", Duration::from_millis(1)..=LONGEST, &mut config.queue_time)?;
+    settings.finish()?;
+    Ok(Endpoint::Serial(config))
+}
+
+/// What serial ports of today can, with room above, in bits a second.
+const BAUD: std::ops::RangeInclusive<u64> = 50..=50_000_000;
+
+fn can(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
+    let mut settings = parts.settings("can")?;
+    if !is_interface(parts.place) {
+        let (what, example) = ("an interface", "can://can0");
+        return Err(parts.error(EndpointProblem::NoName { what, example }));
+    }
+    let mut config = CanConfig::new(parts.place);
+    settings.switch("fd", &mut config.fd)?;
+    settings.switch("bit_rate_switch", &mut config.bit_rate_switch)?;
+    if config.bit_rate_switch && !config.fd {
+        let why = "only CAN FD frames can switch the bit rate: add fd=true";
+        return Err(settings.contradiction("bit_rate_switch", why));
+    }
+    can_node(&mut settings, &mut config.node)?;
+    settings.finish()?;
+    Ok(Endpoint::Can(config))
+}
+
+fn slcan(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
+    let mut settings = parts.settings("slcan")?;
+    let mut config = SlcanConfig::new(parts.path("slcan:///dev/ttyACM0")?);
+    let rates = SLCAN_BIT_RATES.map(|rate| rate.to_string()).join(", ");
+    let known = |text: &str| text.parse().ok().filter(|rate| SLCAN_BIT_RATES.contains(rate));
+    config.bitrate = settings.take("bitrate", rates, known)?.unwrap_or(config.bitrate);
+    settings.number("baud", BAUD, &mut config.baud)?;
+    can_node(&mut settings, &mut config.node)?;
+    settings.finish()?;
+    Ok(Endpoint::Slcan(config))
+}
+
+fn can_node(settings: &mut Settings<'_>, node: &mut CanNodeConfig) -> Result<(), EndpointError> {
+    settings.number("address", 0..=254, &mut node.address)?;
+    settings.switch("short_ids", &mut node.short_ids)?;
+    settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut node.mtu)?;
+    settings.number("queue_frames", 1..=65_536, &mut node.queue_frames)?;
+    settings.number("block_size", 0..=255, &mut node.block_size)?;
+    // Those that ISO 15765-2 can say: nothing, 100 to 900 µs in steps of 100, 1 to 127 ms.
+    let expected = "nothing (0ms), 100us to 900us in steps of 100us, or 1ms to 127ms";
+    let mut separation = node.separation;
+    let range = Duration::ZERO..=Duration::from_millis(127);
+    settings.span("separation", range, &mut separation)?;
+    let micros = separation.as_micros();
+    let step = if micros < 1_000 { 100 } else { 1_000 };
+    if !micros.is_multiple_of(step) {
+        return Err(settings.contradiction("separation", expected));
+    }
+    node.separation = separation;
+    Ok(())
+}
+
+fn memory(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
+    if parts.place.is_empty() {
+        let (what, example) = ("our end", "memory://left");
+        return Err(parts.error(EndpointProblem::NoName { what, example }));
+    }
+    parts.settings("memory")?.finish()?;
+    Ok(Endpoint::Memory(parts.place.to_owned()))
+}
+
+fn largest_frame(settings: &mut Settings<'_>, most: u64) -> Result<Option<usize>, EndpointError> {
+    let mut mtu = 0;
+    settings.number("mtu", LEAST_BYTES..=most, &mut mtu)?;
+    Ok((mtu > 0).then_some(mtu))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,288 @@
+//! Every right form once, and every wrong one with where it is wrong.
+
+use super::*;
+
+fn good(text: &str) -> Endpoint {
+    text.parse().unwrap_or_else(|error: EndpointError| panic!("{error}"))
+}
+
+/// The text is refused, with this part pointed at, and these words said about it.
+#[track_caller]
+fn bad(text: &str, part: &str, start: usize, words: &str) {
+    let error = text.parse::<Endpoint>().expect_err("it should be refused");
+    assert_eq!((error.part(), error.at().start), (part, start), "{error}");
+    let said = error.problem().to_string();
+    assert!(said.contains(words), "{words:?} is not said in {said:?}");
+}
+
+#[test]
+fn udp_is_read_with_all_its_settings() {
+    let Endpoint::Udp(plain) = good("udp://0.0.0.0:7400") else { panic!() };
+    assert_eq!((plain.bind, plain.group), ("0.0.0.0:7400".parse().unwrap(), None));
+
+    let Endpoint::Udp(config) = good(
+        "udp://[fd00::1]:0?interface=firewire0&mtu=1400&receive_buffer=65536&send_buffer=8192\
+         &queue_frames=9",
+    ) else {
+        panic!()
+    };
+    assert_eq!(config.bind, "[fd00::1]:0".parse().unwrap());
+    assert_eq!((config.interface.as_deref(), config.mtu), (Some("firewire0"), Some(1400)));
+    let buffers = (config.receive_buffer, config.send_buffer, config.queue_frames);
+    assert_eq!(buffers, (65_536, 8_192, 9));
+}
+
+#[test]
+fn a_multicast_address_is_a_group_to_hear_and_our_own_port_is_another() {
+    let Endpoint::Udp(config) =
+        good("udp://239.255.0.1:7400?interface=eth0&own=0.0.0.0:7401&hops=4")
+    else {
+        panic!()
+    };
+
+    assert_eq!(config.group, Some("239.255.0.1:7400".parse().unwrap()));
+    assert_eq!((config.bind, config.hops), ("0.0.0.0:7401".parse().unwrap(), 4));
+    let Endpoint::Udp(six) = good("udp://[ff15::1]:7400") else { panic!() };
+    assert_eq!(six.bind, "[::]:0".parse().unwrap());
+}
+
+#[test]
+fn tcp_is_read_with_all_its_settings() {
+    let Endpoint::Tcp(config) = good(
+        "tcp://127.0.0.1:7400?interface=lo&mtu=9000&peers=3&strangers=4&queue_bytes=5000\
+         &connect_timeout=1500ms&hello_timeout=2s&user_timeout=900000us",
+    ) else {
+        panic!()
+    };
+
+    assert_eq!(config.bind, "127.0.0.1:7400".parse().unwrap());
+    assert_eq!(config.interface.as_deref(), Some("lo"));
+    let bounds = (config.mtu, config.peers, config.strangers, config.queue_bytes);
+    assert_eq!(bounds, (9_000, 3, 4, 5_000));
+    let times = [config.connect_timeout, config.hello_timeout, config.user_timeout];
+    assert_eq!(times.map(|time| time.as_millis()), [1_500, 2_000, 900]);
+}
+
+#[test]
+fn unix_sockets_are_read_with_all_their_settings() {
+    let Endpoint::Unix(config) = good(
+        "unix:///run/a%20b%3F.sock?mode=660&mtu=9000&peers=3&strangers=4&queue_bytes=5000\
+         &connect_timeout=1s&hello_timeout=3s",
+    ) else {
+        panic!()
+    };
+
+    assert_eq!(config.path, PathBuf::from("/run/a b?.sock"));
+    assert_eq!((config.mode, config.mtu, config.peers), (0o660, 9_000, 3));
+    assert_eq!((config.strangers, config.queue_bytes), (4, 5_000));
+    assert_eq!((config.connect_timeout.as_secs(), config.hello_timeout.as_secs()), (1, 3));
+}
+
+#[test]
+fn serial_lines_are_read_with_all_their_settings() {
+    let Endpoint::Serial(config) = good(
+        "serial:///dev/ttyUSB0?baud=921600&parity=even&stop_bits=2&flow=hardware&mtu=700\
+         &queue_time=50ms",
+    ) else {
+        panic!()
+    };
+
+    assert_eq!((config.path, config.baud), (PathBuf::from("/dev/ttyUSB0"), 921_600));
+    assert_eq!((config.parity, config.stop_bits), (Parity::Even, StopBits::Two));
+    assert_eq!((config.hardware_flow, config.mtu), (true, Some(700)));
+    assert_eq!(config.queue_time, Duration::from_millis(50));
+}
+
+#[test]
+fn can_is_read_with_all_its_settings() {
+    let Endpoint::Can(plain) = good("can://can0?fd=true") else { panic!() };
+    assert_eq!((plain.interface.as_str(), plain.fd, plain.bit_rate_switch), ("can0", true, false));
+    assert_eq!(plain.node, CanNodeConfig::default());
+
+    let Endpoint::Can(config) = good(
+        "can://vcan1?fd=true&bit_rate_switch=true&address=7&mtu=800&queue_frames=8&block_size=4\
+         &separation=200us&short_ids=true",
+    ) else {
+        panic!()
+    };
+    assert!(config.bit_rate_switch);
+    let CanNodeConfig { address, short_ids, mtu, queue_frames, block_size, separation } =
+        config.node;
+    assert!(short_ids);
+    assert_eq!((address, mtu, queue_frames, block_size), (7, 800, 8, 4));
+    assert_eq!(separation, Duration::from_micros(200));
+}
+
+#[test]
+fn can_adapters_are_read_with_all_their_settings() {
+    let Endpoint::Slcan(config) =
+        good("slcan:///dev/ttyACM0?bitrate=125000&baud=3000000&address=9&separation=5ms")
+    else {
+        panic!()
+    };
+
+    assert_eq!((config.path, config.bitrate), (PathBuf::from("/dev/ttyACM0"), 125_000));
+    assert_eq!((config.baud, config.node.address), (3_000_000, 9));
+    assert_eq!(config.node.separation, Duration::from_millis(5));
+}
+
+#[test]
+fn an_end_in_memory_has_a_name() {
+    let Endpoint::Memory(name) = good("memory://left") else { panic!() };
+    assert_eq!(name, "left");
+}
+
+#[test]
+fn a_medium_that_is_missing_or_unknown_is_pointed_at() {
+    bad("0.0.0.0:7400", "", 0, "begins with its medium");
+    bad("", "", 0, "begins with its medium");
+    bad("upd://0.0.0.0:7400", "upd", 0, "did you mean `udp`?");
+    bad("zigbee://x", "zigbee", 0, "there are udp, tcp, unix, serial, can, slcan, memory");
+}
+
+#[test]
+fn a_wrong_ip_address_is_pointed_at_in_its_wrong_part() {
+    bad("udp://0.0.0:7400", "0.0.0", 6, "no IP address");
+    bad("tcp://localhost:7400", "localhost", 6, "write it in numbers");
+    bad("tcp://robot", "robot", 6, "no IP address");
+    bad("udp://10.0.0.1", "10.0.0.1", 6, "the port is missing: write 10.0.0.1:7400");
+    bad("udp://[fd00::1]", "[fd00::1]", 6, "write [fd00::1]:7400");
+    bad("udp://fd00::1", "fd00::1", 6, "write [fd00::1]:7400");
+    bad("udp://10.0.0.1:74000", "74000", 15, "no port");
+    bad("udp://10.0.0.1:?mtu=100", "", 15, "no port");
+    bad("udp://[fd00::1]:x", "x", 16, "no port");
+    bad("udp://", "", 6, "no IP address");
+    bad("udp://239.255.0.1:0", "239.255.0.1:0", 6, "the port is missing");
+    bad("tcp://239.255.0.1:7400", "239.255.0.1:7400", 6, "UDP only");
+}
+
+#[test]
+fn a_wrong_path_or_name_is_pointed_at() {
+    bad("unix://run/x.sock", "run/x.sock", 7, "begins with a slash, as in unix:///run/robot.sock");
+    bad("serial://", "", 9, "as in serial:///dev/ttyUSB0");
+    bad("slcan://ttyACM0", "ttyACM0", 8, "as in slcan:///dev/ttyACM0");
+    bad("unix:///run/a%2", "%", 13, "two hexadecimal digits");
+    bad("unix:///run/a%zz", "%", 13, "two hexadecimal digits");
+    bad("unix:///run/a%00", "/run/a%00", 7, "begins with a slash");
+    bad("unix:///run/a%ff", "/run/a%ff", 7, "begins with a slash");
+    bad("can://", "", 6, "the name of an interface is missing, as in can://can0");
+    bad("can://a/b", "a/b", 6, "the name of an interface");
+    bad("memory://", "", 9, "the name of our end is missing");
+}
+
+#[test]
+fn a_wrong_setting_is_pointed_at() {
+    bad("serial:///dev/ttyS0?buad=9600", "buad", 20, "did you mean `baud`?");
+    bad("memory://left?mtu=9", "mtu", 14, "memory has no key `mtu`");
+    bad("udp://0.0.0.0:1?hops=3", "hops", 16, "there are interface, mtu,");
+    bad("udp://0.0.0.0:1?mtu=999&mtu=998", "mtu", 24, "said twice");
+    bad("udp://0.0.0.0:1?mtu", "mtu", 16, "write mtu=…");
+    bad("udp://0.0.0.0:1?mtu=", "mtu", 16, "no value");
+    bad("udp://0.0.0.0:1?", "", 16, "the name of a setting is missing");
+    bad("udp://0.0.0.0:1?mtu=999&&hops=1", "", 24, "the name of a setting is missing");
+}
+
+#[test]
+fn a_wrong_value_is_pointed_at_with_what_it_may_be() {
+    bad("udp://0.0.0.0:1?mtu=big", "big", 20, "a whole number from 640 to 65507");
+    bad("udp://0.0.0.0:1?mtu=639", "639", 20, "from 640");
+    bad("udp://0.0.0.0:1?mtu=65508", "65508", 20, "from 640 to 65507");
+    bad("udp://0.0.0.0:1?interface=sixteen_letters_", "sixteen_letters_", 26, "of an interface");
+    bad("udp://239.0.0.1:1?own=[::1]:1", "[::1]:1", 22, "as in 0.0.0.0:7401");
+    bad("tcp://0.0.0.0:1?user_timeout=5", "5", 29, "as in 500ms or 2s");
+    bad("tcp://0.0.0.0:1?user_timeout=5min", "5min", 29, "a time from 1ms to 3600s");
+    bad("tcp://0.0.0.0:1?user_timeout=0s", "0s", 29, "a time from 1ms");
+    bad("unix:///x?mode=888", "888", 15, "octal");
+    bad("serial:///dev/ttyS0?parity=evne", "evne", 27, "none, odd, even");
+    bad("serial:///dev/ttyS0?flow=xon", "xon", 25, "none, hardware");
+    bad("serial:///dev/ttyS0?baud=0", "0", 25, "from 50 to");
+    bad("can://can0?fd=yes", "yes", 14, "true or false");
+    bad("can://can0?address=256", "256", 19, "from 0 to 254");
+    bad("slcan:///dev/ttyACM0?bitrate=300000", "300000", 29, "250000, 500000");
+}
+
+#[test]
+fn settings_that_exclude_each_other_are_pointed_at() {
+    bad("can://can0?bit_rate_switch=true", "bit_rate_switch=true", 11, "add fd=true");
+    bad("can://can0?separation=150us", "separation=150us", 11, "in steps of 100");
+    bad("can://can0?separation=1500us", "separation=1500us", 11, "1ms to 127ms");
+}
+
+#[test]
+fn peers_are_read_as_their_medium_writes_them() {
+    let peer = |endpoint: &str, peer: &str| good(endpoint).peer(peer).map_err(|e| e.to_string());
+    let address = "10.0.0.2:7400".parse().unwrap();
+
+    assert_eq!(peer("udp://0.0.0.0:0", "10.0.0.2:7400"), Ok(MediumAddress::Ip(address)));
+    assert_eq!(peer("tcp://0.0.0.0:0", "10.0.0.2:7400"), Ok(MediumAddress::Ip(address)));
+    let path = PathBuf::from("/run/b.sock").into();
+    assert_eq!(peer("unix:///run/a.sock", "/run/b.sock"), Ok(MediumAddress::Unix(path)));
+    assert_eq!(peer("serial:///dev/ttyS0", ""), Ok(MediumAddress::Line));
+    assert_eq!(peer("can://can0", "7"), Ok(MediumAddress::Can(7)));
+    assert_eq!(peer("slcan:///dev/ttyS0", "0x1F"), Ok(MediumAddress::Can(31)));
+    assert_eq!(peer("memory://a", "b"), Ok(MediumAddress::Memory("b".into())));
+
+    let refused = |endpoint: &str, text: &str, part: &str, words: &str| {
+        let error = good(endpoint).peer(text).unwrap_err();
+        assert_eq!(error.part(), part);
+        assert!(error.to_string().contains(words), "{error}");
+    };
+    refused("udp://0.0.0.0:0", "10.0.0.2", "10.0.0.2", "the port is missing");
+    refused("unix:///run/a.sock", "b.sock", "b.sock", "write the path of its socket");
+    refused("serial:///dev/ttyS0", "x", "x", "leave it empty");
+    refused("can://can0", "300", "300", "0 to 255");
+    refused("memory://a", "", "", "the name of its end");
+}
+
+#[test]
+fn the_caret_stands_under_the_wrong_part_whatever_letters_stand_before() {
+    let error = "unix:///run/größe\t.sock?mod=660".parse::<Endpoint>().unwrap_err();
+
+    let text = error.to_string();
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines.len(), 3, "{text}");
+    let column = lines[1].chars().position(|c| c == '?').unwrap() + 1;
+    assert_eq!(lines[2], format!("{}^^^", " ".repeat(column)));
+}
+
+#[test]
+fn no_text_makes_the_parser_panic() {
+    use blastema_core::random::Random;
+    let pieces = [
+        "udp",
+        "tcp",
+        "unix",
+        "serial",
+        "can",
+        "slcan",
+        "memory",
+        "://",
+        ":",
+        "/",
+        "?",
+        "&",
+        "=",
+        "%",
+        "%2",
+        "[",
+        "]",
+        "mtu",
+        "baud",
+        "9",
+        "ü",
+        "0.0.0.0",
+        "\0",
+        "separation",
+        "us",
+        "",
+    ];
+    for seed in 0..20_000 {
+        let mut random = Random::new(seed);
+        let length = random.next() % 12;
+        let text: String =
+            (0..length).map(|_| pieces[random.next() as usize % pieces.len()]).collect();
+        if let Err(error) = text.parse::<Endpoint>() {
+            assert!(error.to_string().lines().count() == 3, "{text:?}: {error}");
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! The body around any [`FrameMedium`].
+
+use crate::frame_medium::{Arrival, FrameMedium, Opening, Sending};
+use crate::medium::{BUDGET, Medium, transport};
+use crate::outlet::Outlet;
+use crate::reopening::Reopening;
+use actix::Context;
+use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
+use bytes::Bytes;
+use std::collections::VecDeque;
+use std::io;
+use std::task::{self, Poll};
+
+/// A [`FrameMedium`] as a transport.
+///
+/// It lives until it is sent [`Close`](blastema_contract::transport::Close).
+pub struct FrameTransport {
+    medium: Box<dyn FrameMedium>,
+    outlet: Outlet,
+    reopening: Reopening,
+    /// Being opened.
+    opening: Option<Opening>,
+    open: Option<Opening>,
+    queue: VecDeque<(MediumAddress, Bytes)>,
+    queued_bytes: usize,
+}
+
+impl FrameTransport {
+    /// A transport that opens when it is started.
+    pub fn new(medium: impl FrameMedium) -> Self {
+        FrameTransport {
+            medium: Box::new(medium),
+            outlet: Outlet::default(),
+            reopening: Reopening::default(),
+            opening: None,
+            open: None,
+            queue: VecDeque::new(),
+            queued_bytes: 0,
+        }
+    }
+
+    fn try_open(&mut self) {
+        match self.medium.open() {
+            Ok(opening) => self.opening = Some(opening),
+            Err(error) => self.lose("cannot be opened", &error),
+        }
+    }
+
+    /// Opens it, with a pause after each failure; ready when it is open.
+    fn poll_open(&mut self, task: &mut task::Context<'_>) -> Poll<()> {
+        while self.open.is_none() {
+            let Some(Opening { local, mtu }) = self.opening.clone() else {
+                task::ready!(self.reopening.poll_due(task));
+                self.try_open();
+                continue;
+            };
+            match task::ready!(self.medium.poll_ready(task)) {
+                Ok(()) => {
+                    self.reopening.reset();
+                    self.open = self.opening.take();
+                    self.outlet.announce(TransportReport::Opened { local, mtu });
+                }
+                Err(error) => self.lose("cannot be opened", &error),
+            }
+        }
+        Poll::Ready(())
+    }
+
+    fn lose(&mut self, what: &str, error: &io::Error) {
+        let name = self.medium.name();
+        self.shut();
+        self.reopening.failed();
+        self.outlet.announce_closed(format!("{name} {what} ({error}); trying again"));
+    }
+
+    /// Says whether the medium is still there.
+    fn write(&mut self, task: &mut task::Context<'_>) -> bool {
+        for _ in 0..BUDGET {
+            let Some((to, frame)) = self.queue.front() else { return true };
+            match self.medium.poll_send(task, to, frame) {
+                Poll::Pending => return true,
+                Poll::Ready(Ok(sending)) => {
+                    match sending {
+                        Sending::Sent => self.outlet.counters.sent += 1,
+                        Sending::Dropped => self.outlet.counters.dropped += 1,
+                    }
+                    self.queued_bytes -= frame.len();
+                    self.queue.pop_front();
+                }
+                Poll::Ready(Err(error)) => {
+                    self.outlet.counters.errors += 1;
+                    self.lose("is lost", &error);
+                    return false;
+                }
+            }
+        }
+        task.waker().wake_by_ref();
+        true
+    }
+
+    /// Says whether the medium is still there.
+    fn read(&mut self, task: &mut task::Context<'_>) -> bool {
+        for _ in 0..BUDGET {
+            if self.outlet.poll_room(task).is_pending() {
+                return true;
+            }
+            match self.medium.poll_receive(task) {
+                Poll::Pending => return true,
+                Poll::Ready(Ok(Arrival::Frame { from, frame })) => self.outlet.deliver(from, frame),
+                Poll::Ready(Ok(Arrival::Refused)) => self.outlet.counters.refused += 1,
+                Poll::Ready(Ok(Arrival::Lost { frames })) => {
+                    self.outlet.counters.dropped += frames;
+                    self.outlet.counters.errors += 1;
+                }
+                Poll::Ready(Ok(Arrival::PeerLost { peer })) => {
+                    self.outlet.report(TransportReport::PeerLost { peer });
+                }
+                Poll::Ready(Err(error)) => {
+                    self.outlet.counters.errors += 1;
+                    self.lose("is lost", &error);
+                    return false;
+                }
+            }
+        }
+        task.waker().wake_by_ref();
+        true
+    }
+}
+
+impl Medium for FrameTransport {
+    fn outlet(&mut self) -> &mut Outlet {
+        &mut self.outlet
+    }
+
+    fn open(&mut self, _: &mut Context<Self>) {
+        self.reopening.reset();
+        self.try_open();
+    }
+
+    fn transmit(&mut self, message: Transmit) {
+        let Transmit { to, frame } = message;
+        if !self.medium.knows(&to) {
+            self.outlet.counters.refused += 1;
+            return;
+        }
+        let Some(Opening { mtu, .. }) = self.open else {
+            self.outlet.counters.dropped += 1;
+            return;
+        };
+        let limits = self.medium.queue();
+        if frame.len() > mtu {
+            self.outlet.counters.refused += 1;
+        } else if self.queue.len() >= limits.frames
+            || self.queued_bytes + frame.len() > limits.bytes
+        {
+            self.outlet.counters.dropped += 1;
+        } else {
+            self.queued_bytes += frame.len();
+            self.queue.push_back((to, frame));
+        }
+    }
+
+    fn pump(&mut self, task: &mut task::Context<'_>) {
+        loop {
+            if self.poll_open(task).is_pending() {
+                return;
+            }
+            // A medium that was lost has begun a pause, which must be polled before this is left.
+            if self.write(task) && self.read(task) {
+                return;
+            }
+        }
+    }
+
+    fn shut(&mut self) {
+        (self.opening, self.open) = (None, None);
+        self.medium.close();
+        self.outlet.counters.dropped += self.queue.len() as u64;
+        self.queue.clear();
+        self.queued_bytes = 0;
+    }
+}
+
+transport!(FrameTransport);

@@ -1,0 +1,134 @@
+//! Which serial line, and how fast.
+
+use blastema_core::net::router::MTU_MIN;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// The largest frame that a line has unless told, in bytes: beyond, headers cost next to nothing.
+const MTU_MAX: usize = 4_096;
+
+/// The parity bit of a serial line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Parity {
+    /// There is none.
+    #[default]
+    None,
+    /// It makes the number of ones odd.
+    Odd,
+    /// It makes the number of ones even.
+    Even,
+}
+
+/// How long the pause after each byte is on a serial line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum StopBits {
+    /// One bit.
+    #[default]
+    One,
+    /// Two bits.
+    Two,
+}
+
+/// A serial line with one node at each end: RS-232, RS-422, RS-485 whose adapter turns by itself, or a
+/// USB device (CDC-ACM).
+///
+/// ```
+/// use blastema_transports::SerialConfig;
+/// let mut config = SerialConfig::new("/dev/serial/by-id/usb-FTDI_A4008NXG-if00-port0");
+/// config.baud = 921_600;
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct SerialConfig {
+    /// The port. Best one of `/dev/serial/by-id/`, which stays the same when it is plugged in again.
+    pub path: PathBuf,
+    /// The line's speed, in bits a second; both ends must have the same. On USB devices it limits what
+    /// is sent, and nothing else.
+    pub baud: u32,
+    /// The parity bit. The frames' checksum finds more than it does.
+    pub parity: Parity,
+    /// How many stop bits.
+    pub stop_bits: StopBits,
+    /// Whether the other end may stop us by a wire of its own (RTS/CTS).
+    pub hardware_flow: bool,
+    /// The largest frame, in bytes. By default what takes 25 ms on the line, but from 640 to 4,096: a
+    /// larger one keeps others, and hellos, waiting behind it; with a smaller one, routers cannot tell
+    /// each other where nodes are.
+    pub mtu: Option<usize>,
+    /// How much may wait for the line, in time that it takes to send; beyond, frames are dropped. More
+    /// rides out longer bursts, and makes everything later while they last.
+    pub queue_time: Duration,
+}
+
+impl SerialConfig {
+    /// 115,200 bits a second, 8 bits, no parity, one stop bit.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        SerialConfig {
+            path: path.into(),
+            baud: 115_200,
+            parity: Parity::None,
+            stop_bits: StopBits::One,
+            hardware_flow: false,
+            mtu: None,
+            queue_time: Duration::from_millis(100),
+        }
+    }
+
+    /// What a byte takes on the line, in bits: a start bit, eight of its own, and what follows.
+    fn bits_a_byte(&self) -> u64 {
+        let parity = u64::from(self.parity != Parity::None);
+        let stop = match self.stop_bits {
+            StopBits::One => 1,
+            StopBits::Two => 2,
+        };
+        1 + 8 + parity + stop
+    }
+
+    /// How many bytes the line carries in this time.
+    pub fn bytes_in(&self, span: Duration) -> usize {
+        let micros = u64::try_from(span.as_micros()).unwrap_or(u64::MAX);
+        let bytes = u64::from(self.baud).saturating_mul(micros) / (self.bits_a_byte() * 1_000_000);
+        usize::try_from(bytes).unwrap_or(usize::MAX)
+    }
+
+    /// How long this many bytes take on the line.
+    pub fn time_of(&self, bytes: usize) -> Duration {
+        let bits = (bytes as u64).saturating_mul(self.bits_a_byte());
+        Duration::from_micros(bits.saturating_mul(1_000_000) / u64::from(self.baud.max(1)))
+    }
+
+    /// The largest frame, in bytes.
+    pub fn mtu(&self) -> usize {
+        self.mtu.unwrap_or_else(|| self.bytes_in(Duration::from_millis(25)).clamp(MTU_MIN, MTU_MAX))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_largest_frame_suits_the_speed() {
+        let check = |baud, expected| {
+            let mut config = SerialConfig::new("/dev/null");
+            config.baud = baud;
+            assert_eq!(config.mtu(), expected, "at {baud} bits a second");
+        };
+
+        check(9_600, 640);
+        check(115_200, 640);
+        check(921_600, 2_304);
+        check(4_000_000, 4_096);
+    }
+
+    #[test]
+    fn a_byte_takes_as_many_bits_as_the_settings_say() {
+        let mut config = SerialConfig::new("/dev/null");
+        config.baud = 12_000;
+        assert_eq!(config.time_of(1_200), Duration::from_secs(1));
+
+        (config.parity, config.stop_bits) = (Parity::Even, StopBits::Two);
+        assert_eq!(config.time_of(1_000), Duration::from_secs(1));
+        assert_eq!(config.bytes_in(Duration::from_secs(1)), 1_000);
+    }
+}

@@ -1,0 +1,229 @@
+//! Serial lines with a node at each end: RS-232, RS-422, RS-485, and USB devices that look like one.
+//!
+//! * **Frames** are found again after any garbage ([`framing`]); a wrong speed at the other end is
+//!   nothing but garbage.
+//! * **A slow line** is given no more than it carries, so that what waits, waits here, where it is
+//!   bounded in time and counted, and not in the system's buffers, where hellos would wait behind it.
+//! * **Unplugged**, a port reads as an end, or its writes fail: it is closed at once, which lets a USB
+//!   adapter have its old name again, and opened again by its path, with back-off.
+//!
+//! RS-485 adapters must turn the line by themselves, or the system's driver must; two nodes that speak at
+//! once on two wires spoil each other's frames, which the session repeats.
+
+mod config;
+pub mod framing;
+
+pub use self::config::{Parity, SerialConfig, StopBits};
+
+use self::framing::{Deframer, encode, encoded_length};
+use crate::frame_medium::{Arrival, FrameMedium, Opening, QueueLimits, Sending};
+use blastema_contract::transport::MediumAddress;
+use bytes::Bytes;
+use std::future::Future;
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::Sleep;
+use tokio_serial::{ClearBuffer, DataBits, ErrorKind, FlowControl, SerialPort, SerialStream};
+
+/// So many bytes are read at once: what the system holds of a terminal.
+const CHUNK: usize = 4096;
+/// So much time of the line is written at once. Shorter wakes us more often, longer lets more wait in
+/// the system's buffer.
+const PIECE: Duration = Duration::from_millis(5);
+/// The fewest bytes that are written at once: a hello, on the slowest lines.
+const LEAST_PIECE: usize = 32;
+
+/// A serial line as a medium.
+pub struct SerialLine {
+    config: SerialConfig,
+    port: Option<SerialStream>,
+    deframer: Deframer,
+    chunk: Vec<u8>,
+    /// Which part of the chunk was not looked at yet.
+    unread: std::ops::Range<usize>,
+    /// The frame that goes out, as it goes out, and how much of it has.
+    outgoing: Vec<u8>,
+    written: usize,
+    pace: Pace,
+}
+
+impl SerialLine {
+    /// The line at this port.
+    pub fn new(config: SerialConfig) -> Self {
+        SerialLine {
+            port: None,
+            deframer: Deframer::new(config.mtu()),
+            chunk: vec![0; CHUNK],
+            unread: 0..0,
+            outgoing: Vec::new(),
+            written: 0,
+            pace: Pace::default(),
+            config,
+        }
+    }
+
+    fn explain(&self, error: &tokio_serial::Error) -> String {
+        let there = self.config.path.exists();
+        let advice = match error.kind() {
+            ErrorKind::Io(io::ErrorKind::PermissionDenied) => {
+                "the system forbids it: let this user use the port, often by the group dialout"
+            }
+            _ if !there => "there is no such port: plug the device in, or check the path",
+            ErrorKind::NoDevice => "another program uses this port: end it, or choose another port",
+            _ => "check that it is a serial port, and that it can what is asked of it",
+        };
+        format!("{error}: {advice}")
+    }
+}
+
+impl FrameMedium for SerialLine {
+    fn name(&self) -> String {
+        format!("serial {}", self.config.path.display())
+    }
+
+    fn queue(&self) -> QueueLimits {
+        // Two frames at least: one goes out, one waits.
+        let least = 2 * encoded_length(self.config.mtu());
+        let bytes = self.config.bytes_in(self.config.queue_time).max(least);
+        // Each frame costs as much as a small one, so that empty frames have a bound too.
+        QueueLimits { frames: bytes.div_ceil(16), bytes }
+    }
+
+    fn open(&mut self) -> io::Result<Opening> {
+        self.close();
+        let SerialConfig { path, baud, parity, stop_bits, hardware_flow, .. } = &self.config;
+        let parity = match parity {
+            Parity::None => tokio_serial::Parity::None,
+            Parity::Odd => tokio_serial::Parity::Odd,
+            Parity::Even => tokio_serial::Parity::Even,
+        };
+        let stop_bits = match stop_bits {
+            StopBits::One => tokio_serial::StopBits::One,
+            StopBits::Two => tokio_serial::StopBits::Two,
+        };
+        let flow = if *hardware_flow { FlowControl::Hardware } else { FlowControl::None };
+        let builder = tokio_serial::new(path.to_string_lossy(), *baud)
+            .data_bits(DataBits::Eight)
+            .parity(parity)
+            .stop_bits(stop_bits)
+            .flow_control(flow);
+        // The lines DTR and RTS are left as the driver sets them: a pty has none, and many a device
+        // takes a change of them for a reset.
+        let port =
+            SerialStream::open(&builder).map_err(|error| io::Error::other(self.explain(&error)))?;
+        self.port = Some(port);
+        Ok(Opening { local: MediumAddress::Line, mtu: self.config.mtu() })
+    }
+
+    fn knows(&self, address: &MediumAddress) -> bool {
+        *address == MediumAddress::Line
+    }
+
+    fn poll_send(
+        &mut self,
+        task: &mut Context<'_>,
+        _: &MediumAddress,
+        frame: &Bytes,
+    ) -> Poll<io::Result<Sending>> {
+        if self.outgoing.is_empty() {
+            encode(frame, &mut self.outgoing);
+            self.written = 0;
+        }
+        let Some(port) = &mut self.port else { return Poll::Ready(Err(unplugged())) };
+        let piece = self.config.bytes_in(PIECE).max(LEAST_PIECE);
+        while self.written < self.outgoing.len() {
+            ready!(self.pace.poll_due(task));
+            let end = self.outgoing.len().min(self.written + piece);
+            let rest = &self.outgoing[self.written..end];
+            match ready!(Pin::new(&mut *port).poll_write(task, rest))? {
+                0 => return Poll::Ready(Err(unplugged())),
+                written => {
+                    self.written += written;
+                    self.pace.spend(self.config.time_of(written));
+                }
+            }
+        }
+        self.outgoing.clear();
+        Poll::Ready(Ok(Sending::Sent))
+    }
+
+    fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<Arrival>> {
+        loop {
+            let mut unread = &self.chunk[self.unread.clone()];
+            let found = self.deframer.push(&mut unread);
+            self.unread.start = self.unread.end - unread.len();
+            match found {
+                Some(Ok(frame)) => {
+                    let from = MediumAddress::Line;
+                    return Poll::Ready(Ok(Arrival::Frame { from, frame }));
+                }
+                Some(Err(_)) => return Poll::Ready(Ok(Arrival::Refused)),
+                None => {}
+            }
+            let Some(port) = &mut self.port else { return Poll::Ready(Err(unplugged())) };
+            let mut buffer = ReadBuf::new(&mut self.chunk);
+            ready!(Pin::new(port).poll_read(task, &mut buffer))?;
+            self.unread = 0..buffer.filled().len();
+            if self.unread.is_empty() {
+                // A port that was unplugged reads so for ever.
+                return Poll::Ready(Err(unplugged()));
+            }
+        }
+    }
+
+    fn close(&mut self) {
+        if let Some(port) = self.port.take()
+            && self.config.hardware_flow
+        {
+            // The system would wait half a minute for a peer that has stopped us to take the rest.
+            let _ = port.clear(ClearBuffer::Output);
+        }
+        self.deframer = Deframer::new(self.config.mtu());
+        self.unread = 0..0;
+        self.outgoing.clear();
+        self.pace = Pace::default();
+    }
+}
+
+fn unplugged() -> io::Error {
+    let text = "it was unplugged, or the other program at its end is gone: plug it in again";
+    io::Error::new(io::ErrorKind::UnexpectedEof, text)
+}
+
+/// Keeps a writer at the speed of its line.
+#[derive(Default)]
+struct Pace {
+    /// When all that was written has gone out.
+    free: Option<Pin<Box<Sleep>>>,
+    /// Somebody waits for that, and so is owed the time by which he is woken too late.
+    waited: bool,
+}
+
+impl Pace {
+    fn poll_due(&mut self, task: &mut Context<'_>) -> Poll<()> {
+        let Some(free) = &mut self.free else { return Poll::Ready(()) };
+        if free.as_mut().poll(task).is_pending() {
+            self.waited = true;
+            return Poll::Pending;
+        }
+        if !self.waited {
+            // The line was idle for a while: what it could have carried then is gone.
+            self.free = None;
+        }
+        Poll::Ready(())
+    }
+
+    fn spend(&mut self, span: Duration) {
+        self.waited = false;
+        match &mut self.free {
+            Some(free) => {
+                let due = free.deadline() + span;
+                free.as_mut().reset(due);
+            }
+            None => self.free = Some(Box::pin(tokio::time::sleep(span))),
+        }
+    }
+}

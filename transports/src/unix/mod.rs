@@ -1,0 +1,122 @@
+//! Unix-domain sockets, between processes of one machine: frames in a stream for each peer
+//! ([`stream`](crate::stream)).
+//!
+//! * **A peer** is known by the path of its socket, which all must spell alike.
+//! * **Who may speak** is decided by the permissions of the socket file and of its folder. Whoever may
+//!   connect could claim any path.
+//! * **A file that a dead process has left behind** is taken over: a lock beside it, which dies with its
+//!   process, tells whether somebody still listens there. What is no socket is never removed.
+//! * **A peer that dies** is noticed at once, for the system closes its connections.
+
+mod config;
+mod socket;
+
+pub use self::config::UnixConfig;
+
+use self::socket::{PathListener, dial, explain, greet, introduce};
+use crate::medium::{Medium, transport};
+use crate::outlet::Outlet;
+use crate::stream::{Bounds, Family, Streams, Underway, byte_stream};
+use actix::Context;
+use blastema_contract::transport::{MediumAddress, Transmit};
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
+use std::task::{self, Poll};
+use tokio::net::UnixStream;
+
+/// Unix-domain sockets as a transport.
+///
+/// It lives until it is sent [`Close`](blastema_contract::transport::Close).
+pub struct Unix(Streams<OverPaths>);
+
+impl Unix {
+    /// A transport that opens when it is started.
+    pub fn new(config: UnixConfig) -> Self {
+        Unix(Streams::new(OverPaths(config)))
+    }
+}
+
+impl Medium for Unix {
+    fn outlet(&mut self) -> &mut Outlet {
+        &mut self.0.outlet
+    }
+
+    fn open(&mut self, _: &mut Context<Self>) {
+        self.0.open();
+    }
+
+    fn transmit(&mut self, message: Transmit) {
+        self.0.transmit(message);
+    }
+
+    fn pump(&mut self, task: &mut task::Context<'_>) {
+        self.0.pump(task);
+    }
+
+    fn shut(&mut self) {
+        self.0.shut();
+    }
+}
+
+transport!(Unix);
+
+byte_stream!(UnixStream);
+
+struct OverPaths(UnixConfig);
+
+impl Family for OverPaths {
+    type Stream = UnixStream;
+    type Listener = PathListener;
+    type Address = Arc<Path>;
+    /// Whoever connects has no address of his own.
+    type Origin = ();
+
+    fn bounds(&self) -> Bounds {
+        let UnixConfig { mtu, peers, strangers, queue_bytes, .. } = self.0;
+        Bounds { mtu, peers, strangers, queue_bytes }
+    }
+
+    fn listen(&mut self) -> Result<(PathListener, Arc<Path>), String> {
+        let path: Arc<Path> = self.0.path.as_path().into();
+        let listener = PathListener::open(&path, self.0.mode);
+        Ok((listener.map_err(|error| explain(&path, &error))?, path))
+    }
+
+    fn poll_accept(
+        listener: &PathListener,
+        task: &mut task::Context<'_>,
+    ) -> Poll<io::Result<(UnixStream, ())>> {
+        listener.socket.poll_accept(task).map_ok(|(stream, _)| (stream, ()))
+    }
+
+    fn dial(&self, local: &Arc<Path>, peer: &Arc<Path>) -> Underway<UnixStream> {
+        Box::pin(dial(local.clone(), peer.clone(), self.0.connect_timeout))
+    }
+
+    fn greet(&self, stream: UnixStream, _: &()) -> Underway<(UnixStream, Arc<Path>)> {
+        Box::pin(greet(stream, self.0.hello_timeout))
+    }
+
+    fn introduce(stream: &UnixStream, local: &Arc<Path>) -> io::Result<()> {
+        introduce(stream, local)
+    }
+
+    fn ourselves(_: &UnixStream, local: &Arc<Path>) -> io::Result<Arc<Path>> {
+        Ok(local.clone())
+    }
+
+    fn address(address: MediumAddress) -> Option<Arc<Path>> {
+        match address {
+            MediumAddress::Unix(path) => Some(path),
+            _ => None,
+        }
+    }
+
+    fn seed(address: &Arc<Path>) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        address.hash(&mut hasher);
+        hasher.finish()
+    }
+}

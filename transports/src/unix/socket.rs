@@ -1,0 +1,169 @@
+//! Sockets with paths: how one is opened, whatever lies there, and how two nodes meet on it.
+//!
+//! ```text
+//! dialer                          listener
+//!   ├── connect ────────────────────►│
+//!   ├── preamble (my path) ─────────►│ knows who it is; may refuse by closing
+//!   │◄───────────── preamble (path) ─┤ has kept the connection
+//!   ├── frames ─ ─ ─ ─ ─ ─ ─ ─ frames┤
+//! ```
+
+use crate::stream::BACKLOG;
+use crate::stream::framing::{
+    FramingError, LONGEST_PATH, PREAMBLE, decode_path_length, encode_path_preamble,
+};
+use socket2::{Domain, SockAddr, SockRef, Socket, Type};
+use std::ffi::OsString;
+use std::fs::{self, File, OpenOptions, Permissions, TryLockError};
+use std::io;
+use std::os::unix::ffi::{OsStrExt, OsStringExt};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::io::AsyncReadExt;
+use tokio::net::{UnixListener, UnixStream};
+use tokio::time::timeout;
+
+/// A socket that listens at a path. The file goes when this does.
+pub(super) struct PathListener {
+    pub(super) socket: UnixListener,
+    path: Arc<Path>,
+    /// Held for as long as we listen; the system gives it back when we die.
+    _lock: File,
+}
+
+impl PathListener {
+    pub(super) fn open(path: &Arc<Path>, mode: u32) -> io::Result<Self> {
+        let address = SockAddr::unix(path)?;
+        let lock = lock(path)?;
+        clear(path, &address)?;
+        let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
+        socket.set_nonblocking(true)?;
+        socket.bind(&address)?;
+        // Nobody can connect before it listens, and so nobody does who may not.
+        let opened = fs::set_permissions(path, Permissions::from_mode(mode))
+            .and_then(|()| socket.listen(BACKLOG))
+            .and_then(|()| UnixListener::from_std(socket.into()));
+        match opened {
+            Ok(socket) => Ok(PathListener { socket, path: path.clone(), _lock: lock }),
+            Err(error) => {
+                // What is left would look like a dead process's.
+                let _ = fs::remove_file(path);
+                Err(error)
+            }
+        }
+    }
+}
+
+impl Drop for PathListener {
+    fn drop(&mut self) {
+        // The folder may be gone already, and the file with it.
+        let _ = fs::remove_file(&self.path);
+    }
+}
+
+/// Takes the lock beside the socket. Its file stays behind: who removes it may take it from under
+/// another who is about to lock it.
+fn lock(path: &Path) -> io::Result<File> {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".lock");
+    let lock = OpenOptions::new()
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .mode(0o600)
+        .open(PathBuf::from(name))?;
+    match lock.try_lock() {
+        Ok(()) => Ok(lock),
+        Err(TryLockError::WouldBlock) => Err(io::ErrorKind::AddrInUse.into()),
+        Err(TryLockError::Error(error)) => Err(error),
+    }
+}
+
+/// Removes the socket that a dead process has left, and nothing else.
+fn clear(path: &Path, address: &SockAddr) -> io::Result<()> {
+    let kind = match fs::symlink_metadata(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        found => found?.file_type(),
+    };
+    if !kind.is_socket() {
+        return Err(io::ErrorKind::AlreadyExists.into());
+    }
+    // A program of another kind, which knows nothing of the lock, may listen there.
+    let probe = Socket::new(Domain::UNIX, Type::STREAM, None)?;
+    probe.set_nonblocking(true)?;
+    match probe.connect(address) {
+        Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => fs::remove_file(path),
+        _ => Err(io::ErrorKind::AddrInUse.into()),
+    }
+}
+
+/// What a person may do about a socket that does not open.
+pub(super) fn explain(path: &Path, error: &io::Error) -> String {
+    let advice = match error.kind() {
+        io::ErrorKind::AddrInUse => "another process listens there: end it, or choose another path",
+        io::ErrorKind::AlreadyExists => {
+            "there is a file that is no socket: remove it, or choose another path"
+        }
+        io::ErrorKind::NotFound => "its folder does not exist: create it",
+        io::ErrorKind::PermissionDenied => {
+            "the system forbids it: let this user write to the folder, or choose another"
+        }
+        io::ErrorKind::InvalidInput => {
+            let path = path.display();
+            return format!(
+                "unix {path} cannot be opened: the path has more than {LONGEST_PATH} bytes: choose \
+                 a shorter one"
+            );
+        }
+        _ => "check the path and the machine's limits",
+    };
+    format!("unix {} cannot be opened ({error}): {advice}; trying again", path.display())
+}
+
+/// Connects to a listening peer, and is done when that has kept the connection.
+pub(super) async fn dial(
+    local: Arc<Path>,
+    peer: Arc<Path>,
+    patience: Duration,
+) -> io::Result<UnixStream> {
+    timeout(patience, async {
+        let mut stream = UnixStream::connect(&peer).await?;
+        introduce(&stream, &local)?;
+        if hear(&mut stream).await? != peer {
+            return Err(io::Error::other("another node listens there"));
+        }
+        Ok(stream)
+    })
+    .await?
+}
+
+/// Learns at which path a node that has connected listens.
+pub(super) async fn greet(
+    mut stream: UnixStream,
+    patience: Duration,
+) -> io::Result<(UnixStream, Arc<Path>)> {
+    let path = timeout(patience, hear(&mut stream)).await??;
+    Ok((stream, path))
+}
+
+/// Says at which path we listen. It is the first word on a new connection, whose empty buffer takes it
+/// whole.
+pub(super) fn introduce(stream: &UnixStream, path: &Path) -> io::Result<()> {
+    let preamble = encode_path_preamble(path.as_os_str().as_bytes());
+    match SockRef::from(stream).send(&preamble)? {
+        sent if sent == preamble.len() => Ok(()),
+        _ => Err(io::ErrorKind::WriteZero.into()),
+    }
+}
+
+async fn hear(stream: &mut UnixStream) -> io::Result<Arc<Path>> {
+    let mut preamble = [0; PREAMBLE];
+    stream.read_exact(&mut preamble).await?;
+    let length = decode_path_length(preamble)
+        .map_err(|error: FramingError| io::Error::new(io::ErrorKind::InvalidData, error))?;
+    let mut path = vec![0; length];
+    stream.read_exact(&mut path).await?;
+    Ok(PathBuf::from(OsString::from_vec(path)).into())
+}

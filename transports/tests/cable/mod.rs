@@ -1,0 +1,148 @@
+//! A serial cable of two ptys, each at a stable path, with a relay between them.
+
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::fd::OwnedFd;
+use rustix::fs::{Mode, OFlags};
+use rustix::pipe::{PipeFlags, pipe_with};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use std::cell::RefCell;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use tempfile::TempDir;
+
+/// Two ends, `left` and `right`, that can be unplugged and plugged in again.
+pub(crate) struct Cable {
+    folder: TempDir,
+    plugged: RefCell<Option<Plugged>>,
+}
+
+struct Plugged {
+    ends: Arc<[Pty; 2]>,
+    /// The relay ends when this is closed.
+    stop: OwnedFd,
+    relay: JoinHandle<()>,
+}
+
+/// The far side of one end.
+struct Pty {
+    master: OwnedFd,
+    /// Kept open, so that the line lives on when a program closes its end, as a cable does.
+    slave: OwnedFd,
+}
+
+impl Cable {
+    pub(crate) fn new() -> Self {
+        let folder = TempDir::new().expect("a folder for the ends");
+        let cable = Cable { folder, plugged: RefCell::default() };
+        cable.plug();
+        cable
+    }
+
+    pub(crate) fn left(&self) -> PathBuf {
+        self.folder.path().join("left")
+    }
+
+    pub(crate) fn right(&self) -> PathBuf {
+        self.folder.path().join("right")
+    }
+
+    /// Both ends appear at their paths.
+    pub(crate) fn plug(&self) {
+        let ends = Arc::new([Pty::open(&self.left()), Pty::open(&self.right())]);
+        let (stopped, stop) = pipe_with(PipeFlags::CLOEXEC).expect("a pipe");
+        let between = ends.clone();
+        let relay = std::thread::spawn(move || relay(&between, &stopped));
+        *self.plugged.borrow_mut() = Some(Plugged { ends, stop, relay });
+    }
+
+    /// Both ends vanish, and their devices with them, as USB adapters do.
+    pub(crate) fn unplug(&self) {
+        let Some(Plugged { stop, relay, ends }) = self.plugged.borrow_mut().take() else { return };
+        for end in [self.left(), self.right()] {
+            std::fs::remove_file(end).expect("it was plugged in");
+        }
+        drop((stop, ends));
+        relay.join().expect("a relay ends in order");
+    }
+
+    /// Puts bytes onto the line towards the left or the right end.
+    pub(crate) fn inject(&self, towards: &Path, bytes: &[u8]) {
+        let plugged = self.plugged.borrow();
+        let Plugged { ends, .. } = plugged.as_ref().expect("it is plugged in");
+        let end = if towards == self.left() { &ends[0] } else { &ends[1] };
+        // What the line has no room for is lost, as noise may be.
+        let _ = rustix::io::write(&end.master, bytes);
+    }
+}
+
+impl Drop for Cable {
+    fn drop(&mut self) {
+        self.unplug();
+    }
+}
+
+impl Pty {
+    fn open(at: &Path) -> Self {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pty");
+        grantpt(&master).expect("ours");
+        unlockpt(&master).expect("ours");
+        let name = ptsname(&master, Vec::new()).expect("it has a name");
+        let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+        let slave = rustix::fs::open(&name, flags, Mode::empty()).expect("it is there");
+        let mut settings = tcgetattr(&slave).expect("a terminal");
+        // Nothing is echoed or changed before a program opens it.
+        settings.make_raw();
+        tcsetattr(&slave, OptionalActions::Now, &settings).expect("a terminal");
+        rustix::io::ioctl_fionbio(&master, true).expect("a file");
+        symlink(name.to_str().expect("ASCII"), at).expect("no end is there");
+        Pty { master, slave }
+    }
+
+    fn speed(&self) -> u32 {
+        tcgetattr(&self.slave).expect("a terminal").output_speed()
+    }
+}
+
+/// Moves bytes both ways until it is stopped; what one end does not take waits.
+fn relay(ends: &[Pty; 2], stopped: &OwnedFd) {
+    let mut waiting: [Vec<u8>; 2] = Default::default();
+    loop {
+        let wanted = |to: usize| {
+            // From an end whose bytes still wait nothing is read.
+            let reads = if waiting[1 - to].is_empty() { PollFlags::IN } else { PollFlags::empty() };
+            let writes = if waiting[to].is_empty() { PollFlags::empty() } else { PollFlags::OUT };
+            reads | writes
+        };
+        let mut watched = [
+            PollFd::new(&ends[0].master, wanted(0)),
+            PollFd::new(&ends[1].master, wanted(1)),
+            PollFd::new(stopped, PollFlags::empty()),
+        ];
+        poll(&mut watched, None).expect("the files are open");
+        if !watched[2].revents().is_empty() {
+            return;
+        }
+        let mismatched = ends[0].speed() != ends[1].speed();
+        for (from, to) in [(0, 1), (1, 0)] {
+            let mut buffer = [0; 4096];
+            if waiting[to].is_empty()
+                && let Ok(read) = rustix::io::read(&ends[from].master, &mut buffer)
+            {
+                let bytes = &mut buffer[..read];
+                if mismatched {
+                    // Bits are sampled at wrong moments: neither end understands the other.
+                    bytes.iter_mut().enumerate().for_each(|(n, byte)| {
+                        *byte = byte.rotate_left(n as u32 % 7 + 1) ^ 0x55;
+                    });
+                }
+                waiting[to].extend_from_slice(bytes);
+            }
+            if let Ok(written) = rustix::io::write(&ends[to].master, &waiting[to]) {
+                waiting[to].drain(..written);
+            }
+        }
+    }
+}
