@@ -16,7 +16,7 @@ use blastema_contract::transport::{
 use blastema_doubles::{PATIENCE, Probe, paused};
 use blastema_transports::{
     Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig, MemoryMedium, SerialConfig,
-    SerialLine, SlcanBus, SlcanConfig, Tcp, TcpConfig, Udp, UdpConfig,
+    SerialLine, SlcanBus, SlcanConfig, Tcp, TcpConfig, Udp, UdpConfig, Unix, UnixConfig,
 };
 use bytes::Bytes;
 use cable::Cable;
