@@ -11,12 +11,6 @@ use crate::net::segment::{Ack, DATA_HEADER, Data, Segment, Stream};
 const BY_URGENCY: [Stream; 3] = [Stream::Control, Stream::Redundant, Stream::Data];
 
 impl Session {
-    /// Parts on their way of the streams that share this lane.
-    pub(super) fn flying(&self, of: usize) -> usize {
-        let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == of);
-        streams.map(|stream| self.streams[stream as usize].outbound.flying()).sum()
-    }
-
     /// Something of ours came back: it is repeated once the routers have had time to find another way,
     /// and never faster than silence would be taken for loss.
     pub fn handle_undelivered(&mut self, reason: Undelivered, now: Instant) {
@@ -24,9 +18,13 @@ impl Session {
         self.counters.returned += 1;
         self.counters.last_return = Some(reason);
         let soon = now + self.config.retransmit_min;
-        for lane in &mut self.retransmit_at {
-            *lane = lane.map(|at| at.min(soon));
-        }
+        self.retransmit_at = self.retransmit_at.map(|lane| lane.map(|at| at.min(soon)));
+    }
+
+    /// Parts on their way of the streams that share this lane.
+    pub(super) fn flying(&self, of: usize) -> usize {
+        let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == of);
+        streams.map(|stream| self.streams[stream as usize].outbound.flying()).sum()
     }
 
     /// Sends the next part that may be sent: control first, and what was lost before what is new.
