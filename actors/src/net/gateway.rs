@@ -8,6 +8,7 @@ pub(super) use errand::{Notify, Ship};
 use super::NetEnvironment;
 use super::door::{Condition, Doors, Gate};
 use super::notice;
+use super::wardens::Wardens;
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
@@ -27,8 +28,8 @@ use blastema_core::{FaultKind, Incarnation, MessageId, NodeName, ObjectName, Pee
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::oneshot;
 use tracing::{debug, error, info, warn};
@@ -48,6 +49,7 @@ struct Wiring {
     nodes: Option<Recipient<NodeReported>>,
     sessions: SessionPorts,
     doors: Arc<Doors>,
+    wardens: Wardens,
     dead_letters: DeadLetterOffice,
 }
 
@@ -74,6 +76,8 @@ pub(super) struct Gateway {
     next: u64,
     /// Messages without a reply, and events, that did not arrive.
     lost: u64,
+    /// Messages of isolated nodes.
+    kept_out: u64,
     /// The node ends; the sessions follow once nothing waits here.
     leaving: bool,
     /// As of which revision of the registry the peers know our names.
@@ -104,11 +108,31 @@ impl Gateway {
         environment: &NetEnvironment,
         sessions: SessionPorts,
         doors: Arc<Doors>,
+        told: Arc<OnceLock<Wardens>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
-        let NetEnvironment { registry, topics, recoverer, nodes, dead_letters, .. } =
+        let NetEnvironment { node, registry, topics, recoverer, nodes, dead_letters, .. } =
             environment.clone();
-        move |_| Gateway {
-            wiring: Wiring { registry, topics, recoverer, nodes, sessions, doors, dead_letters },
+        move |context| {
+            let keeping = context.address().recipient();
+            let wardens = Wardens::new(node, doors.clone(), registry.clone(), keeping);
+            // A gateway is made once.
+            let _ = told.set(wardens.clone());
+            Gateway::wired(Wiring {
+                registry,
+                topics,
+                recoverer,
+                nodes,
+                sessions,
+                doors,
+                wardens,
+                dead_letters,
+            })
+        }
+    }
+
+    fn wired(wiring: Wiring) -> Self {
+        Gateway {
+            wiring,
             exchange: Exchange::default(),
             naming: Naming::default(),
             peers: BTreeMap::new(),
@@ -118,6 +142,7 @@ impl Gateway {
             notices: BTreeMap::new(),
             next: 0,
             lost: 0,
+            kept_out: 0,
             leaving: false,
             revision: None,
         }

@@ -31,6 +31,7 @@ pub mod claims;
 pub mod crowd;
 pub mod exchange;
 pub mod frame;
+pub mod isolation;
 pub mod link;
 pub mod message;
 pub mod naming;
