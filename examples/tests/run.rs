@@ -176,6 +176,36 @@ fn two_nodes_lose_nothing_when_a_cable_is_cut() {
 }
 
 #[test]
+fn serial_and_udp_carry_out_every_order_once_whichever_cable_is_pulled() {
+    check(
+        "serial_and_udp",
+        &[
+            "link down: body -ethernet- arm",
+            "link down: body -serial- arm",
+            "300 orders carried out, each once",
+            "both cables are back",
+        ],
+    );
+}
+
+#[test]
+fn cable_pulled_leaves_the_arm_moving() {
+    check(
+        "cable_pulled",
+        &[
+            "the left cable is pulled",
+            "link down: brain -left- shoulder",
+            "the arm took 500 steps, once and in order, to 1.57 rad",
+        ],
+    );
+}
+
+#[test]
+fn own_medium_carries_requests_over_two_fifos() {
+    check("own_medium", &["3 squared is 9", "12 squared is 144"]);
+}
+
+#[test]
 fn plain_actix_lets_a_plain_actor_speak_for_a_component() {
     check("plain_actix", &["0.1 N: warned: false", "3.5 N: warned: true"]);
     check("plain_actix", &["I was touched with 3.5 N"]);

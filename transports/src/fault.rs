@@ -4,8 +4,8 @@ use crate::medium::{BUDGET, Medium, transport};
 use crate::outlet::Outlet;
 use actix::{AsyncContext, Context, Handler, MessageResult, ResponseFuture};
 use blastema_contract::transport::{
-    Attach, Close, Cut, Impair, InjectedFaults, ReadCounters, ReadInjectedFaults, Received,
-    Restore, Transmit, Transport, TransportReport,
+    Attach, Close, Cut, Impair, InjectedFaults, Partition, ReadCounters, ReadInjectedFaults,
+    Received, Restore, Transmit, Transport, TransportReport,
 };
 use blastema_core::impairment::Impairer;
 use blastema_core::{Instant, Machine};
@@ -34,8 +34,9 @@ impl FaultyConfig {
     }
 }
 
-/// Stands between a link and a transport, and does to frames what it is told: loss, delay,
-/// duplication ([`Impair`]), a cut, noticed or silent ([`Cut`]), and the mending ([`Restore`]).
+/// Stands between a link and a transport, and does to frames what it is told: loss, delay, duplication,
+/// reordering, corruption, a limited rate ([`Impair`]), a cut, noticed or silent ([`Cut`]), a partition
+/// from some peers ([`Partition`]), and the mending ([`Restore`]).
 ///
 /// ```text
 /// link ──Transmit──► Faulty ──Transmit──► transport
@@ -199,6 +200,20 @@ impl Handler<Cut> for Faulty {
         }
         self.cut_is_reported |= reported;
         self.announce();
+    }
+}
+
+impl Handler<Partition> for Faulty {
+    type Result = ();
+
+    fn handle(&mut self, message: Partition, _: &mut Context<Self>) {
+        let Partition { direction, peers } = message;
+        if direction.outgoing() {
+            self.outgoing.part_from(peers.clone());
+        }
+        if direction.incoming() {
+            self.incoming.part_from(peers);
+        }
     }
 }
 

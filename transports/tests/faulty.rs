@@ -2,8 +2,8 @@
 
 use actix::prelude::*;
 use blastema_contract::transport::{
-    Attach, Cut, Direction, Impair, InjectedFaults, ReadInjectedFaults, Received, Restore,
-    Transmit, Transport, TransportReport,
+    Attach, Cut, Direction, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults,
+    Received, Restore, Transmit, Transport, TransportReport,
 };
 use blastema_core::impairment::Impairment;
 use blastema_doubles::{MockTransport, Probe, advance, now, paused};
@@ -150,11 +150,96 @@ fn a_cut_that_is_noticed_is_reported_and_so_is_its_end() {
 }
 
 #[test]
+fn frames_are_overtaken_and_spoilt_in_the_direction_that_is_told() {
+    paused(async {
+        let bench = Bench::new(1).await;
+        let restless = Impairment { reordering: 1.0, ..Impairment::NONE };
+        bench.cable.do_send(Impair { direction: Direction::Outgoing, impairment: restless });
+        let noisy = Impairment { corruption: 1.0, ..Impairment::NONE };
+        bench.cable.do_send(Impair { direction: Direction::Incoming, impairment: noisy });
+
+        bench.transmit(0..5);
+        bench.receive(0..1);
+        advance(MS(9)).await;
+        assert_eq!(bench.sent(), [1, 0, 3, 2]);
+        assert_eq!(bench.received()[0].count_ones(), 1);
+
+        advance(MS(1)).await;
+        assert_eq!(bench.sent(), [4], "nobody has overtaken it");
+        let InjectedFaults { outgoing, incoming } = bench.injected().await;
+        assert_eq!((outgoing.reordered, incoming.corrupted), (3, 1));
+    });
+}
+
+#[test]
+fn a_slow_cable_passes_so_many_bytes_a_second() {
+    paused(async {
+        let bench = Bench::new(1).await;
+        let slow = Impairment { rate: 100, ..Impairment::NONE };
+        bench.cable.do_send(Impair { direction: Direction::Outgoing, impairment: slow });
+
+        bench.transmit(0..10);
+        bench.receive(0..10);
+        for number in 0..10 {
+            advance(MS(9)).await;
+            assert_eq!(bench.sent(), []);
+            advance(MS(1)).await;
+            assert_eq!(bench.sent(), [number]);
+        }
+        assert_eq!(bench.received(), (0..10).collect::<Vec<_>>());
+    });
+}
+
+#[test]
+fn a_partition_parts_from_some_peers_and_says_nothing() {
+    paused(async {
+        let bench = Bench::new(1).await;
+        let peer = |name: &str| MediumAddress::Memory(name.into());
+        let send = |to: &str, number: u8| {
+            let message = Transmit { to: peer(to), frame: vec![number].into() };
+            bench.cable.do_send(message);
+        };
+        let partition = |peers: &[&str]| Partition {
+            direction: Direction::Both,
+            peers: peers.iter().map(|name| peer(name)).collect(),
+        };
+
+        bench.cable.do_send(partition(&["left", "right"]));
+        ["left", "middle", "right"].into_iter().zip(0..).for_each(|(to, n)| send(to, n));
+        for (from, number) in [("left", 0), ("middle", 1), ("right", 2)] {
+            bench.medium.receive(peer(from), vec![number]);
+        }
+        advance(MS(1)).await;
+        assert_eq!((bench.sent(), bench.received()), (vec![1], vec![1]));
+
+        bench.cable.do_send(partition(&["left"]));
+        send("left", 3);
+        send("right", 4);
+        advance(MS(1)).await;
+        assert_eq!(bench.sent(), [4]);
+
+        bench.cable.do_send(Restore);
+        send("left", 5);
+        advance(MS(1)).await;
+        assert_eq!(bench.sent(), [5]);
+        let InjectedFaults { outgoing, incoming } = bench.injected().await;
+        assert_eq!((outgoing.parted, incoming.parted), (3, 2));
+        assert!(bench.reports.drain().is_empty());
+    });
+}
+
+#[test]
 fn one_seed_gives_one_run() {
     let run = |seed| {
         paused(async move {
             let bench = Bench::new(seed).await;
-            let bad = Impairment { loss: 0.3, duplication: 0.2, delay: MS(5), jitter: MS(20) };
+            let bad = Impairment {
+                loss: 0.3,
+                duplication: 0.2,
+                delay: MS(5),
+                jitter: MS(20),
+                ..Impairment::NONE
+            };
             bench.cable.do_send(Impair { direction: Direction::Both, impairment: bad });
             bench.transmit(0..200);
             bench.receive(0..200);

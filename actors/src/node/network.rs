@@ -6,7 +6,7 @@ use crate::net::{Interface, LinkSpec, NetworkSpec};
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::transport::{
-    Cut, Impair, InjectedFaults, MediumAddress, ReadInjectedFaults, Restore, Transport,
+    Cut, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults, Restore, Transport,
 };
 use blastema_core::{NodeName, ObjectName};
 use blastema_transports::frame_medium::FrameMedium;
@@ -219,28 +219,40 @@ impl Link {
 
 /// A cable that can be cut and made bad while the node runs. From [`Node::cable`](crate::Node::cable).
 #[derive(Clone, Debug)]
-pub struct Cable(Addr<Faulty>);
+pub struct Cable {
+    faulty: Addr<Faulty>,
+    /// Where the neighbours are on the medium.
+    neighbours: Vec<(String, MediumAddress)>,
+}
 
 impl Cable {
     /// Cuts it. A reported cut is one of which the medium knows at once, as Ethernet does; another is
     /// noticed only by silence.
     pub fn cut(&self, direction: Direction, reported: bool) {
-        self.0.do_send(Cut { direction, reported });
+        self.faulty.do_send(Cut { direction, reported });
     }
 
-    /// Makes it bad: loss, delay, duplicates.
+    /// Parts it from these neighbours, and from no others: nothing passes to and from them, which is
+    /// noticed only by silence. Names that are no neighbours' here are left out.
+    pub fn part_from(&self, direction: Direction, neighbours: &[&str]) {
+        let parted = self.neighbours.iter().filter(|(name, _)| neighbours.contains(&name.as_str()));
+        let peers = parted.map(|(_, address)| address.clone()).collect();
+        self.faulty.do_send(Partition { direction, peers });
+    }
+
+    /// Makes it bad: loss, delay, duplicates, reordering, corruption, a limited rate.
     pub fn impair(&self, direction: Direction, impairment: Impairment) {
-        self.0.do_send(Impair { direction, impairment });
+        self.faulty.do_send(Impair { direction, impairment });
     }
 
     /// Mends it.
     pub fn restore(&self) {
-        self.0.do_send(Restore);
+        self.faulty.do_send(Restore);
     }
 
     /// What it did to the frames so far; `None` once the node has ended.
     pub async fn injected(&self) -> Option<InjectedFaults> {
-        self.0.send(ReadInjectedFaults).await.ok()
+        self.faulty.send(ReadInjectedFaults).await.ok()
     }
 }
 
@@ -369,7 +381,10 @@ impl Network {
                 let make = move |_: &mut Context<Faulty>| Faulty::new(inner, config);
                 let faulty = guardian.start(object, arbiter, make);
                 transport = Transport::from(faulty.clone());
-                Some(Cable(faulty))
+                let there = |spec: &LinkSpec| {
+                    Some((spec.neighbour.as_ref()?.to_string(), spec.remote.clone()))
+                };
+                Some(Cable { faulty, neighbours: specs.iter().filter_map(there).collect() })
             }
         };
         let spec = NetworkSpec { name: name.into(), transport, interface, links: specs };

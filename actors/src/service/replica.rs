@@ -10,7 +10,7 @@ use crate::drive::{Body, Wake};
 use crate::guardian::{Guardian, answers_the_monitor};
 use crate::host::life::LifeToken;
 use crate::platform;
-use crate::registry::{NameTaken, Port, Registry, ReplyTo};
+use crate::registry::{NameTaken, Port, Postmark, Registry, ReplyTo};
 use crate::reply::Answer;
 use crate::sender::Sender;
 use actix::prelude::*;
@@ -131,7 +131,7 @@ impl ReplicaBody {
         match self.registry.doorway(&self.carried.component, contract) {
             // What came of it is told to the closure in every case.
             Ok((_, doorway)) => {
-                let _ = doorway.deliver(bytes, None, Some(reply_to), Duration::ZERO);
+                let _ = doorway.deliver(bytes, Postmark::default(), Some(reply_to));
             }
             Err(why) => reply_to(Err(why)),
         }

@@ -5,8 +5,9 @@
 
 use actix::dev::ToEnvelope;
 use actix::{Actor, Addr, Handler, Message, Recipient};
-use blastema_core::impairment::{Impairment, Injected};
+use blastema_core::impairment::{Carried, Impairment, Injected};
 use bytes::Bytes;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -72,6 +73,30 @@ pub struct Received {
     pub from: MediumAddress,
     /// The frame, whole.
     pub frame: Bytes,
+}
+
+impl Carried for Transmit {
+    type Peer = MediumAddress;
+
+    fn peer(&self) -> &MediumAddress {
+        &self.to
+    }
+
+    fn bytes(&mut self) -> &mut Bytes {
+        &mut self.frame
+    }
+}
+
+impl Carried for Received {
+    type Peer = MediumAddress;
+
+    fn peer(&self) -> &MediumAddress {
+        &self.from
+    }
+
+    fn bytes(&mut self) -> &mut Bytes {
+        &mut self.frame
+    }
 }
 
 /// What a transport has to say about its medium.
@@ -223,7 +248,18 @@ pub struct Cut {
     pub reported: bool,
 }
 
-/// Mends everything: no cut and no impairment, in both directions.
+/// Puts these peers, and no others, on the other side of a partition: nothing passes to and from them, and
+/// nobody is told. For what stands between link and transport.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Partition {
+    /// Which way.
+    pub direction: Direction,
+    /// Whom.
+    pub peers: BTreeSet<MediumAddress>,
+}
+
+/// Mends everything: no cut, no partition and no impairment, in both directions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Restore;

@@ -191,7 +191,13 @@ mod tests {
                 let network = SimulatedNetwork::new(seed);
                 let (a, b) = (network.end("a"), network.end("b"));
                 let at_b = attach(&b);
-                let bad = Impairment { loss: 0.3, duplication: 0.2, delay: MS(5), jitter: MS(20) };
+                let bad = Impairment {
+                    loss: 0.3,
+                    duplication: 0.2,
+                    delay: MS(5),
+                    jitter: MS(20),
+                    ..Impairment::NONE
+                };
                 network.impair("a", "b", bad);
                 send(&a, &b, 0..200);
                 advance(MS(100)).await;

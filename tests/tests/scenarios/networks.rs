@@ -8,6 +8,7 @@
 //! ```
 
 use crate::puppet::{Deed, Do, Note, Strings, ask, life};
+use blastema::core::net::LinkState;
 use blastema::core::recovery::{Done, Failed, Order};
 use blastema::prelude::*;
 use blastema::{
@@ -195,8 +196,13 @@ async fn a_node_that_goes_and_comes_again_is_lost_and_found_and_serves_the_same_
     let laser = robot.module3.sender::<Do>("module2:laser").unwrap();
     assert_eq!(laser.ask(Do(Deed::Nothing)).await.unwrap(), 1);
 
+    // It cannot say that it goes.
+    robot.cut("ethernet");
+    robot.cut("backup");
     robot.module2.shutdown().await;
     robot.module1.await_fault(FaultKind::NodeLost, "module2").await;
+    robot.mend("ethernet");
+    robot.mend("backup");
     let gone = laser.ask(Do(Deed::Nothing)).await.expect_err("it is gone");
     assert!(gone.message.is_none() || gone.why != Why::DeadlinePassed, "{}", gone.why);
     robot.module2 = TestNode::start(robot.media.module2().child(strings.spec("laser"))).await;
@@ -257,4 +263,33 @@ async fn a_fault_of_another_node_is_told_to_the_recoverers_of_its_neighbours() {
 
     assert_eq!(*told.lock().unwrap(), ["error state of module2:laser"]);
     assert_eq!(life(&module2, "laser").await, 1, "its own node has recovered it");
+}
+
+#[blastema_testkit::test]
+async fn a_partition_parts_from_some_neighbours_and_a_third_passes_on() {
+    let (medium, strings) = (MemoryMedium::default(), Strings::default());
+    let on_bus = |own: &'static str, peers: [&str; 2]| {
+        let network = Network::memory("bus", &medium, own).with_faults(7);
+        let network = peers.iter().fold(network, |network, peer| network.peer(peer, peer));
+        Node::builder(own).network(network).child(strings.spec(own))
+    };
+    let module1 = TestNode::start(on_bus("module1", ["module2", "module3"])).await;
+    let module2 = TestNode::start(on_bus("module2", ["module1", "module3"])).await;
+    let _module3 = TestNode::start(on_bus("module3", ["module1", "module2"])).await;
+    module1.advance(2000 * MS).await;
+
+    let cable = module1.cable("bus").expect("it was described with faults");
+    cable.part_from(Direction::Both, &["module2"]);
+    module1.advance(1000 * MS).await;
+
+    let links = module1.links().await;
+    let up: Vec<_> =
+        links.iter().filter(|row| row.state == LinkState::Up).map(|row| &*row.link).collect();
+    assert_eq!(up, ["bus/module3"]);
+    assert_eq!(ask(&module1, "module2:module2", Deed::Nothing).await.unwrap(), 1);
+    assert_eq!(ask(&module2, "module1:module1", Deed::Nothing).await.unwrap(), 1);
+
+    cable.restore();
+    module1.advance(2000 * MS).await;
+    assert!(module1.links().await.iter().all(|row| row.state == LinkState::Up));
 }

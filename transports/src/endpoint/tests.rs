@@ -101,12 +101,14 @@ fn can_is_read_with_all_its_settings() {
 
     let Endpoint::Can(config) = good(
         "can://vcan1?fd=true&bit_rate_switch=true&address=7&mtu=800&queue_frames=8&block_size=4\
-         &separation=200us",
+         &separation=200us&short_ids=true",
     ) else {
         panic!()
     };
     assert!(config.bit_rate_switch);
-    let CanNodeConfig { address, mtu, queue_frames, block_size, separation } = config.node;
+    let CanNodeConfig { address, short_ids, mtu, queue_frames, block_size, separation } =
+        config.node;
+    assert!(short_ids);
     assert_eq!((address, mtu, queue_frames, block_size), (7, 800, 8, 4));
     assert_eq!(separation, Duration::from_micros(200));
 }
@@ -195,7 +197,7 @@ fn a_wrong_value_is_pointed_at_with_what_it_may_be() {
     bad("serial:///dev/ttyS0?flow=xon", "xon", 25, "none, hardware");
     bad("serial:///dev/ttyS0?baud=0", "0", 25, "from 50 to");
     bad("can://can0?fd=yes", "yes", 14, "true or false");
-    bad("can://can0?address=256", "256", 19, "from 0 to 255");
+    bad("can://can0?address=256", "256", 19, "from 0 to 254");
     bad("slcan:///dev/ttyACM0?bitrate=300000", "300000", 29, "250000, 500000");
 }
 

@@ -40,7 +40,7 @@ enum Step {
     /// One was sent then, and everything since.
     Sent(Instant),
     /// It has it, and gets everything since.
-    Level,
+    Abreast,
 }
 
 impl Primary {
@@ -146,17 +146,17 @@ impl Replica {
             (Step::Sent(at), false) if now - at > lease => Step::Behind,
             (Step::Sent(at), false) => Step::Sent(at),
             // It has begun anew: what it once confirmed, it has forgotten.
-            (Step::Level, false) => Step::Behind,
-            (Step::Sent(_) | Step::Level, true) => {
+            (Step::Abreast, false) => Step::Behind,
+            (Step::Sent(_) | Step::Abreast, true) => {
                 follower.position = follower.position.max(position);
-                Step::Level
+                Step::Abreast
             }
         };
         // An entry went astray with its session.
         let waits = |(needed, _, at): &(Position, MessageId, Instant)| {
             follower.position < *needed && now - *at > lease
         };
-        if follower.step == Step::Level && primary.held.front().is_some_and(waits) {
+        if follower.step == Step::Abreast && primary.held.front().is_some_and(waits) {
             follower.step = Step::Behind;
         }
         if follower.step == Step::Behind && self.config.kind != StandbyKind::Cold {
@@ -254,7 +254,7 @@ impl Replica {
         while let Some((position, id, _)) = primary.held.front().copied() {
             if config.kind != StandbyKind::Cold {
                 let followers = primary.standbys.values();
-                let in_step = followers.filter(|follower| follower.step == Step::Level);
+                let in_step = followers.filter(|follower| follower.step == Step::Abreast);
                 let known =
                     in_step.clone().filter(|follower| follower.position >= position).count();
                 let all = known == in_step.count();

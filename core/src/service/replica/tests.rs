@@ -67,7 +67,7 @@ impl Robot {
             members: (0..size).map(|_| None).collect(),
             sides: vec![0; size],
             wire: BTreeMap::new(),
-            dammed: (seed % 3 != 0).then(Vec::new),
+            dammed: (!seed.is_multiple_of(3)).then(Vec::new),
             last: BTreeMap::new(),
             count: 0,
             callers: Vec::new(),
@@ -373,8 +373,8 @@ fn in_two_halves_nobody_serves_or_both_do_as_it_was_said() {
 
 #[test]
 fn whatever_is_cut_killed_and_started_again_nothing_is_answered_twice_or_forgotten() {
-    for seed in 0..40 {
-        let kind = if seed % 2 == 0 { StandbyKind::Warm } else { StandbyKind::Hot };
+    for seed in 0_u64..40 {
+        let kind = if seed.is_multiple_of(2) { StandbyKind::Warm } else { StandbyKind::Hot };
         let mut robot = Robot::new(seed, 3, kind, OnPartition::Stop);
         let mut chance = Random::new(seed ^ 0xfeed);
         robot.advance_ms(100);

@@ -1,0 +1,117 @@
+//! One robot over a serial line and UDP at once: whichever cable is pulled, the arm gets every order once,
+//! and notices nothing.
+//!
+//! The serial line is a pair of ptys here, so that the example runs anywhere; on a robot it is a path such
+//! as `/dev/serial/by-id/…`.
+#![allow(clippy::print_stdout, reason = "an example shows what happens")]
+
+#[path = "../../transports/tests/cable/mod.rs"]
+mod cable;
+
+use blastema::core::net::LinkState;
+use blastema::prelude::*;
+use blastema::{Direction, FaultEvents, Link, Network};
+use cable::Cable;
+use std::net::UdpSocket;
+use std::path::Path;
+use std::time::Duration;
+
+/// Moves the arm by so much; the answer is where it is then.
+#[derive(Debug, Request)]
+#[contract(name = "arm/move", reply = i32)]
+struct Move {
+    #[contract(unit = "mm")]
+    by: i32,
+}
+
+#[derive(Default)]
+struct Arm {
+    at_mm: i32,
+}
+
+impl Component for Arm {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Move>();
+    }
+}
+
+impl Handle<Move> for Arm {
+    async fn handle(&mut self, order: Move, _: &mut Context<Self>) -> i32 {
+        self.at_mm += order.by;
+        self.at_mm
+    }
+}
+
+/// The networks of one end. The serial line is dearer, and so only used when it must be.
+fn networks(own: &str, serial: &Path, far: &str, peer: &str) -> [Network; 2] {
+    let serial = format!("serial://{}?baud=921600", serial.display());
+    [
+        Network::new("ethernet", &format!("udp://{own}")).peer(peer, far).with_faults(1),
+        Network::new("serial", &serial).link(Link::to(peer, "").cost(50)),
+    ]
+}
+
+#[blastema::main]
+async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let [a, b] = free_addresses()?;
+    let line = Cable::new();
+    let [ethernet, serial] = networks(&b, &line.right(), &a, "body");
+    let _arm = Node::builder("arm")
+        .network(ethernet)
+        .network(serial)
+        .child(ChildSpec::new("arm", Arm::default))
+        .start()
+        .await?;
+    let [ethernet, serial] = networks(&a, &line.left(), &b, "arm");
+    let body = Node::builder("body").network(ethernet).network(serial).start().await?;
+    assert!(body.connected("arm", Duration::from_secs(10)).await);
+    all_links_up(&body).await;
+    let arm: Sender<Move> = body.sender("arm:arm")?;
+    let mut faults = body.fault_events();
+
+    let ethernet = body.cable("ethernet").expect("it was described with faults");
+    for order in 1..=300 {
+        match order {
+            100 => ethernet.cut(Direction::Both, false), // pulled behind a switch: nobody is told
+            200 => {
+                println!("{}", link_down(&mut faults).await);
+                ethernet.restore();
+                all_links_up(&body).await;
+                line.inject(&line.left(), b"noise is nothing but noise");
+                line.unplug(); // the port itself vanishes
+            }
+            _ => {}
+        }
+        assert_eq!(arm.ask(Move { by: 1 }).await?, order); // nothing is lost, and nothing done twice
+    }
+    println!("{}", link_down(&mut faults).await);
+    println!("300 orders carried out, each once");
+
+    line.plug();
+    all_links_up(&body).await;
+    println!("both cables are back");
+    Ok(())
+}
+
+/// Waits for the next link that fails, and says which.
+async fn link_down(faults: &mut FaultEvents) -> String {
+    while let Some(event) = faults.next().await {
+        if event.fault.kind == FaultKind::LinkDown && event.turn == blastema::Turn::Found {
+            return format!("{}: {}", event.fault.kind, event.fault.place);
+        }
+    }
+    "the node has ended".into()
+}
+
+async fn all_links_up(node: &Node) {
+    while node.links().await.iter().any(|link| link.state != LinkState::Up) {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+}
+
+/// Two addresses of this computer that nobody uses.
+fn free_addresses() -> std::io::Result<[String; 2]> {
+    // Held together, so that they differ, and given back for the nodes to take.
+    let (a, b) = (UdpSocket::bind("127.0.0.1:0")?, UdpSocket::bind("127.0.0.1:0")?);
+    Ok([a.local_addr()?.to_string(), b.local_addr()?.to_string()])
+}
