@@ -243,3 +243,16 @@ fn commander_leaves_the_wheels_at_rest_when_its_cable_is_cut() {
     );
     check("commander", &["the planner hears: the lease has ended: claim anew"]);
 }
+
+#[test]
+fn standby_goes_on_counting_when_the_node_that_serves_is_cut_off() {
+    check(
+        "standby",
+        &[
+            "100 counted",
+            "-- the node that serves is cut off",
+            "200 counted, by another node: true",
+            "the first one is back, and stands by",
+        ],
+    );
+}

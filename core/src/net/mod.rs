@@ -43,6 +43,7 @@ pub mod complaints;
 pub mod crowd;
 pub mod exchange;
 pub mod frame;
+pub mod isolation;
 pub mod link;
 pub mod message;
 pub mod naming;
