@@ -42,15 +42,6 @@ impl FrameTransport {
     fn try_open(&mut self) {
         match self.medium.open() {
             Ok(opening) => self.opening = Some(opening),
-            Ok(opening) => {
-                self.reopening.reset();
-                let Opening { local, mtu } = opening.clone();
-                self.open = Some(opening);
-                self.outlet.announce(TransportReport::Opened { local, mtu });
-                if let Some(rate) = self.medium.bytes_per_second() {
-                    self.outlet.announce_rate(rate);
-                }
-            }
             Err(error) => self.lose("cannot be opened", &error),
         }
     }
@@ -68,6 +59,9 @@ impl FrameTransport {
                     self.reopening.reset();
                     self.open = self.opening.take();
                     self.outlet.announce(TransportReport::Opened { local, mtu });
+                    if let Some(rate) = self.medium.bytes_per_second() {
+                        self.outlet.announce_rate(rate);
+                    }
                 }
                 Err(error) => self.lose("cannot be opened", &error),
             }

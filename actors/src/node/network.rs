@@ -156,7 +156,7 @@ pub struct Link {
     neighbour: String,
     remote: Remote,
     cost: Option<u16>,
-    hello_interval: Duration,
+    hello_interval: Option<Duration>,
 }
 
 /// Where a neighbour is.
@@ -188,7 +188,7 @@ impl Link {
 
     fn at(neighbour: &str, remote: Remote) -> Self {
         let neighbour = neighbour.to_owned();
-        Link { name: None, neighbour, remote, cost: None, hello_interval: HELLO_INTERVAL }
+        Link { name: None, neighbour, remote, cost: None, hello_interval: None }
     }
 
     /// How people call it. Unless this says otherwise, it has the network's name where it is the only
@@ -210,7 +210,7 @@ impl Link {
     /// hellos take no more than a twentieth of it. Shorter finds a dead link sooner and costs more; the
     /// neighbour finds this end dead after three and a half of them.
     pub fn hello_every(mut self, interval: Duration) -> Self {
-        self.hello_interval = interval;
+        self.hello_interval = Some(interval);
         self
     }
 }
