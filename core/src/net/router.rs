@@ -227,9 +227,8 @@ impl Router {
             // One way that is there but too small, or none: its refusal says which.
             return self.handle_segment(destination, class, segment.clone());
         }
-        for link in ways {
-            self.outputs.push_back(RouterOutput::Packet { link, packet: bytes.clone() });
-        }
+        let copy = |link| RouterOutput::Packet { link, packet: bytes.clone() };
+        self.outputs.extend(ways.into_iter().map(copy));
     }
 
     fn forward(&mut self, packet: Packet, from: Option<LinkNumber>) {
