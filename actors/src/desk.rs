@@ -4,7 +4,7 @@
 //! belong to, and can be reached while it hangs. They are served on the thread of whoever asks.
 
 use crate::host::pulse;
-use crate::registry::{Doorway, ReplyTo, encoded_reply};
+use crate::registry::{Doorway, Postmark, ReplyTo, encoded_reply};
 use crate::reply::{Answer, Reply};
 use crate::sender::{Inlet, RequestError, SendError};
 use blastema_core::{Contract, FaultKind, MessageId, Why, codec};
@@ -34,7 +34,7 @@ impl<M: Contract> Inlet<M> for Desk<M> {
         if let Some(why) = pulse::forbidden() {
             return Err(SendError { why, message });
         }
-        (self.0)(message, Answer::called_back(Box::new(|_| ())));
+        (self.0)(message, Answer::called_back(Box::new(|_| ()), None));
         Ok(())
     }
 
@@ -42,7 +42,12 @@ impl<M: Contract> Inlet<M> for Desk<M> {
         Box::pin(future::ready(()))
     }
 
-    fn ask(&self, message: M, _: Option<MessageId>) -> Result<Reply<M>, RequestError<M>> {
+    fn ask(
+        &self,
+        message: M,
+        _: Option<MessageId>,
+        _: Option<Duration>,
+    ) -> Result<Reply<M>, RequestError<M>> {
         if let Some(why) = pulse::forbidden() {
             return Err(RequestError { why, message: Some(message) });
         }
@@ -56,19 +61,19 @@ impl<M: Contract> Doorway for Desk<M> {
     fn deliver(
         &self,
         message: &[u8],
-        _: Option<MessageId>,
+        Postmark { until, .. }: Postmark,
         reply_to: Option<ReplyTo>,
-        _: Duration,
     ) -> Result<(), Why> {
         let decoded = codec::decode::<M>(message)
             .map_err(|error| Why::Undecodable { reason: error.to_string() });
         match (decoded, reply_to) {
             (Ok(message), reply_to) => {
-                let answer = Answer::called_back(Box::new(move |result| {
+                let callback = move |result: Result<M::Reply, Why>| {
                     if let Some(reply_to) = reply_to {
-                        reply_to(result.and_then(|reply| encoded_reply::<M>(&reply)));
+                        reply_to(result.and_then(|reply| encoded_reply::<M>(reply, None)));
                     }
-                }));
+                };
+                let answer = Answer::called_back(Box::new(callback), until);
                 (self.0)(message, answer);
                 Ok(())
             }

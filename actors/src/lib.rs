@@ -139,6 +139,7 @@ pub use blastema_contract::link::LinkRow;
 pub use blastema_contract::naming::NodeRow;
 pub use blastema_contract::session::SessionRow;
 pub use blastema_contract::supervisor::Branch;
+pub use blastema_core::net::LinkState;
 pub use blastema_core::net::Route;
 pub use blastema_macros::main;
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};

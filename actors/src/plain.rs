@@ -43,6 +43,7 @@ use actix::prelude::{
 use blastema_core::{Contract, MessageId, Why};
 use std::future::Future;
 use std::pin::Pin;
+use std::time::Duration;
 
 /// A message on its way to a component. The answer says what became of it.
 #[derive(Debug)]
@@ -162,7 +163,12 @@ impl<M: Contract> Inlet<M> for Outside<M> {
         Box::pin(tokio::time::sleep(pulse::BEAT))
     }
 
-    fn ask(&self, message: M, _: Option<MessageId>) -> Result<Reply<M>, RequestError<M>> {
+    fn ask(
+        &self,
+        message: M,
+        _: Option<MessageId>,
+        _: Option<Duration>,
+    ) -> Result<Reply<M>, RequestError<M>> {
         let (answer, reply) = Answer::awaited();
         self.pass(message, Some(answer))?;
         Ok(reply)

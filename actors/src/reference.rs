@@ -74,7 +74,7 @@ impl<C: Component> ActorRef<C> {
     where
         C: Handle<M>,
     {
-        Inlet::ask(&*self.0, message, None)?.within(deadline).await
+        Inlet::ask(&*self.0, message, None, Some(deadline))?.within(deadline).await
     }
 
     /// The same for one contract only, with the component's type hidden.

@@ -12,8 +12,8 @@ use crate::reply::{Answer, Reply};
 use crate::sender::{Inlet, RequestError, SendError, Sender};
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::{
-    Contract, ContractIdentity, FaultKind, Incarnation, MessageId, NodeName, ObjectAddress,
-    ObjectName, Why, codec,
+    Contract, ContractIdentity, FaultKind, Former, Incarnation, Instant, MessageId, NodeName,
+    ObjectAddress, ObjectName, PeerIdentity, Why, codec,
 };
 use bytes::Bytes;
 use std::any::Any;
@@ -27,17 +27,38 @@ use std::time::Duration;
 /// Gets the encoded reply, or the reason why there is none. Called once, on any thread.
 pub(crate) type ReplyTo = Box<dyn FnOnce(Result<Bytes, Why>) + Send>;
 
+/// What is known of a message that comes from outside, beside its contents.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Postmark {
+    pub(crate) id: Option<MessageId>,
+    /// How long it has been on its way.
+    pub(crate) age: Duration,
+    /// A request is not to be begun after this.
+    pub(crate) until: Option<Instant>,
+}
+
+/// A request for an object of another node, beside its contents.
+pub(crate) struct Asked {
+    pub(crate) id: Option<MessageId>,
+    pub(crate) within: Option<Duration>,
+    pub(crate) reply_to: ReplyTo,
+}
+
 /// The way into an object for messages that come from outside the process.
 pub(crate) trait Doorway: Send + Sync {
-    /// Decodes the message and hands it over; it has been on its way for `age`. Where `reply_to` is
-    /// given it is called in every case; the error then repeats what it was told.
+    /// Decodes the message and hands it over. Where `reply_to` is given it is called in every case; the
+    /// error then repeats what it was told.
     fn deliver(
         &self,
         message: &[u8],
-        id: Option<MessageId>,
+        postmark: Postmark,
         reply_to: Option<ReplyTo>,
-        age: Duration,
     ) -> Result<(), Why>;
+
+    /// The way for a sender with an earlier version of the contract, if it is understood.
+    fn former(&self, _theirs: &PeerIdentity) -> Option<Arc<dyn Doorway>> {
+        None
+    }
 
     /// Reports a fault that was found at the door, such as a caller with another contract.
     fn declare(&self, kind: FaultKind, detail: String);
@@ -51,17 +72,12 @@ pub(crate) trait RemoteDoors: Send + Sync {
 
 /// The way to one object of another node, for one contract.
 pub(crate) trait RemoteDoor: Send + Sync {
-    /// Ships one encoded message. Where `reply_to` is given and the message was taken, it is called
-    /// once. Never waits.
+    /// Ships one encoded message. Where it is a request and was taken, its `reply_to` is called once.
+    /// Never waits.
     ///
     /// # Errors
     /// Why the message was not taken.
-    fn send(
-        &self,
-        message: Bytes,
-        id: Option<MessageId>,
-        reply_to: Option<ReplyTo>,
-    ) -> Result<(), Why>;
+    fn send(&self, message: Bytes, asked: Option<Asked>) -> Result<(), Why>;
 
     /// Completes when there may be room for a message that was refused as [`Why::Full`].
     fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>>;
@@ -80,7 +96,7 @@ impl Port {
         Port {
             identity: ContractIdentity::of::<M>(),
             sender: Box::new(Sender::<M>(anchor.clone())),
-            doorway: Arc::new(LocalDoor::<C, M> { anchor: anchor.clone(), takes: PhantomData }),
+            doorway: Arc::new(LocalDoor::<C, M> { anchor: anchor.clone(), former: None }),
         }
     }
 }
@@ -103,16 +119,16 @@ impl Port {
 
 struct LocalDoor<C: Handle<M>, M: Contract> {
     anchor: Arc<Anchor<C>>,
-    takes: PhantomData<fn(M)>,
+    /// The version that the sender holds, where it is an earlier one.
+    former: Option<Arc<Former<M>>>,
 }
 
 impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
     fn hand_over(
         &self,
         message: M,
-        id: Option<MessageId>,
+        Postmark { id, age, until }: Postmark,
         reply_to: Option<ReplyTo>,
-        age: Duration,
     ) -> Result<(), Why> {
         match reply_to {
             // Its sender is elsewhere, and has been told that it was sent.
@@ -124,18 +140,27 @@ impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
                 })
             }
             Some(reply_to) => {
-                let answer = Answer::called_back(Box::new(move |result| {
-                    reply_to(result.and_then(|reply| encoded_reply::<M>(&reply)));
-                }));
+                let former = self.former.clone();
+                let callback = move |result: Result<M::Reply, Why>| {
+                    reply_to(result.and_then(|reply| encoded_reply(reply, former.as_deref())));
+                };
+                let answer = Answer::called_back(Box::new(callback), until);
                 self.anchor.post(message, answer, id).map_err(|error| error.why)
             }
         }
     }
 }
 
-pub(crate) fn encoded_reply<M: Contract>(reply: &M::Reply) -> Result<Bytes, Why> {
+pub(crate) fn encoded_reply<M: Contract>(
+    reply: M::Reply,
+    former: Option<&Former<M>>,
+) -> Result<Bytes, Why> {
     let mut bytes = Vec::new();
-    codec::encode_reply::<M>(reply, &mut bytes).map_err(|error| encoding(error, M::MAX_SIZE))?;
+    let encoded = match former {
+        None => codec::encode_reply::<M>(&reply, &mut bytes),
+        Some(former) => former.answer(reply, &mut bytes),
+    };
+    encoded.map_err(|error| encoding(error, M::MAX_SIZE))?;
     Ok(bytes.into())
 }
 
@@ -150,12 +175,15 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
     fn deliver(
         &self,
         message: &[u8],
-        id: Option<MessageId>,
+        postmark: Postmark,
         reply_to: Option<ReplyTo>,
-        age: Duration,
     ) -> Result<(), Why> {
-        match codec::decode::<M>(message) {
-            Ok(message) => self.hand_over(message, id, reply_to, age),
+        let read = match &self.former {
+            None => codec::decode::<M>(message),
+            Some(former) => former.read(message),
+        };
+        match read {
+            Ok(message) => self.hand_over(message, postmark, reply_to),
             Err(error) => {
                 let why = Why::Undecodable { reason: error.to_string() };
                 self.anchor.record.bury(M::NAME, &why);
@@ -165,6 +193,13 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
                 Err(why)
             }
         }
+    }
+
+    fn former(&self, theirs: &PeerIdentity) -> Option<Arc<dyn Doorway>> {
+        let mut former = M::former().into_iter();
+        let former = former.find(|former| former.identity().check(theirs).is_ok())?;
+        let (anchor, former) = (self.anchor.clone(), Some(Arc::new(former)));
+        Some(Arc::new(LocalDoor::<C, M> { anchor, former }))
     }
 
     fn declare(&self, kind: FaultKind, detail: String) {
@@ -183,18 +218,13 @@ struct Outlet<M: Contract> {
 }
 
 impl<M: Contract> Outlet<M> {
-    fn send(
-        &self,
-        message: &M,
-        id: Option<MessageId>,
-        reply_to: Option<ReplyTo>,
-    ) -> Result<(), Why> {
+    fn send(&self, message: &M, asked: Option<Asked>) -> Result<(), Why> {
         if let Some(why) = crate::host::pulse::forbidden() {
             return Err(why);
         }
         let mut bytes = Vec::new();
         codec::encode(message, &mut bytes).map_err(|error| encoding(error, M::MAX_SIZE))?;
-        self.door.send(bytes.into(), id, reply_to)
+        self.door.send(bytes.into(), asked)
     }
 }
 
@@ -204,16 +234,22 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
     }
 
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
-        self.send(&message, None, None).map_err(|why| SendError { why, message })
+        self.send(&message, None).map_err(|why| SendError { why, message })
     }
 
     fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         self.door.room()
     }
 
-    fn ask(&self, message: M, id: Option<MessageId>) -> Result<Reply<M>, RequestError<M>> {
+    fn ask(
+        &self,
+        message: M,
+        id: Option<MessageId>,
+        within: Option<Duration>,
+    ) -> Result<Reply<M>, RequestError<M>> {
         let (answer, reply) = Answer::awaited();
-        let id = id.unwrap_or_else(crate::sender::next_id);
+        // Only what may come twice needs to be known again.
+        let id = id.or_else(|| M::IDEMPOTENT.then(crate::sender::next_id));
         let reply_to = move |result: Result<Bytes, Why>| {
             let decoded = result.and_then(|bytes| {
                 codec::decode_reply::<M>(&bytes)
@@ -224,7 +260,8 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
                 Err(why) => answer.refuse(why, None),
             }
         };
-        match self.send(&message, Some(id), Some(Box::new(reply_to))) {
+        let asked = Asked { id, within, reply_to: Box::new(reply_to) };
+        match self.send(&message, Some(asked)) {
             Ok(()) => Ok(reply),
             Err(why) => Err(RequestError { why, message: Some(message) }),
         }

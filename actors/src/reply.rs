@@ -5,8 +5,9 @@
 //! what it says after it was given up is refused. A slot takes one result, the first.
 
 use crate::host::pulse::{Deadline, Pulse};
+use crate::platform;
 use crate::sender::RequestError;
-use blastema_core::{Contract, Why};
+use blastema_core::{Contract, Instant, Why};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
@@ -27,6 +28,8 @@ pub(crate) struct ReplySlot<M: Contract> {
     state: Mutex<State<M>>,
     /// Nothing has come yet, and somebody wants it; to be looked at without the lock.
     open: AtomicBool,
+    /// Nobody wants it after this; known of requests from other nodes.
+    until: Option<Instant>,
 }
 
 enum State<M: Contract> {
@@ -83,14 +86,15 @@ impl<M: Contract> Answer<M> {
     #[inline]
     pub(crate) fn awaited() -> (Answer<M>, Reply<M>) {
         let state = Mutex::new(State::Open(Listener::Nobody));
-        let slot = Arc::new(ReplySlot { state, open: AtomicBool::new(true) });
+        let slot = Arc::new(ReplySlot { state, open: AtomicBool::new(true), until: None });
         (Answer(Some(slot.clone())), Reply { slot, limit: Limit::None, done: false })
     }
 
-    /// A slot whose result goes to a callback.
-    pub(crate) fn called_back(callback: Callback<M>) -> Answer<M> {
+    /// A slot whose result goes to a callback, and is wanted until then.
+    pub(crate) fn called_back(callback: Callback<M>, until: Option<Instant>) -> Answer<M> {
         let state = Mutex::new(State::Open(Listener::Callback(callback)));
-        Answer(Some(Arc::new(ReplySlot { state, open: AtomicBool::new(true) })))
+        let open = AtomicBool::new(true);
+        Answer(Some(Arc::new(ReplySlot { state, open, until })))
     }
 
     /// Puts the reply in, unless the slot was revoked.
@@ -114,10 +118,13 @@ impl<M: Contract> Answer<M> {
         self.0.clone().map(|slot| slot as Arc<dyn Revocable>)
     }
 
-    /// The asker still waits.
+    /// The asker still waits, as far as is known.
     #[inline]
     pub(crate) fn is_wanted(&self) -> bool {
-        self.0.as_ref().is_some_and(|slot| slot.open.load(Relaxed))
+        let waits = |slot: &Arc<ReplySlot<M>>| {
+            slot.open.load(Relaxed) && slot.until.is_none_or(|until| platform::now() < until)
+        };
+        self.0.as_ref().is_some_and(waits)
     }
 }
 

@@ -24,8 +24,13 @@ pub(crate) trait Inlet<M: Contract>: Send + Sync {
     /// Completes when there may be room.
     fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>>;
 
-    /// Hands a request over.
-    fn ask(&self, message: M, id: Option<MessageId>) -> Result<Reply<M>, RequestError<M>>;
+    /// Hands a request over. It is not begun when `within` has passed; who waits minds it as well.
+    fn ask(
+        &self,
+        message: M,
+        id: Option<MessageId>,
+        within: Option<Duration>,
+    ) -> Result<Reply<M>, RequestError<M>>;
 }
 
 /// Where messages of contract `M` can be sent. It outlives the receiver's restarts; local and remote
@@ -71,6 +76,11 @@ impl<M: Contract> Sender<M> {
     /// # Errors
     /// The request always resolves: with the reply, when the deadline passes, or when the receiver
     /// dies, whichever is first. The message comes back where it was not taken up.
+    ///
+    /// A receiver on another node does not begin a request whose deadline has passed. Where the way
+    /// to it was lost after the request had been sent, the outcome is not known, which is said by
+    /// [`Why::OutcomeUnknown`]; a contract that is declared `idempotent` is then asked again by itself
+    /// as soon as there is a way, within the deadline.
     pub async fn ask(&self, message: M) -> Result<M::Reply, RequestError<M>> {
         self.ask_within(message, DEFAULT_DEADLINE).await
     }
@@ -84,11 +94,13 @@ impl<M: Contract> Sender<M> {
         message: M,
         deadline: Duration,
     ) -> Result<M::Reply, RequestError<M>> {
-        self.0.ask(message, None)?.within(deadline).await
+        self.0.ask(message, None, Some(deadline))?.within(deadline).await
     }
 
     /// Prepares a request that may be sent more than once and stays the same message: if it has
-    /// killed three lives of the receiver, it is quarantined.
+    /// killed three lives of the receiver, it is quarantined. A receiver on another node serves it once,
+    /// and answers with the same reply for a minute, as long as its node lives; a request that failed
+    /// is not remembered.
     pub fn repeatable(&self, message: M) -> Repeatable<M>
     where
         M: Clone,
@@ -119,7 +131,8 @@ impl<M: Contract + Clone> Repeatable<M> {
     /// # Errors
     /// As [`Sender::ask`].
     pub async fn ask_within(&self, deadline: Duration) -> Result<M::Reply, RequestError<M>> {
-        self.sender.0.ask(self.message.clone(), Some(self.id))?.within(deadline).await
+        let message = self.message.clone();
+        self.sender.0.ask(message, Some(self.id), Some(deadline))?.within(deadline).await
     }
 
     /// Its identity.
@@ -175,10 +188,15 @@ impl<M: Contract> Inlet<M> for Detached<M> {
         self.inner.0.room()
     }
 
-    fn ask(&self, message: M, id: Option<MessageId>) -> Result<Reply<M>, RequestError<M>> {
+    fn ask(
+        &self,
+        message: M,
+        id: Option<MessageId>,
+        within: Option<Duration>,
+    ) -> Result<Reply<M>, RequestError<M>> {
         match self.life.forbidden() {
             Some(why) => Err(RequestError { why, message: Some(message) }),
-            None => self.inner.0.ask(message, id),
+            None => self.inner.0.ask(message, id, within),
         }
     }
 }

@@ -3,7 +3,7 @@
 use crate::codec::{self, DecodeError};
 use crate::difference::{Difference, Half, compare};
 use crate::layout::{Described, LayoutOf};
-use crate::{LayoutDescription, ObjectName};
+use crate::{Delivery, Former, LayoutDescription, ObjectName};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::any::TypeId;
 use std::collections::BTreeMap;
@@ -33,6 +33,19 @@ pub trait Contract: Described + Send + 'static {
     const MAX_SIZE: usize = 64 * 1024;
     /// An event older than this is not delivered but counted.
     const MAX_AGE: Option<Duration> = None;
+    /// How messages travel between nodes.
+    const DELIVERY: Delivery = Delivery::Reliable;
+    /// A request that may take effect twice without harm: it is sent again, within its deadline, where
+    /// it is not known whether it took effect.
+    const IDEMPOTENT: bool = false;
+
+    /// The earlier versions that a receiver still understands, the latest first.
+    fn former() -> Vec<Former<Self>>
+    where
+        Self: Sized,
+    {
+        Vec::new()
+    }
 
     /// Whether a message of this age is too old to be delivered.
     fn is_expired(age: Duration) -> bool {
@@ -116,6 +129,10 @@ pub struct ContractIdentity {
     pub name: &'static str,
     /// Its version.
     pub version: u16,
+    /// How its messages travel.
+    pub delivery: Delivery,
+    /// It may be sent again by whoever asks. No matter of the other party's, and not compared.
+    pub idempotent: bool,
     /// The hash of its structure and of its reply's: FNV-1a, 64 bits, over their descriptions. It
     /// guards against accidents, not against intent.
     pub fingerprint: u64,
@@ -133,6 +150,8 @@ pub struct PeerIdentity {
     pub name: String,
     /// Its version.
     pub version: u16,
+    /// How its messages travel: who counts on every message is not served by who sends the newest.
+    pub delivery: Delivery,
     /// The hash of its structure and of its reply's.
     pub fingerprint: u64,
     /// The structures of message and reply, to say what differs. Left out where only the verdict is
@@ -155,17 +174,20 @@ impl ContractIdentity {
         ContractIdentity {
             name: M::NAME,
             version: M::VERSION,
+            delivery: M::DELIVERY,
+            idempotent: M::IDEMPOTENT,
             fingerprint: remembered_fingerprint(TypeId::of::<M>(), M::layout, M::Reply::layout),
             message: M::layout,
             reply: M::Reply::layout,
         }
     }
 
-    /// What the peer needs to decide: name, version and fingerprint.
+    /// What the peer needs to decide: name, version, delivery and fingerprint.
     pub fn brief(&self) -> PeerIdentity {
         PeerIdentity {
             name: self.name.into(),
             version: self.version,
+            delivery: self.delivery,
             fingerprint: self.fingerprint,
             structure: None,
         }
@@ -190,6 +212,9 @@ impl ContractIdentity {
         }
         if self.version != peer.version {
             lines.push(format!("version {} here, {} there", self.version, peer.version));
+        }
+        if self.delivery != peer.delivery {
+            lines.push(format!("delivery {} here, {} there", self.delivery, peer.delivery));
         }
         if self.fingerprint != peer.fingerprint {
             lines.extend(self.structural_lines(peer));

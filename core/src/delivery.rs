@@ -1,7 +1,33 @@
-//! What can become of a message.
+//! How a message travels, and what can become of it.
 
 use crate::Incarnation;
 use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// How messages of a contract travel between nodes. Declared with
+/// `#[contract(delivery = "..")]`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Delivery {
+    /// Each once and in order; what is lost on the way is repeated.
+    #[default]
+    Reliable,
+    /// Each at most once, and none after a newer one; what is lost on the way is not repeated. For
+    /// readings of which only the newest counts.
+    Newest,
+    /// Each once and in order, and a copy over every way that there is: while one of them carries,
+    /// nothing is late. For what must not wait until a failed cable has been noticed.
+    Redundant,
+}
+
+impl fmt::Display for Delivery {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Delivery::Reliable => "reliable",
+            Delivery::Newest => "newest",
+            Delivery::Redundant => "redundant",
+        })
+    }
+}
 
 /// Why a message was not delivered, or a request not answered.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]

@@ -13,6 +13,7 @@ pub mod detection;
 pub mod difference;
 pub mod fault;
 pub mod field;
+pub mod former;
 pub mod identity;
 pub mod impairment;
 pub mod layout;
@@ -25,6 +26,7 @@ pub mod quarantine;
 pub mod random;
 pub mod recovery;
 pub mod scanner;
+pub mod service;
 pub mod spelling;
 pub mod time;
 pub mod variables;
@@ -33,10 +35,11 @@ pub use codec::{DecodeError, EncodeError};
 pub use contract::{
     Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,
 };
-pub use delivery::Why;
+pub use delivery::{Delivery, Why};
 pub use description::{DescriptionError, LayoutDescription};
 pub use difference::Difference;
 pub use fault::{Fault, FaultId, FaultKind, Place, Severity};
+pub use former::{Former, Settled};
 pub use identity::Incarnation;
 pub use layout::{Described, Layout};
 pub use lifecycle::Lifecycle;

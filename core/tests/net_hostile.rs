@@ -80,7 +80,15 @@ fn genuine() -> Vec<Bytes> {
         Segment::Datagram(datagram).encode(),
         Segment::Acknowledge { tag: 1, control: None, data: Some(ack), redundant: None }.encode(),
         Segment::Reset { tag: 1 }.encode(),
-        Message::Request { binding: 1, call: 1, id: None, payload: payload.clone() }.encode(),
+        Message::Request {
+            binding: 1,
+            call: 1,
+            stamp: 1,
+            within: 9,
+            id: None,
+            payload: payload.clone(),
+        }
+        .encode(),
         Message::Event { subscription: 1, stamp_us: 5, payload }.encode(),
         names.encode(),
     ]
@@ -207,7 +215,7 @@ proptest! {
     fn no_messages_panic_an_exchange(messages in vec(hostile(), 0..30)) {
         let mut exchange = Exchange::default();
         let peer = NodeId(1);
-        exchange.handle_opened(peer, Instant::ORIGIN);
+        exchange.handle_opened(peer, Incarnation(1), Instant::ORIGIN);
         for message in messages {
             exchange.handle_message(peer, message, Instant::ORIGIN);
             while let Some(output) = exchange.poll_output() {

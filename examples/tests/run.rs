@@ -189,6 +189,18 @@ fn serial_and_udp_carry_out_every_order_once_whichever_cable_is_pulled() {
 }
 
 #[test]
+fn cable_pulled_leaves_the_arm_moving() {
+    check(
+        "cable_pulled",
+        &[
+            "the left cable is pulled",
+            "link down: brain -left- shoulder",
+            "the arm took 500 steps, once and in order, to 1.57 rad",
+        ],
+    );
+}
+
+#[test]
 fn own_medium_carries_requests_over_two_fifos() {
     check("own_medium", &["3 squared is 9", "12 squared is 144"]);
 }

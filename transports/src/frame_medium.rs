@@ -32,6 +32,15 @@ pub trait FrameMedium: Send + 'static {
     /// at first and at last every second.
     fn open(&mut self) -> io::Result<Opening>;
 
+    /// Ready when what was opened can be used. Until then it is not said to be open, and nothing is sent
+    /// or taken.
+    ///
+    /// # Errors
+    /// It cannot be used; as with [`open`](FrameMedium::open).
+    fn poll_ready(&mut self, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
     /// Whether an address can be one of this medium. A frame to another is refused.
     fn knows(&self, address: &MediumAddress) -> bool;
 
@@ -87,6 +96,11 @@ pub enum Arrival {
     },
     /// Something that is no frame: noise on a line, a foreign protocol.
     Refused,
+    /// So many frames that the medium had taken are lost, and will not reach whom they were for.
+    Lost {
+        /// How many.
+        frames: u64,
+    },
     /// A connection with this peer is gone (media with connections only).
     PeerLost {
         /// Who.

@@ -18,6 +18,8 @@ pub struct FrameTransport {
     medium: Box<dyn FrameMedium>,
     outlet: Outlet,
     reopening: Reopening,
+    /// Being opened.
+    opening: Option<Opening>,
     open: Option<Opening>,
     queue: VecDeque<(MediumAddress, Bytes)>,
     queued_bytes: usize,
@@ -30,6 +32,7 @@ impl FrameTransport {
             medium: Box::new(medium),
             outlet: Outlet::default(),
             reopening: Reopening::default(),
+            opening: None,
             open: None,
             queue: VecDeque::new(),
             queued_bytes: 0,
@@ -38,17 +41,32 @@ impl FrameTransport {
 
     fn try_open(&mut self) {
         match self.medium.open() {
-            Ok(opening) => {
-                self.reopening.reset();
-                let Opening { local, mtu } = opening.clone();
-                self.open = Some(opening);
-                self.outlet.announce(TransportReport::Opened { local, mtu });
-                if let Some(rate) = self.medium.bytes_per_second() {
-                    self.outlet.announce_rate(rate);
-                }
-            }
+            Ok(opening) => self.opening = Some(opening),
             Err(error) => self.lose("cannot be opened", &error),
         }
+    }
+
+    /// Opens it, with a pause after each failure; ready when it is open.
+    fn poll_open(&mut self, task: &mut task::Context<'_>) -> Poll<()> {
+        while self.open.is_none() {
+            let Some(Opening { local, mtu }) = self.opening.clone() else {
+                task::ready!(self.reopening.poll_due(task));
+                self.try_open();
+                continue;
+            };
+            match task::ready!(self.medium.poll_ready(task)) {
+                Ok(()) => {
+                    self.reopening.reset();
+                    self.open = self.opening.take();
+                    self.outlet.announce(TransportReport::Opened { local, mtu });
+                    if let Some(rate) = self.medium.bytes_per_second() {
+                        self.outlet.announce_rate(rate);
+                    }
+                }
+                Err(error) => self.lose("cannot be opened", &error),
+            }
+        }
+        Poll::Ready(())
     }
 
     fn lose(&mut self, what: &str, error: &io::Error) {
@@ -93,6 +111,10 @@ impl FrameTransport {
                 Poll::Pending => return true,
                 Poll::Ready(Ok(Arrival::Frame { from, frame })) => self.outlet.deliver(from, frame),
                 Poll::Ready(Ok(Arrival::Refused)) => self.outlet.counters.refused += 1,
+                Poll::Ready(Ok(Arrival::Lost { frames })) => {
+                    self.outlet.counters.dropped += frames;
+                    self.outlet.counters.errors += 1;
+                }
                 Poll::Ready(Ok(Arrival::PeerLost { peer })) => {
                     self.outlet.report(TransportReport::PeerLost { peer });
                 }
@@ -143,11 +165,8 @@ impl Medium for FrameTransport {
 
     fn pump(&mut self, task: &mut task::Context<'_>) {
         loop {
-            while self.open.is_none() {
-                if self.reopening.poll_due(task).is_pending() {
-                    return;
-                }
-                self.try_open();
+            if self.poll_open(task).is_pending() {
+                return;
             }
             // A medium that was lost has begun a pause, which must be polled before this is left.
             if self.write(task) && self.read(task) {
@@ -157,7 +176,7 @@ impl Medium for FrameTransport {
     }
 
     fn shut(&mut self) {
-        self.open = None;
+        (self.opening, self.open) = (None, None);
         self.medium.close();
         self.outlet.counters.dropped += self.queue.len() as u64;
         self.queue.clear();

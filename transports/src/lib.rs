@@ -9,6 +9,7 @@
 //! * `outlet.rs`: frames go to whoever is attached, never more than a few hundred unconfirmed; a
 //!   receiver that hangs makes the medium's own buffers overflow, not the process.
 //! * `reopening.rs`: a medium that cannot be opened is tried again, with back-off.
+//! * `can_node.rs`: what CAN sockets and CAN adapters share: messages longer than a frame.
 //! * `binding.rs`, `part.rs`: what the media with sockets share.
 //!
 //! Deliberately not here: who is a neighbour and whether it lives (the link), what a frame says
@@ -16,6 +17,10 @@
 
 #[cfg(any(feature = "udp", feature = "tcp"))]
 mod binding;
+#[cfg(all(feature = "can", target_os = "linux"))]
+pub mod can;
+#[cfg(any(all(feature = "can", target_os = "linux"), feature = "slcan"))]
+pub mod can_node;
 pub mod endpoint;
 #[cfg(feature = "fault")]
 pub mod fault;
@@ -32,6 +37,8 @@ mod part;
 mod reopening;
 #[cfg(feature = "serial")]
 pub mod serial;
+#[cfg(feature = "slcan")]
+pub mod slcan;
 #[cfg(any(feature = "tcp", feature = "unix"))]
 mod stream;
 #[cfg(feature = "tcp")]
@@ -41,6 +48,8 @@ pub mod udp;
 #[cfg(feature = "unix")]
 pub mod unix;
 
+#[cfg(all(feature = "can", target_os = "linux"))]
+pub use can::CanBus;
 pub use endpoint::{CanConfig, CanNodeConfig, Endpoint, EndpointError, SlcanConfig};
 
 #[cfg(feature = "fault")]
@@ -51,6 +60,8 @@ pub use frame_transport::FrameTransport;
 pub use memory::{Memory, MemoryConfig, MemoryMedium};
 #[cfg(feature = "serial")]
 pub use serial::{SerialConfig, SerialLine};
+#[cfg(feature = "slcan")]
+pub use slcan::SlcanBus;
 #[cfg(feature = "tcp")]
 pub use tcp::{Tcp, TcpConfig};
 #[cfg(feature = "udp")]

@@ -3,10 +3,12 @@
 //!
 //! Sockets are real, on loopback and ports that the system chose; every wait is for an event.
 
+mod adapters;
 mod cable;
 
 use actix::dev::ContextFut;
 use actix::prelude::*;
+use adapters::Adapters;
 use blastema_contract::transport::{
     Attach, Close, MediumAddress, ReadCounters, ReadInjectedFaults, Received, Transmit, Transport,
     TransportCounters, TransportReport,
@@ -14,7 +16,7 @@ use blastema_contract::transport::{
 use blastema_doubles::{PATIENCE, Probe, paused};
 use blastema_transports::{
     Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig, MemoryMedium, SerialConfig,
-    SerialLine, Tcp, TcpConfig, Udp, UdpConfig, Unix, UnixConfig,
+    SerialLine, SlcanBus, SlcanConfig, Tcp, TcpConfig, Udp, UdpConfig, Unix, UnixConfig,
 };
 use bytes::Bytes;
 use cable::Cable;
@@ -386,6 +388,58 @@ impl Medium for OverSerial {
     }
 }
 
+/// Each end has an adapter of its own, whose number is its address.
+struct OverSlcan(Adapters, Cell<u8>);
+
+impl Default for OverSlcan {
+    fn default() -> Self {
+        OverSlcan(Adapters::new(), Cell::new(0))
+    }
+}
+
+impl Medium for OverSlcan {
+    const CONNECTS: bool = false;
+    const HELD: u64 = 256;
+
+    fn run(test: impl Future<Output = ()>) {
+        in_real_time(test);
+    }
+
+    fn open(&self, at: Option<MediumAddress>) -> Opened {
+        let address = match at {
+            Some(MediumAddress::Can(address)) => address,
+            _ => {
+                self.1.set(self.1.get() + 1);
+                self.0.plug(self.1.get());
+                self.1.get()
+            }
+        };
+        let mut config = SlcanConfig::new(self.0.port(address));
+        config.bitrate = 1_000_000;
+        (config.node.address, config.node.mtu) = (address, 65_000);
+        config.node.queue_frames = 256;
+        let (address, panic) =
+            start(FrameTransport::new(SlcanBus::new(config, blastema_doubles::now)));
+        Opened { transport: address.into(), wrapper: None, panic }
+    }
+
+    fn garbage(&self, to: &MediumAddress) {
+        let MediumAddress::Can(number) = to else { panic!("{to} is on no bus") };
+        for bytes in [
+            &b"\x07\x07Linux login: \r"[..],
+            b"\x00\xff\xfe\r",
+            b"T18DA",
+            b"\rt1239\rT18DA",
+            &[0xFF; 300],
+            // CAN frames that mean nothing, of a node that is not there.
+            b"\rT18DA0163821FFFFFFFFFFFFFF\r",
+            b"T18DA026330FFFF\rT18DB FF6380500\r",
+        ] {
+            self.0.inject(*number, bytes);
+        }
+    }
+}
+
 /// Any medium behind the fault wrapper, which is told nothing.
 #[derive(Default)]
 struct Behind<M>(M);
@@ -678,9 +732,11 @@ conformance! {
     tcp: OverTcp,
     unix: OverUnix,
     serial: OverSerial,
+    slcan: OverSlcan,
     memory_behind_the_wrapper: Behind<OverMemory>,
     udp_behind_the_wrapper: Behind<OverUdp>,
     tcp_behind_the_wrapper: Behind<OverTcp>,
     unix_behind_the_wrapper: Behind<OverUnix>,
     serial_behind_the_wrapper: Behind<OverSerial>,
+    slcan_behind_the_wrapper: Behind<OverSlcan>,
 }

@@ -321,7 +321,13 @@ impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
     }
 
     #[inline]
-    fn ask(&self, message: M, id: Option<MessageId>) -> Result<Reply<M>, RequestError<M>> {
+    fn ask(
+        &self,
+        message: M,
+        id: Option<MessageId>,
+        // Whoever waits is next door: a request that nobody waits for is not begun.
+        _: Option<Duration>,
+    ) -> Result<Reply<M>, RequestError<M>> {
         let (answer, reply) = Answer::awaited();
         match self.post(message, answer, id) {
             Ok(()) => Ok(reply),

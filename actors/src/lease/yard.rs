@@ -8,7 +8,7 @@ use crate::desk::Desk;
 use crate::guardian::{Guardian, answers_the_monitor};
 use crate::panics::{self, Guarded};
 use crate::platform;
-use crate::registry::{Doorway, Port, ReplyTo};
+use crate::registry::{Doorway, Port, Postmark, ReplyTo};
 use crate::reply::Answer;
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
@@ -212,7 +212,7 @@ impl Yard {
                 yard.look();
             });
             // What came of it is told to the closure in every case.
-            let _ = actuator.doorway.deliver(&actuator.safe, None, Some(applied), Duration::ZERO);
+            let _ = actuator.doorway.deliver(&actuator.safe, Postmark::default(), Some(applied));
         }
     }
 }
@@ -244,7 +244,7 @@ impl Actuator {
             });
         });
         // What came of it is told to the closure in every case.
-        let _ = self.doorway.deliver(message, None, Some(reply_to), Duration::ZERO);
+        let _ = self.doorway.deliver(message, Postmark::default(), Some(reply_to));
     }
 }
 

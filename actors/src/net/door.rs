@@ -2,9 +2,9 @@
 
 use super::gateway::Ship;
 use crate::platform;
-use crate::registry::{RemoteDoor, RemoteDoors, ReplyTo};
+use crate::registry::{Asked, RemoteDoor, RemoteDoors};
 use actix::Recipient;
-use blastema_core::{ContractIdentity, MessageId, NodeName, ObjectAddress, Why};
+use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, Why};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -73,6 +73,11 @@ impl Gate {
         matches!(self.condition(), Condition::Open | Condition::Full)
     }
 
+    /// The gateway's mailbox takes more.
+    fn has_room(&self) -> bool {
+        self.under_way.load(Relaxed) < UNDER_WAY_MAX
+    }
+
     /// The gateway has taken one over.
     pub(super) fn taken(&self) {
         if self.under_way.fetch_sub(1, Relaxed) == UNDER_WAY_MAX {
@@ -86,7 +91,7 @@ impl Gate {
             Condition::Opening => Err(Why::Restarting),
             Condition::Full => Err(Why::Full),
             Condition::Left => Err(Why::Left { node: self.node.to_string() }),
-            Condition::Open if self.under_way.load(Relaxed) >= UNDER_WAY_MAX => Err(Why::Full),
+            Condition::Open if !self.has_room() => Err(Why::Full),
             Condition::Open => Ok(()),
         }
     }
@@ -161,20 +166,26 @@ struct Door {
 }
 
 impl RemoteDoor for Door {
-    fn send(
-        &self,
-        message: Bytes,
-        id: Option<MessageId>,
-        reply_to: Option<ReplyTo>,
-    ) -> Result<(), Why> {
-        self.gate.check()?;
+    fn send(&self, message: Bytes, asked: Option<Asked>) -> Result<(), Why> {
+        match self.gate.check() {
+            // What waits in order keeps nobody who does not.
+            Err(Why::Full)
+                if self.contract.delivery == Delivery::Newest && self.gate.has_room() => {}
+            checked => checked?,
+        }
         let gateway = self.gateway.as_ref().ok_or(Why::Stopped)?;
         self.gate.under_way.fetch_add(1, Relaxed);
+        let sent = platform::now();
+        let (id, within, reply_to) = match asked {
+            None => (None, None, None),
+            Some(Asked { id, within, reply_to }) => (id, within, Some(reply_to)),
+        };
         gateway.do_send(Ship {
             to: self.to.clone(),
             contract: self.contract.clone(),
             id,
-            sent: platform::now(),
+            sent,
+            until: within.map(|within| sent + within),
             payload: message,
             reply_to,
             gate: self.gate.clone(),

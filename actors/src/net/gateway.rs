@@ -11,19 +11,22 @@ use super::notice;
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
-use crate::registry::{Doorway, Registry, ReplyTo};
+use crate::registry::{Doorway, Postmark, Registry, ReplyTo};
 use crate::topic::{Forward, ForwardId, TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
-use blastema_contract::session::{BeginAnew, Leave, Say};
+use blastema_contract::reports::FaultDeclared;
+use blastema_contract::session::{BeginAnew, Leave, Say, SayNewest};
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
-use blastema_core::{FaultKind, Incarnation, MessageId, NodeName, ObjectName, PeerIdentity, Why};
+use blastema_core::{
+    ContractIdentity, Delivery, FaultKind, Incarnation, NodeName, ObjectName, PeerIdentity, Why,
+};
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
 use std::collections::BTreeMap;
@@ -46,6 +49,7 @@ struct Wiring {
     topics: Topics,
     recoverer: Option<Recipient<Recover>>,
     nodes: Option<Recipient<NodeReported>>,
+    faults: Option<Recipient<FaultDeclared>>,
     sessions: SessionPorts,
     doors: Arc<Doors>,
     dead_letters: DeadLetterOffice,
@@ -54,6 +58,7 @@ struct Wiring {
 /// What the gateway asks of the sessions.
 pub(super) struct SessionPorts {
     pub(super) say: Recipient<Say>,
+    pub(super) say_newest: Recipient<SayNewest>,
     pub(super) leave: Recipient<Leave>,
     pub(super) begin_anew: Recipient<BeginAnew>,
 }
@@ -95,7 +100,9 @@ struct Forwarded {
     id: ForwardId,
     key: TopicKey,
     /// What the peer takes the events for, until that could be compared.
-    unverified: Option<Box<PeerIdentity>>,
+    unverified: Option<Vec<PeerIdentity>>,
+    /// Under which number they go, and how.
+    by: (u32, Delivery),
     waiting: Arc<AtomicUsize>,
 }
 
@@ -105,10 +112,19 @@ impl Gateway {
         sessions: SessionPorts,
         doors: Arc<Doors>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
-        let NetEnvironment { registry, topics, recoverer, nodes, dead_letters, .. } =
+        let NetEnvironment { registry, topics, recoverer, nodes, faults, dead_letters, .. } =
             environment.clone();
         move |_| Gateway {
-            wiring: Wiring { registry, topics, recoverer, nodes, sessions, doors, dead_letters },
+            wiring: Wiring {
+                registry,
+                topics,
+                recoverer,
+                nodes,
+                faults,
+                sessions,
+                doors,
+                dead_letters,
+            },
             exchange: Exchange::default(),
             naming: Naming::default(),
             peers: BTreeMap::new(),
@@ -130,8 +146,8 @@ impl Gateway {
             gateway.do_send(Interested { key: key.clone(), more });
         };
         self.wiring.topics.on_interest(Arc::new(interest));
-        for (key, identity) in self.wiring.topics.listened() {
-            self.exchange.handle_interest(topic(&key), Some(identity));
+        for (key, identities) in self.wiring.topics.listened() {
+            self.exchange.handle_interest(topic(&key), identities);
         }
     }
 
@@ -154,6 +170,11 @@ impl Gateway {
         self.wiring.sessions.say.do_send(Say { peer, session, stream, message });
     }
 
+    fn say_newest(&self, peer: NodeId, channel: u32, message: Bytes) {
+        let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
+        self.wiring.sessions.say_newest.do_send(SayNewest { peer, session, channel, message });
+    }
+
     fn leave(&mut self) {
         if std::mem::take(&mut self.leaving) {
             self.exchange.handle_leave();
@@ -171,13 +192,16 @@ impl Gateway {
             ExchangeOutput::Send { peer, stream, message } => {
                 self.say(peer, stream, message);
             }
+            ExchangeOutput::SendNewest { peer, channel, message } => {
+                self.say_newest(peer, channel, message);
+            }
             ExchangeOutput::Bind { peer, epoch, binding, object, identity } => {
                 self.bind(peer, epoch, binding, &object, &identity);
             }
-            ExchangeOutput::Serve { peer, epoch, binding, call, id, age, payload } => {
+            ExchangeOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
                     call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
-                self.serve((peer, binding), id, (&payload, age), reply_to);
+                self.serve((peer, binding), &payload, Postmark { id, age, until }, reply_to);
             }
             ExchangeOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
@@ -194,19 +218,17 @@ impl Gateway {
             ExchangeOutput::Full { peer } => self.set(peer, Condition::Full),
             ExchangeOutput::Room { peer } => self.set(peer, Condition::Open),
             ExchangeOutput::Differs { peer, difference } => {
-                let node =
-                    self.peers.get(&peer).map_or(String::new(), |peer| peer.node.to_string());
-                error!(node, "a contract differs: {difference}");
+                self.differs(peer, &difference);
             }
-            ExchangeOutput::Subscribe { peer, subscription, topic, identity } => {
-                self.subscribe(peer, subscription, &topic, identity, context);
+            ExchangeOutput::Subscribe { peer, subscription, topic, identities } => {
+                self.subscribe(peer, subscription, &topic, identities, context);
             }
             ExchangeOutput::Unsubscribe { peer, subscription } => {
                 self.end_forward((peer, subscription));
             }
-            ExchangeOutput::Event { topic, age, payload } => {
+            ExchangeOutput::Event { topic, form, age, payload } => {
                 let key = TopicKey::new(&topic.topic, &topic.contract);
-                if let Err(why) = self.wiring.topics.inject(&key, &payload, age) {
+                if let Err(why) = self.wiring.topics.inject(&key, form, &payload, age) {
                     self.lost += 1;
                     debug!(topic = %topic.topic, %why, "an event did not arrive");
                 }
@@ -238,12 +260,18 @@ impl Gateway {
     ) {
         let result = match self.wiring.registry.doorway(object, &identity.name) {
             Err(why) => Err((why, None)),
-            Ok((known, doorway)) => match known.check(identity) {
-                Ok(()) => {
+            Ok((known, doorway)) => match (known.check(identity), doorway.former(identity)) {
+                (Ok(()), _) => {
                     self.doorways.insert((peer, binding), doorway);
                     Ok(())
                 }
-                Err(difference) => {
+                (Err(_), Some(former)) => {
+                    let (here, there) = (known.version, identity.version);
+                    info!(%object, contract = known.name, here, there, "an earlier version");
+                    self.doorways.insert((peer, binding), former);
+                    Ok(())
+                }
+                (Err(difference), None) => {
                     let difference = difference.to_string();
                     error!(%object, "a peer's contract differs: {difference}");
                     doorway.declare(FaultKind::ContractMismatch, difference.clone());
@@ -257,14 +285,14 @@ impl Gateway {
     fn serve(
         &mut self,
         binding: (NodeId, u32),
-        id: Option<MessageId>,
-        (payload, age): (&[u8], Duration),
+        payload: &[u8],
+        postmark: Postmark,
         reply_to: Option<ReplyTo>,
     ) {
         match (self.doorways.get(&binding), reply_to) {
             (Some(doorway), reply_to) => {
                 // The object's own dead letters tell of what it did not take.
-                let _ = doorway.deliver(payload, id, reply_to, age);
+                let _ = doorway.deliver(payload, postmark, reply_to);
             }
             (None, Some(reply_to)) => reply_to(Err(Why::Unknown { name: "binding".into() })),
             (None, None) => self.lost += 1,
@@ -276,25 +304,33 @@ impl Gateway {
         peer: NodeId,
         subscription: u32,
         topic: &TopicContract,
-        theirs: Box<PeerIdentity>,
+        theirs: Vec<PeerIdentity>,
         context: &mut Context<Self>,
     ) {
         let key = TopicKey::new(&topic.topic, &topic.contract);
-        let ours = self.wiring.topics.identity(&key);
-        if let Some(Err(difference)) = ours.as_ref().map(|ours| ours.check(&theirs)) {
-            let difference = difference.to_string();
-            error!(topic = %topic.topic, "a listener's contract differs: {difference}");
-            let why = Why::ContractDiffers { difference };
-            self.exchange.handle_subscribe_refused(peer, subscription, why);
-            return;
-        }
+        // Whether it wants the newest only must be known before the first event.
+        let newest = theirs.first().is_some_and(|theirs| theirs.delivery == Delivery::Newest);
+        let (by, unverified) = match self.wiring.topics.identities(&key).first() {
+            None => ((subscription, Delivery::default()), Some(theirs)),
+            Some(ours) => match version_of(ours, &theirs) {
+                Ok(form) => ((subscription + form, ours.delivery), None),
+                Err(difference) => {
+                    self.differs(peer, &difference);
+                    let why = Why::ContractDiffers { difference };
+                    self.exchange.handle_subscribe_refused(peer, subscription, why);
+                    return;
+                }
+            },
+        };
         let Some(known) = self.peers.get(&peer) else { return };
         let (gate, gateway) = (known.gate.clone(), context.address());
         let waiting = Arc::new(AtomicUsize::new(0));
         let under_way = waiting.clone();
         let forward: Forward = Arc::new(move |event: &Bytes| {
             // Publishing never waits: what a peer cannot take now is not sent.
-            if gate.is_open() && under_way.load(Relaxed) < EVENTS_MAX {
+            // Of which only the newest counts, nothing waits behind what does.
+            let open = if newest { gate.has_session() } else { gate.is_open() };
+            if open && under_way.load(Relaxed) < EVENTS_MAX {
                 under_way.fetch_add(1, Relaxed);
                 let (event, sent) = (event.clone(), platform::now());
                 gateway.do_send(Published { peer, subscription, event, sent });
@@ -302,8 +338,8 @@ impl Gateway {
         });
         self.end_forward((peer, subscription));
         let id = self.wiring.topics.forward(&key, forward);
-        let unverified = ours.is_none().then_some(theirs);
-        self.forwards.insert((peer, subscription), Forwarded { id, key, unverified, waiting });
+        let forwarded = Forwarded { id, key, unverified, by, waiting };
+        self.forwards.insert((peer, subscription), forwarded);
     }
 
     fn end_forward(&mut self, forward: (NodeId, u32)) {
@@ -312,17 +348,36 @@ impl Gateway {
         }
     }
 
-    /// Before the first event: the topic had no contract here when the peer subscribed.
-    fn verify(&mut self, forward: (NodeId, u32)) -> Result<(), Why> {
+    /// Under which number, and how, an event goes to this peer. The first event may find that the topic
+    /// had no contract here when the peer subscribed.
+    fn verify(&mut self, forward: (NodeId, u32)) -> Result<(u32, Delivery), Why> {
         let Some(known) = self.forwards.get_mut(&forward) else {
             return Err(Why::Unknown { name: "subscription".into() });
         };
-        let Some(theirs) = known.unverified.take() else { return Ok(()) };
-        match self.wiring.topics.identity(&known.key).map(|ours| ours.check(&theirs)) {
-            Some(Err(difference)) => {
-                Err(Why::ContractDiffers { difference: difference.to_string() })
-            }
-            _ => Ok(()),
+        if let Some(theirs) = known.unverified.take()
+            && let Some(ours) = self.wiring.topics.identities(&known.key).first()
+        {
+            let form = version_of(ours, &theirs);
+            let form = form.map_err(|difference| Why::ContractDiffers { difference })?;
+            known.by = (forward.1 + form, ours.delivery);
+        }
+        Ok(known.by)
+    }
+
+    /// Two nodes do not mean the same: whoever wrote to one of them wants to know, and so does whoever
+    /// looks after the robot.
+    fn differs(&self, peer: NodeId, difference: &str) {
+        let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
+        error!(node, "a contract differs: {difference}");
+        self.declare(FaultKind::ContractMismatch, format!("with node {node}: {difference}"));
+    }
+
+    /// A fault of the traffic with other nodes, at the gateway.
+    fn declare(&self, kind: FaultKind, detail: String) {
+        if let Some(faults) = &self.wiring.faults {
+            let object = super::named("gateway");
+            let incarnation = crate::guardian::alive().incarnation;
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
         }
     }
 
@@ -412,6 +467,20 @@ impl Gateway {
     }
 }
 
+/// Which of a listener's versions is ours, from 0 for its present one.
+///
+/// # Errors
+/// What differs from its present one.
+fn version_of(ours: &ContractIdentity, theirs: &[PeerIdentity]) -> Result<u32, String> {
+    match theirs.iter().position(|theirs| ours.check(theirs).is_ok()) {
+        Some(form) => Ok(form as u32),
+        None => {
+            let present = theirs.first().map(|theirs| ours.check(theirs));
+            Err(present.and_then(Result::err).map_or(String::new(), |d| d.to_string()))
+        }
+    }
+}
+
 fn topic(key: &TopicKey) -> TopicContract {
     TopicContract { topic: key.topic.to_string(), contract: key.contract.to_string() }
 }
@@ -429,7 +498,11 @@ impl Actor for Gateway {
     fn started(&mut self, context: &mut Context<Self>) {
         self.take_interest(context);
         self.look_for_names(context);
-        context.run_interval(NAMES_INTERVAL, |gateway, context| gateway.look_for_names(context));
+        context.run_interval(NAMES_INTERVAL, |gateway, context| {
+            gateway.exchange.handle_time(platform::now());
+            gateway.look_for_names(context);
+            gateway.drive(context);
+        });
     }
 }
 
@@ -437,7 +510,8 @@ impl Supervised for Gateway {
     /// Every promise is resolved, and every session begins anew, so that both ends agree again.
     fn restarting(&mut self, context: &mut Context<Self>) {
         for (node, reply_to) in std::mem::take(&mut self.replies).into_values() {
-            reply_to(Err(Why::Unreachable { node: node.to_string() }));
+            let reason = format!("the way to {node} began anew");
+            reply_to(Err(Why::OutcomeUnknown { reason }));
         }
         let forwards: Vec<_> = self.forwards.keys().copied().collect();
         forwards.into_iter().for_each(|key| self.end_forward(key));

@@ -112,6 +112,7 @@ impl Links {
         let cost = self.cost(number, link);
         let health = match (link.state(), self.mtu) {
             (LinkState::Up, Some(_)) => Health::Up,
+            (LinkState::Suspect, Some(_)) if link.is_proving() => Health::Proving,
             (LinkState::Suspect, Some(_)) => Health::Suspect,
             _ => Health::Down,
         };

@@ -38,7 +38,7 @@ use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::naming::{NodeRow, ReadNames};
 use blastema_contract::recoverer::Recover;
-use blastema_contract::reports::AreYouAlive;
+use blastema_contract::reports::{AreYouAlive, FaultDeclared};
 use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
 use blastema_contract::session::{AddGateway, Leave, ReadSessions, SessionRow};
 use blastema_contract::strategy::Reroute;
@@ -114,6 +114,8 @@ pub(crate) struct NetEnvironment {
     pub(crate) links: Option<Recipient<LinkReported>>,
     /// Is told how nodes are.
     pub(crate) nodes: Option<Recipient<NodeReported>>,
+    /// Is told of faults that are found in what other nodes send.
+    pub(crate) faults: Option<Recipient<FaultDeclared>>,
 }
 
 /// Why a network cannot be started.
@@ -176,6 +178,7 @@ pub(crate) fn start(
     let doors = Arc::new(door::Doors::default());
     let to_sessions = gateway::SessionPorts {
         say: sessions.clone().recipient(),
+        say_newest: sessions.clone().recipient(),
         leave: sessions.clone().recipient(),
         begin_anew: sessions.clone().recipient(),
     };

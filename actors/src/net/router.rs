@@ -126,6 +126,7 @@ impl Body for Router {
             }
             RouterOutput::Undelivered { destination, reason } => {
                 debug!(node = %destination, %reason, "a packet came back");
+                self.report_path(PathReported::Undelivered { node: destination, reason });
             }
             RouterOutput::Reachable { node, incarnation, mtu } => {
                 self.reachable(node, incarnation, mtu);

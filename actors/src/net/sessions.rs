@@ -221,6 +221,11 @@ impl Handler<PathReported> for Sessions {
                     session.handle_path(mtu, now);
                 }
             }
+            PathReported::Undelivered { node, reason } => {
+                if let Some(session) = self.crowd.get_mut(node) {
+                    session.handle_undelivered(reason, now);
+                }
+            }
             PathReported::Lost { node } => {
                 let id = NodeId::of(&node);
                 if let Some(peer) = self.peers.get_mut(&id) {

@@ -1,6 +1,10 @@
 //! What the network promises to objects, each as a test: whole nodes in one process, over memory
 //! behind faulty cables, in virtual time.
 
+mod calls;
+mod delivery;
+mod versions;
+
 use super::{LinkSpec, NetEnvironment, NetHandle, NetworkSpec, start};
 use crate::guardian::Guardian;
 use crate::host::arbiters::Arbiters;
@@ -11,13 +15,17 @@ use crate::{Component, Context, Contract, Event, Handle, Ports, Publisher, Reque
 use actix::{Actor, Addr};
 use blastema_contract::Confirmed;
 use blastema_contract::child::{Child, ChildEvent, ChildReport};
+use blastema_contract::link::{CarrierChanged, LinkRow};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::{Exited, FaultDeclared};
 use blastema_contract::router::PanicOnPurpose;
-use blastema_contract::transport::{Close, Cut, Direction, MediumAddress, Restore, Transport};
+use blastema_contract::transport::{
+    Close, Cut, Direction, MediumAddress, Restore, Transport, TransportReport,
+};
 use blastema_core::dead_letters::DeadReason;
 use blastema_core::detection::{LinkCondition, NodeCondition};
+use blastema_core::net::{LinkNumber, LinkState};
 use blastema_core::{
     Fault, FaultId, FaultKind, Incarnation, NodeName, ObjectName, Place, Severity, Why,
 };
@@ -174,6 +182,7 @@ impl Robot {
             recoverer: Some(faults.recipient()),
             links: Some(links.recipient()),
             nodes: Some(nodes.recipient()),
+            faults: Some(declared.recipient()),
         };
         let net = start(environment, specs).unwrap();
         let log = Log::default();
@@ -309,6 +318,51 @@ fn a_cut_cable_loses_and_doubles_nothing_while_there_is_another() {
                 .iter()
                 .any(|report| { matches!(report.condition, NodeCondition::Lost { .. }) })
         );
+    });
+}
+
+#[test]
+fn a_network_whose_interface_lost_its_carrier_is_given_up_at_once_and_proves_itself_again() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let up = |rows: &[LinkRow]| rows.iter().map(|row| row.state).collect::<Vec<_>>();
+        left.sender::<Note>("right:acc").tell(Note(0)).unwrap();
+        advance(5 * MS).await;
+        assert_eq!(right.log.take(), [0]);
+        left.links.drain();
+
+        robot.cut("ethernet/left");
+        left.net.networks[0].1.do_send(CarrierChanged { present: false });
+        left.sender::<Note>("right:acc").tell(Note(1)).unwrap();
+        advance(5 * MS).await;
+
+        assert_eq!(right.log.take(), [1], "a hello is not even late");
+        let told = left.links.expect().await;
+        let LinkCondition::Down { reason } = told.condition else { panic!("{told:?}") };
+        assert!(reason.contains("carrier"), "{reason}");
+        robot.restore("ethernet/left");
+        left.net.networks[0].1.do_send(CarrierChanged { present: true });
+        advance(5 * MS).await;
+        assert_eq!(up(&left.net.read_links().await), [LinkState::Down, LinkState::Up]);
+        advance(1000 * MS).await;
+        assert_eq!(up(&left.net.read_links().await), [LinkState::Up; 2]);
+    });
+}
+
+#[test]
+fn a_slow_medium_is_dearer_and_is_spared_hellos() {
+    paused(async {
+        let (_robot, left, _right) = pair().await;
+
+        left.net.networks[0].1.do_send(TransportReport::Rate { bytes_per_second: 11_520 });
+        advance(1000 * MS).await;
+
+        let rows = left.net.read_links().await;
+        assert_eq!([rows[0].cost, rows[1].cost], [868, 10]);
+        assert!(rows[0].hello_interval > 80 * MS, "{:?}", rows[0].hello_interval);
+        assert_eq!(rows[1].hello_interval, 50 * MS);
+        assert!(rows.iter().all(|row| row.state == LinkState::Up && row.phi < 1.0), "{rows:?}");
+        assert_eq!(left.net.read_routes().await.routes[0].next, LinkNumber(1));
     });
 }
 
@@ -493,7 +547,7 @@ fn a_node_that_stays_away_is_lost_and_what_it_owed_is_resolved() {
         robot.kill("ieee1394/right");
         let error = sender.ask_within(Add(1), 60_000 * MS).await.unwrap_err();
 
-        assert_eq!(error.why, Why::Unreachable { node: "right".into() });
+        assert!(matches!(error.why, Why::OutcomeUnknown { .. }), "{}", error.why);
         let refused = left.sender::<Note>("right:acc").tell(Note(1)).unwrap_err();
         assert_eq!(refused.why, Why::Unreachable { node: "right".into() });
         let conditions: Vec<_> =
@@ -672,6 +726,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             recoverer: None,
             links: None,
             nodes: None,
+            faults: None,
         };
 
         let refused = start(environment, vec![spec]).err().unwrap();

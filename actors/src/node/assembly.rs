@@ -303,6 +303,7 @@ fn make_networks(
         recoverer: Some(chain.recoverer.clone()),
         links: Some(monitor.clone().recipient()),
         nodes: Some(monitor.clone().recipient()),
+        faults: Some(monitor.clone().recipient()),
     };
     let handle = net::start(net_environment, specs)
         .map_err(|error| StartError::Network(error.to_string()))?;

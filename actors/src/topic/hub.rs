@@ -1,7 +1,7 @@
 //! The listeners of one topic on one arbiter.
 
 use super::{Condition, Subscription, Topic, lock};
-use crate::component::Handle;
+use crate::component::{Component, Handle};
 use crate::host::anchor::Anchor;
 use crate::host::pulse::Pulse;
 use crate::host::pump::{self, Pump};
@@ -42,6 +42,8 @@ pub(crate) struct HubLane<E> {
     reached: AtomicU64,
     /// Which event that ear is looking at, or serves.
     next: AtomicUsize,
+    /// How often an ear has gone from here, so that the hub need not ask each whether it is still here.
+    gone: AtomicU64,
 }
 
 #[derive(Clone)]
@@ -56,6 +58,12 @@ impl<E> HubLane<E> {
         self.listeners.load(Relaxed) > 0
     }
 
+    /// One of its ears is not served any more.
+    fn leave(&self) {
+        self.listeners.fetch_sub(1, Relaxed);
+        self.gone.fetch_add(1, Relaxed);
+    }
+
     /// Says whether nothing was lost.
     #[inline]
     pub(super) fn push(&self, event: E, at: Instant) -> bool {
@@ -66,9 +74,11 @@ impl<E> HubLane<E> {
 /// A hub on its own arbiter.
 struct Hub<E: Event> {
     shared: Arc<HubLane<E>>,
-    locals: RefCell<Vec<Box<dyn Local<E>>>>,
-    /// Listeners that came since the last event.
-    newcomers: RefCell<Vec<Box<dyn Local<E>>>>,
+    ears: RefCell<Vec<Ear<E>>>,
+    /// Those that came since the last event.
+    newcomers: RefCell<Vec<Ear<E>>>,
+    /// How many had gone when they were last taken out.
+    gone: Cell<u64>,
     pulse: Arc<Pulse>,
 }
 
@@ -95,11 +105,13 @@ impl<E: Event> Topic<E> {
             serving: Mutex::default(),
             reached: AtomicU64::new(0),
             next: AtomicUsize::new(0),
+            gone: AtomicU64::new(0),
         });
         let hub = Rc::new(Hub {
             shared: shared.clone(),
-            locals: RefCell::default(),
+            ears: RefCell::default(),
             newcomers: RefCell::default(),
+            gone: Cell::new(0),
             pulse: Pulse::enrol_here(),
         });
         HUBS.with_borrow_mut(|hubs| hubs.insert(self.id, hub.clone()));
@@ -154,56 +166,70 @@ async fn run<E: Event>(hub: Rc<Hub<E>>, _leave: Leave) {
 
 impl<E: Event> Hub<E> {
     fn distribute(&self, mut events: Vec<Posted<E>>) {
-        let mut locals = self.locals.borrow_mut();
-        locals.append(&mut self.newcomers.borrow_mut());
+        let mut ears = self.ears.borrow_mut();
+        ears.append(&mut self.newcomers.borrow_mut());
         if let Some(limit) = E::MAX_AGE {
             let now = platform::now();
             events.retain(|posted| {
                 let valid = now - posted.at <= limit;
                 if !valid {
-                    locals.iter().for_each(|local| local.bury(&Why::Expired));
+                    ears.iter().for_each(|ear| ear.listener.bury(&Why::Expired));
                 }
                 valid
             });
         }
         let events: Arc<[Posted<E>]> = events.into();
-        self.shared.reached.store(0, Relaxed);
-        self.shared.next.store(0, Relaxed);
-        lock(&self.shared.serving).clone_from(&events);
+        let HubLane { next, reached, serving, gone, .. } = &*self.shared;
+        reached.store(0, Relaxed);
+        next.store(0, Relaxed);
+        lock(serving).clone_from(&events);
         // A condition is the listener's code: where one panics, the listener is dead, and the event
         // goes on to the next.
-        let (at, gone, next) = (Cell::new(0), Cell::new(false), &self.shared.next);
-        while at.get() < locals.len() {
+        let at = Cell::new(0);
+        while at.get() < ears.len() {
             let guarded = Guarded::enter();
             let offered = catch_unwind(AssertUnwindSafe(|| {
-                for (local, next_one) in locals[at.get()..].iter().zip(ahead(&locals, at.get())) {
-                    next_one.inspect(|local| local.call_up());
-                    gone.set(gone.get() | !local.offer(&events, next, self));
+                for (ear, after) in
+                    (at.get()..).map_while(|at| Some((ears.get(at)?, ears.get(at + 1))))
+                {
+                    if let Some(after) = after.filter(|after| after.only_if.is_none()) {
+                        after.listener.call_up();
+                    }
+                    self.offer(ear, &events);
                     next.store(0, Relaxed);
                     at.set(at.get() + 1);
                 }
             }));
             drop(guarded);
             if let Err(payload) = offered {
-                locals[at.get()].die(payload);
+                ears[at.get()].listener.die(payload);
                 step(next);
             }
         }
-        *lock(&self.shared.serving) = Arc::default();
+        *lock(serving) = Arc::default();
         self.pulse.run(None);
-        if gone.get() {
-            locals.retain(|local| local.is_present());
+        let gone = gone.load(Relaxed);
+        if self.gone.replace(gone) != gone {
+            ears.retain(Ear::is_present);
         }
     }
-}
 
-/// For each local from this one on, the one after it.
-fn ahead<E: Event>(
-    locals: &[Box<dyn Local<E>>],
-    from: usize,
-) -> impl Iterator<Item = Option<&dyn Local<E>>> {
-    let after = locals[from..].iter().skip(1).map(|local| Some(&**local));
-    after.chain(std::iter::once(None))
+    /// Gives an ear the events that it wants, from the next one on.
+    #[inline]
+    fn offer(&self, ear: &Ear<E>, events: &[Posted<E>]) {
+        let HubLane { next, reached, gone, .. } = &*self.shared;
+        if gone.load(Relaxed) != self.gone.get() && !ear.is_present() {
+            return;
+        }
+        reached.store(ear.number, Relaxed);
+        self.pulse.run(ear.slot.get());
+        while let Some(posted) = events.get(next.load(Relaxed)) {
+            if ear.only_if.as_ref().is_none_or(|wanted| wanted(&posted.event)) {
+                ear.slot.set(ear.listener.take(posted, &self.pulse));
+            }
+            step(next);
+        }
+    }
 }
 
 /// One writer only, so a plain store does.
@@ -212,30 +238,39 @@ fn step(next: &AtomicUsize) {
     next.store(next.load(Relaxed) + 1, Relaxed);
 }
 
-/// One listener, as its hub sees it.
-trait Local<E: Event> {
-    /// Gives it the events that it wants, beginning with that of number `next`. Says whether it still
-    /// listens here.
-    fn offer(&self, events: &[Posted<E>], next: &AtomicUsize, hub: &Hub<E>) -> bool;
-    /// Brings what it consists of nearer to the processor, while the one before it is served.
-    fn call_up(&self);
-    fn is_present(&self) -> bool;
-    fn die(&self, payload: Box<dyn Any + Send>);
-    fn bury(&self, why: &Why);
-}
-
-struct Ear<C: Handle<E>, E: Event> {
-    anchor: Arc<Anchor<C>>,
+/// One listener, as its hub sees it: what is looked at for every event, side by side with the others.
+struct Ear<E> {
     only_if: Option<Condition<E>>,
     /// Which ear of the subscription is served now, and which this one is.
     present: Arc<AtomicU64>,
     number: u64,
-    pump: RefCell<Weak<RefCell<Pump<C>>>>,
     /// Names the component to the watch while its condition runs.
     slot: Cell<Option<u32>>,
+    listener: Box<dyn Listener<E>>,
 }
 
-impl<C: Handle<E>, E: Event> Ear<C, E> {
+impl<E> Ear<E> {
+    fn is_present(&self) -> bool {
+        self.present.load(Relaxed) == self.number
+    }
+}
+
+/// The component behind an ear.
+trait Listener<E> {
+    /// Serves the event, or queues it where the component is busy. Answers the component's slot.
+    fn take(&self, posted: &Posted<E>, pulse: &Pulse) -> Option<u32>;
+    /// Brings what it consists of nearer to the processor, while the one before it is served.
+    fn call_up(&self);
+    fn die(&self, payload: Box<dyn Any + Send>);
+    fn bury(&self, why: &Why);
+}
+
+struct Resident<C: Component> {
+    anchor: Arc<Anchor<C>>,
+    pump: RefCell<Weak<RefCell<Pump<C>>>>,
+}
+
+impl<C: Component> Resident<C> {
     #[inline]
     fn with_pump<R>(&self, then: impl FnOnce(&mut Pump<C>) -> R) -> Option<R> {
         let mut known = self.pump.borrow_mut();
@@ -245,60 +280,32 @@ impl<C: Handle<E>, E: Event> Ear<C, E> {
         let pump = known.upgrade()?;
         drop(known);
         let mut pump = pump.try_borrow_mut().ok()?;
-        self.slot.set(Some(pump.slot()));
         Some(then(&mut pump))
-    }
-
-    /// The events that it wants, from `next` on; `next` is the one that is looked at.
-    #[inline]
-    fn wanted<'a>(
-        &'a self,
-        events: &'a [Posted<E>],
-        next: &'a AtomicUsize,
-    ) -> Option<&'a Posted<E>> {
-        while let Some(posted) = events.get(next.load(Relaxed)) {
-            if self.only_if.as_ref().is_none_or(|wanted| wanted(&posted.event)) {
-                return Some(posted);
-            }
-            step(next);
-        }
-        None
     }
 }
 
-impl<C: Handle<E>, E: Event> Local<E> for Ear<C, E> {
+impl<C: Handle<E>, E: Event> Listener<E> for Resident<C> {
     #[inline]
-    fn offer(&self, events: &[Posted<E>], next: &AtomicUsize, hub: &Hub<E>) -> bool {
-        if !self.is_present() {
-            return false;
-        }
-        hub.shared.reached.store(self.number, Relaxed);
-        hub.pulse.run(self.slot.get());
-        self.with_pump(|pump| {
-            hub.pulse.run(Some(pump.slot()));
-            while pump.is_free()
-                && let Some(posted) = self.wanted(events, next)
+    fn take(&self, posted: &Posted<E>, pulse: &Pulse) -> Option<u32> {
+        let mut event = Some(posted.event.clone());
+        let slot = self.with_pump(|pump| {
+            pulse.run(Some(pump.slot()));
+            if pump.is_free()
+                && let Some(event) = event.take()
             {
-                letter::pass(pump, posted.event.clone(), posted.at);
-                step(next);
+                letter::pass(pump, event, posted.at);
             }
+            pump.slot()
         });
-        while let Some(posted) = self.wanted(events, next) {
-            self.anchor.queue_event(posted.event.clone(), posted.at);
-            step(next);
+        if let Some(event) = event {
+            self.anchor.queue_event(event, posted.at);
         }
-        true
+        slot
     }
 
     #[inline]
     fn call_up(&self) {
-        let known = self.pump.borrow();
-        black_box((self.present.load(Relaxed), known.strong_count()));
-    }
-
-    #[inline]
-    fn is_present(&self) -> bool {
-        self.present.load(Relaxed) == self.number
+        black_box(self.pump.borrow().strong_count());
     }
 
     fn die(&self, payload: Box<dyn Any + Send>) {
@@ -338,20 +345,19 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
             self.bring_along(anchor, old, self.present.load(Relaxed));
         }
         let number = NEXT.fetch_add(1, Relaxed);
-        hub.newcomers.borrow_mut().push(Box::new(Ear {
-            anchor: anchor.clone(),
+        hub.newcomers.borrow_mut().push(Ear {
             only_if: self.only_if.clone(),
             present: self.present.clone(),
             number,
-            pump: RefCell::default(),
             slot: Cell::new(None),
-        }));
+            listener: Box::new(Resident { anchor: anchor.clone(), pump: RefCell::default() }),
+        });
         hub.shared.listeners.fetch_add(1, Relaxed);
         self.present.store(number, Relaxed);
         match lane.replace(hub.shared.clone()) {
             None => self.topic.count_listener(true),
             Some(old) => {
-                old.listeners.fetch_sub(1, Relaxed);
+                old.leave();
             }
         }
     }
@@ -359,7 +365,7 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
     fn end(&self) {
         if let Some(lane) = lock(&self.lane).take() {
             self.present.store(0, Relaxed);
-            lane.listeners.fetch_sub(1, Relaxed);
+            lane.leave();
             self.topic.count_listener(false);
         }
     }

@@ -26,7 +26,7 @@ use crate::host::pulse;
 use crate::letter::{arrived_posting_time, posting_time};
 use crate::registry::differs;
 use crate::sender::SendError;
-use blastema_core::{ContractIdentity, Event, ObjectName, Why, codec};
+use blastema_core::{ContractIdentity, Event, Former, ObjectName, Why, codec};
 use bytes::Bytes;
 use hub::HubLane;
 use std::any::Any;
@@ -79,6 +79,8 @@ pub(crate) struct Topic<E: Event> {
     listeners: AtomicU64,
     dead_letters: DeadLetterOffice,
     interest: Arc<Mutex<Option<Interest>>>,
+    /// The earlier versions that are understood.
+    former: Vec<Former<E>>,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -151,8 +153,10 @@ impl<E: Event> Topic<E> {
 /// A topic whose type is not known.
 trait AnyTopic: Send + Sync {
     fn identity(&self) -> ContractIdentity;
+    /// The present version and the earlier ones that listeners here understand.
+    fn identities(&self) -> Vec<ContractIdentity>;
     fn forward_to(&self, forwards: Arc<[Forward]>);
-    fn inject(&self, event: &[u8], age: Duration) -> Result<(), Why>;
+    fn inject(&self, form: usize, event: &[u8], age: Duration) -> Result<(), Why>;
     fn has_listeners(&self) -> bool;
 }
 
@@ -161,13 +165,23 @@ impl<E: Event> AnyTopic for Topic<E> {
         ContractIdentity::of::<E>()
     }
 
+    fn identities(&self) -> Vec<ContractIdentity> {
+        let former = self.former.iter().map(|former| former.identity().clone());
+        std::iter::once(self.identity()).chain(former).collect()
+    }
+
     fn forward_to(&self, forwards: Arc<[Forward]>) {
         self.is_forwarded.store(!forwards.is_empty(), Relaxed);
         *lock(&self.forwards) = forwards;
     }
 
-    fn inject(&self, event: &[u8], age: Duration) -> Result<(), Why> {
-        match codec::decode::<E>(event) {
+    fn inject(&self, form: usize, event: &[u8], age: Duration) -> Result<(), Why> {
+        let former = form.checked_sub(1).and_then(|place| self.former.get(place));
+        let read = match former {
+            None => codec::decode::<E>(event),
+            Some(former) => former.read(event),
+        };
+        match read {
             Ok(event) => {
                 self.spread(event, arrived_posting_time::<E>(age));
                 Ok(())
@@ -235,6 +249,7 @@ impl Topics {
             listeners: AtomicU64::new(0),
             dead_letters: self.dead_letters.clone(),
             interest: self.interest.clone(),
+            former: E::former(),
         });
         if let Some(forwards) = inner.forwards.get(&key) {
             topic.forward_to(forwards.values().cloned().collect());
@@ -268,25 +283,34 @@ impl Topics {
         inner.renew_forwards(&forward.key);
     }
 
-    /// Gives an event that came from another node to the listeners here; it took so long.
-    pub(crate) fn inject(&self, key: &TopicKey, event: &[u8], age: Duration) -> Result<(), Why> {
+    /// Gives an event that came from another node to the listeners here, read by this version of its
+    /// contract, 0 for the present one; it took so long.
+    pub(crate) fn inject(
+        &self,
+        key: &TopicKey,
+        form: usize,
+        event: &[u8],
+        age: Duration,
+    ) -> Result<(), Why> {
         let topic = lock(&self.inner).topics.get(key).map(|known| known.erased.clone());
         match topic {
-            Some(topic) => topic.inject(event, age),
+            Some(topic) => topic.inject(form, event, age),
             None => Err(Why::Unknown { name: key.topic.to_string() }),
         }
     }
 
-    /// The identity of what a topic carries, if anybody here has named it.
-    pub(crate) fn identity(&self, key: &TopicKey) -> Option<ContractIdentity> {
-        lock(&self.inner).topics.get(key).map(|known| known.erased.identity())
+    /// What a topic carries, if anybody here has named it, and the earlier versions of that which are
+    /// understood.
+    pub(crate) fn identities(&self, key: &TopicKey) -> Vec<ContractIdentity> {
+        let inner = lock(&self.inner);
+        inner.topics.get(key).map_or(Vec::new(), |known| known.erased.identities())
     }
 
     /// All topics that have listeners here, and what they carry.
-    pub(crate) fn listened(&self) -> Vec<(TopicKey, ContractIdentity)> {
+    pub(crate) fn listened(&self) -> Vec<(TopicKey, Vec<ContractIdentity>)> {
         let inner = lock(&self.inner);
         let listened = inner.topics.iter().filter(|(_, known)| known.erased.has_listeners());
-        listened.map(|(key, known)| (key.clone(), known.erased.identity())).collect()
+        listened.map(|(key, known)| (key.clone(), known.erased.identities())).collect()
     }
 
     /// From now on tells when a topic gets its first listener here, or loses its last.

@@ -5,6 +5,7 @@
 //! ```
 
 use actix::{Message, Recipient};
+use blastema_core::net::packet::Undelivered;
 use blastema_core::net::{Class, NodeId, Refusals, Route};
 use blastema_core::{Incarnation, NodeName};
 use bytes::Bytes;
@@ -52,6 +53,13 @@ pub enum PathReported {
         node: NodeId,
         /// The largest segment on the way, in bytes.
         mtu: usize,
+    },
+    /// Something that was sent to it went no further, somewhere on its way.
+    Undelivered {
+        /// Which.
+        node: NodeId,
+        /// Why.
+        reason: Undelivered,
     },
     /// No path leads there any more.
     Lost {

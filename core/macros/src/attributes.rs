@@ -3,14 +3,18 @@
 use crate::spelling::nearest;
 use proc_macro2::Span;
 use syn::meta::ParseNestedMeta;
-use syn::{Attribute, Error, Expr, LitInt, LitStr, Path, Result, Type, parse_quote};
+use syn::{Attribute, Error, Expr, Ident, LitInt, LitStr, Path, Result, Type, parse_quote};
 
 /// The longest name of a contract in bytes, as for objects.
 const NAME_LIMIT: usize = 128;
 /// The longest unit or frame in bytes; a description with a longer one is not taken by a peer.
 const TEXT_LIMIT: usize = 128;
 
-const TYPE_KEYS: &[&str] = &["name", "version", "max_size", "max_age", "reply", "crate"];
+const TYPE_KEYS: &[&str] =
+    &["name", "version", "from", "max_size", "max_age", "delivery", "idempotent", "reply", "crate"];
+/// How a contract's messages may travel, and the variant that says so.
+const DELIVERIES: &[(&str, &str)] =
+    &[("reliable", "Reliable"), ("newest", "Newest"), ("redundant", "Redundant")];
 const FIELD_KEYS: &[&str] = &["unit", "frame"];
 
 /// Which derive reads the attributes.
@@ -29,6 +33,11 @@ pub(crate) struct TypeAttributes {
     pub(crate) max_size: Option<Expr>,
     pub(crate) max_age_nanos: Option<u64>,
     pub(crate) reply: Option<Type>,
+    /// The version before.
+    pub(crate) from: Option<Type>,
+    /// A variant of `Delivery`.
+    pub(crate) delivery: Option<Ident>,
+    pub(crate) idempotent: bool,
     /// Where the facade is to be found.
     pub(crate) facade: Path,
 }
@@ -49,6 +58,9 @@ impl TypeAttributes {
             max_size: None,
             max_age_nanos: None,
             reply: None,
+            from: None,
+            delivery: None,
+            idempotent: false,
             facade: parse_quote!(::blastema),
         };
         let mut seen = Vec::new();
@@ -62,6 +74,9 @@ impl TypeAttributes {
                 "version" => parsed.version = Some(parse_version(&meta)?),
                 "max_size" => parsed.max_size = Some(meta.value()?.parse()?),
                 "max_age" => parsed.max_age_nanos = Some(parse_nanos(&meta.value()?.parse()?)?),
+                "from" => parsed.from = Some(meta.value()?.parse()?),
+                "delivery" => parsed.delivery = Some(parse_delivery(&meta, derive)?),
+                "idempotent" => parsed.idempotent = true,
                 "reply" => parsed.reply = Some(meta.value()?.parse()?),
                 "crate" => parsed.facade = meta.value()?.parse::<LitStr>()?.parse()?,
                 _ => return Err(unknown(&meta, key, TYPE_KEYS)),
@@ -143,6 +158,10 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
         ("max_age", Derive::Request) => {
             Some("a request has no max_age: the asker states a deadline; remove `max_age`".into())
         }
+        ("idempotent", Derive::Event) => Some(
+            "an event is not answered, so that nobody waits or sends it again: remove `idempotent`"
+                .into(),
+        ),
         (key, Derive::Structure) if TYPE_KEYS.contains(&key) => Some(format!(
             "a structure is part of contracts and has none of its own: derive `Event` or `Request` \
              instead, or remove `{key}`"
@@ -171,6 +190,26 @@ fn parse_version(meta: &ParseNestedMeta<'_>) -> Result<u16> {
     let literal: LitInt = meta.value()?.parse()?;
     literal.base10_parse().map_err(|_| {
         Error::new(literal.span(), "a version is a whole number from 0 to 65535, such as `2`")
+    })
+}
+
+/// Reads how messages travel; answers the variant.
+fn parse_delivery(meta: &ParseNestedMeta<'_>, derive: Derive) -> Result<Ident> {
+    let literal: LitStr = meta.value()?.parse()?;
+    let text = literal.value();
+    if derive == Derive::Request && text == "newest" {
+        let reason =
+            "every request is answered: write `reliable` or `redundant`, or derive `Event`";
+        return Err(Error::new(literal.span(), reason));
+    }
+    let known = DELIVERIES.iter().find(|(word, _)| *word == text);
+    known.map(|(_, variant)| Ident::new(variant, literal.span())).ok_or_else(|| {
+        let words: Vec<_> = DELIVERIES.iter().map(|(word, _)| *word).collect();
+        let hint = match nearest(&text, &words) {
+            Some(word) => format!("did you mean `{word}`?"),
+            None => format!("it is one of `{}`", words.join("`, `")),
+        };
+        Error::new(literal.span(), format!("unknown delivery `{text}`: {hint}"))
     })
 }
 

@@ -3,8 +3,9 @@
 use crate::attributes::{Derive, TypeAttributes, wrong_name};
 use crate::structure::{described_generics, expand};
 use proc_macro2::TokenStream;
-use quote::quote;
+use quote::{quote, quote_spanned};
 use syn::ext::IdentExt;
+use syn::spanned::Spanned;
 use syn::{DeriveInput, Error, Generics, Path, Result, parse_quote};
 
 pub(crate) fn derive_event(input: &DeriveInput) -> Result<TokenStream> {
@@ -61,7 +62,8 @@ fn contract(
              forms share that name and are told apart by their structure",
         ));
     }
-    let TypeAttributes { name, version, max_size, max_age_nanos, facade, .. } = attributes;
+    let TypeAttributes { name, version, max_size, max_age_nanos, from, delivery, facade, .. } =
+        attributes;
     let ident = &input.ident;
     let default_name = ident.unraw().to_string();
     let name = match (name, wrong_name(&default_name)) {
@@ -91,6 +93,25 @@ fn contract(
                 ::std::option::Option::Some(::std::time::Duration::from_nanos(#nanos));
         }
     });
+    let delivery = delivery.as_ref().map(|variant| {
+        quote! {
+            const DELIVERY: #facade::core::Delivery = #facade::core::Delivery::#variant;
+        }
+    });
+    let idempotent = attributes.idempotent.then(|| {
+        quote!(
+            const IDEMPOTENT: bool = true;
+        )
+    });
+    let former = from.as_ref().map(|from| {
+        // At the earlier version's name, so that a missing conversion is reported there.
+        let chain = quote_spanned!(from.span()=> #facade::core::Former::<Self>::chain::<#from>());
+        quote! {
+            fn former() -> ::std::vec::Vec<#facade::core::Former<Self>> {
+                #chain
+            }
+        }
+    });
     let generics = bounded(input, attributes, &quote!(::std::marker::Send));
     let (impl_generics, type_generics, where_clause) = generics.split_for_impl();
     Ok(quote! {
@@ -101,6 +122,9 @@ fn contract(
             #version
             #size
             #age
+            #delivery
+            #idempotent
+            #former
         }
     })
 }

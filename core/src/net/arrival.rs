@@ -77,7 +77,7 @@ impl Arrivals {
         }
         let step = step.unsigned_abs();
         if step > Self::OUTAGE {
-            (self.seen, self.span) = (1, 1);
+            self.forget_loss();
         } else {
             self.seen = self.seen << step | 1;
             self.span = (self.span + step).min(64);
@@ -85,6 +85,11 @@ impl Arrivals {
         self.highest += u64::from(step);
         self.learn(now);
         Arrival::New { missed: step - 1 }
+    }
+
+    /// What was missing so far belongs to an outage, and says nothing of what is to come.
+    pub(crate) fn forget_loss(&mut self) {
+        (self.seen, self.span) = (1, 1);
     }
 
     fn learn(&mut self, now: Instant) {

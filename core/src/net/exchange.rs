@@ -9,20 +9,23 @@
 //! was begun in one is never answered in the next.
 
 mod dealings;
+mod incoming;
+mod requests;
 mod vocabulary;
 
 pub use self::vocabulary::{Call, Epoch, ExchangeOutput, TopicContract};
 
-use self::dealings::{Binding, Numbers, Session, WAITING, Waiting};
+use self::dealings::{Binding, Numbers, Pending, Session, WAITING, Waiting, carry};
+use self::requests::Requests;
 
-use super::message::Message;
+use super::message::{FORMS_MAX, Message};
 use super::naming::Announcement;
 use super::node_id::NodeId;
 use super::segment::Stream;
 use super::wire::Refusals;
-use crate::{ContractIdentity, Instant, ObjectName, PeerIdentity, Why};
+use crate::{ContractIdentity, Delivery, Incarnation, Instant, ObjectName, Why};
 use bytes::Bytes;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 /// The most messages that wait for one binding, whatever senders were told.
@@ -30,8 +33,15 @@ const WAITING_MAX: usize = 8 * WAITING;
 /// The most bindings and subscriptions that a peer may have here, each.
 const BINDINGS_MAX: usize = 16 * 1024;
 
-/// The machine of one node's dealings with all others. It waits for nothing: deadlines are the
-/// caller's, silence the session's.
+/// The most requests to one peer that wait for its next session.
+const AGAIN_MAX: usize = 1024;
+/// The most unanswered requests of one peer whose replies go every way; beyond, they go one way.
+const CALLS_MAX: usize = 64 * 1024;
+/// For the caller to see its deadline pass by itself.
+const GRACE: Duration = Duration::from_secs(1);
+
+/// The machine of one node's dealings with all others. It waits for nothing: silence is the session's
+/// matter, and callers mind their deadlines.
 #[derive(Debug, Default)]
 pub struct Exchange {
     peers: BTreeMap<NodeId, Peer>,
@@ -41,14 +51,17 @@ pub struct Exchange {
     next_binding: u32,
     next_call: u64,
     epochs: u64,
+    /// Requests of other nodes that are known by an identity.
+    requests: Requests,
     refusals: Refusals,
     outputs: VecDeque<ExchangeOutput>,
 }
 
 #[derive(Debug)]
 struct Interest {
+    /// The number of the present version; those before it have the numbers after it.
     subscription: u32,
-    identity: ContractIdentity,
+    identities: Vec<ContractIdentity>,
 }
 
 /// What is going on with a peer.
@@ -58,6 +71,8 @@ struct Peer {
     session: Option<Session>,
     /// What the bindings of the session before were, for messages that come back late.
     past: Numbers,
+    /// Requests that are sent again in the next session.
+    again: Vec<Call>,
 }
 
 impl Exchange {
@@ -68,6 +83,7 @@ impl Exchange {
             next_binding: self.next_binding,
             next_call: self.next_call,
             epochs: self.epochs,
+            requests: self.requests.clone(),
             refusals: self.refusals,
             ..Exchange::default()
         }
@@ -94,23 +110,17 @@ impl Exchange {
     }
 
     /// A session with this peer has begun.
-    pub fn handle_opened(&mut self, peer: NodeId, now: Instant) {
+    pub fn handle_opened(&mut self, peer: NodeId, incarnation: Incarnation, now: Instant) {
         self.epochs += 1;
-        let session = Session {
-            epoch: Epoch(self.epochs),
-            began: now,
-            ages: None,
-            bindings: BTreeMap::new(),
-            numbers: BTreeMap::new(),
-            calls: BTreeMap::new(),
-            notices: BTreeSet::new(),
-            taken: 0,
-        };
-        self.peers.entry(peer).or_default().session = Some(session);
+        let session = Session::new(Epoch(self.epochs), incarnation, now);
+        let state = self.peers.entry(peer).or_default();
+        state.session = Some(session);
+        let again = std::mem::take(&mut state.again);
         for (topic, interest) in &self.interests {
             let message = subscribe(topic, interest);
             self.outputs.push_back(control(peer, &message));
         }
+        again.into_iter().for_each(|call| self.handle_call(call));
     }
 
     /// The session with this peer is over: everything that is under way with it is resolved.
@@ -118,13 +128,18 @@ impl Exchange {
         let Some(state) = self.peers.get_mut(&peer) else { return };
         let Some(mut session) = state.session.take() else { return };
         state.past = std::mem::take(&mut session.numbers);
-        for reply_as in session.calls.into_values() {
-            self.outputs.push_back(ExchangeOutput::Resolve { reply_as, result: Err(why.clone()) });
+        for pending in session.calls.into_values() {
+            give_up(state, &mut self.outputs, pending, why, true);
         }
         for ((object, contract, _), binding) in session.bindings {
             for waiting in binding.waiting.into_iter().flatten() {
-                let to = (object.clone(), contract);
-                self.outputs.push_back(refuse(peer, to, waiting.reply_as, why.clone()));
+                match waiting.pending {
+                    Some(pending) => give_up(state, &mut self.outputs, pending, why, false),
+                    None => {
+                        let to = Some((object.clone(), contract));
+                        self.outputs.push_back(ExchangeOutput::Lost { peer, to, why: why.clone() });
+                    }
+                }
             }
         }
         for number in session.notices {
@@ -135,7 +150,9 @@ impl Exchange {
 
     /// An object here wants to send.
     pub fn handle_call(&mut self, call: Call) {
-        let Call { node, object, contract, id, sent, payload, reply_as } = call;
+        let again = (call.contract.idempotent && call.id.is_some() && call.reply_as.is_some())
+            .then(|| Box::new(call.clone()));
+        let Call { node, object, contract, id, sent, until, payload, reply_as } = call;
         let peer = NodeId::of(&node);
         let known = self.peers.get_mut(&peer);
         let reachable = known.as_ref().is_some_and(|peer| peer.reachable);
@@ -146,11 +163,12 @@ impl Exchange {
             return;
         };
         let key = (object, contract.name, contract.fingerprint);
-        let waiting = Waiting { id, sent, payload, reply_as };
+        let pending = reply_as.map(|reply_as| Pending { reply_as, until, again });
+        let waiting = Waiting { id, sent, payload, pending };
         match session.bindings.get_mut(&key) {
-            Some(Binding { waiting: None, number, .. }) => {
-                let number = *number;
-                let sent = session.send(peer, number, waiting, &mut self.next_call);
+            Some(Binding { waiting: None, number, contract }) => {
+                let bound = (*number, contract.delivery);
+                let sent = session.send(peer, bound, waiting, &mut self.next_call);
                 self.outputs.push_back(sent);
             }
             Some(Binding { waiting: Some(queue), .. }) => {
@@ -187,8 +205,9 @@ impl Exchange {
         binding: u32,
         result: Result<(), (Why, Option<ContractIdentity>)>,
     ) {
-        if self.session(peer, epoch).is_none() {
-            return;
+        let Some(session) = self.session(peer, epoch) else { return };
+        if result.is_err() {
+            session.taken = session.taken.saturating_sub(1);
         }
         let answer = match result {
             Ok(()) => Message::Bound { binding },
@@ -207,40 +226,76 @@ impl Exchange {
         epoch: Epoch,
         call: u64,
         result: Result<Bytes, Why>,
+        now: Instant,
     ) {
-        if self.session(peer, epoch).is_some() {
-            let message = Message::Reply { call, result }.encode();
-            self.outputs.push_back(ExchangeOutput::Send { peer, stream: Stream::Data, message });
+        for (peer, epoch, call) in
+            self.requests.resolve((peer, epoch, call), result.as_ref().ok(), now)
+        {
+            self.answer(peer, epoch, call, result.clone());
         }
     }
 
-    /// This node listens to a topic from now on, or no more.
-    pub fn handle_interest(&mut self, topic: TopicContract, identity: Option<ContractIdentity>) {
-        let message = match identity {
-            Some(identity) => {
-                self.next_subscription += 1;
-                let interest = Interest { subscription: self.next_subscription, identity };
-                let message = subscribe(&topic, &interest);
-                let before = self.interests.insert(topic, interest);
-                if let Some(Interest { subscription, .. }) = before {
-                    self.tell_all(&Message::Unsubscribe { subscription });
-                }
-                message
-            }
-            None => match self.interests.remove(&topic) {
-                Some(Interest { subscription, .. }) => Message::Unsubscribe { subscription },
-                None => return,
-            },
+    fn answer(&mut self, peer: NodeId, epoch: Epoch, call: u64, result: Result<Bytes, Why>) {
+        let Some(session) = self.session(peer, epoch) else { return };
+        let stream = match session.redundant_calls.remove(&call) {
+            true => Stream::Redundant,
+            false => Stream::Data,
         };
+        let message = Message::Reply { call, result }.encode();
+        self.outputs.push_back(ExchangeOutput::Send { peer, stream, message });
+    }
+
+    /// Time passes: what was to be answered by now is given up.
+    pub fn handle_time(&mut self, now: Instant) {
+        self.requests.expire(now);
+        let late = |until: Option<Instant>| until.is_some_and(|until| until + GRACE <= now);
+        let mut over = Vec::new();
+        for state in self.peers.values_mut() {
+            let again = state.again.extract_if(.., |call| late(call.until));
+            over.extend(again.filter_map(|call| call.reply_as));
+            let Some(session) = &mut state.session else { continue };
+            session.calls.retain(|_, pending| {
+                let late = late(pending.until);
+                over.extend(late.then_some(pending.reply_as));
+                !late
+            });
+        }
+        for reply_as in over {
+            let result = Err(Why::DeadlinePassed);
+            self.outputs.push_back(ExchangeOutput::Resolve { reply_as, result });
+        }
+    }
+
+    /// This node listens to a topic from now on, by the present version of its contract and the earlier
+    /// ones that it understands; or no more, if there is none.
+    pub fn handle_interest(&mut self, topic: TopicContract, identities: Vec<ContractIdentity>) {
+        let before = self.interests.remove(&topic);
+        if let Some(Interest { subscription, .. }) = before {
+            self.tell_all(&Message::Unsubscribe { subscription });
+        }
+        if identities.is_empty() {
+            return;
+        }
+        let subscription = self.next_subscription + 1;
+        self.next_subscription += FORMS_MAX as u32;
+        let interest = Interest { subscription, identities };
+        let message = subscribe(&topic, &interest);
+        self.interests.insert(topic, interest);
         self.tell_all(&message);
     }
 
     /// An event was published here, at `sent`, for a peer's subscription.
-    pub fn handle_event(&mut self, peer: NodeId, subscription: u32, payload: Bytes, sent: Instant) {
+    pub fn handle_event(
+        &mut self,
+        peer: NodeId,
+        (subscription, delivery): (u32, Delivery),
+        payload: Bytes,
+        sent: Instant,
+    ) {
         if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
             let stamp_us = session.stamp_us(sent);
-            let message = Message::Event { subscription, stamp_us, payload }.encode();
-            self.outputs.push_back(ExchangeOutput::Send { peer, stream: Stream::Data, message });
+            let message = Message::Event { subscription, stamp_us, payload };
+            self.outputs.push_back(carry(peer, subscription << 1, delivery, &message));
         }
     }
 
@@ -318,14 +373,16 @@ impl Exchange {
         (session.epoch == epoch).then_some(session)
     }
 
-    /// A message that was not sent: its session ended first, or it was full.
-    pub fn handle_returned(&mut self, peer: NodeId, message: Bytes, why: Why) {
+    /// A message that did not arrive, or perhaps not if some of it was `sent`: its session ended first,
+    /// or it was full.
+    pub fn handle_returned(&mut self, peer: NodeId, message: Bytes, why: Why, sent: bool) {
         let Ok(message) = Message::decode(message) else { return };
-        let session = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut());
         match message {
             Message::Request { call, .. } => {
-                if let Some(reply_as) = session.and_then(|session| session.calls.remove(&call)) {
-                    self.outputs.push_back(ExchangeOutput::Resolve { reply_as, result: Err(why) });
+                let Some(state) = self.peers.get_mut(&peer) else { return };
+                let session = state.session.as_mut();
+                if let Some(pending) = session.and_then(|session| session.calls.remove(&call)) {
+                    give_up(state, &mut self.outputs, pending, &why, sent);
                 }
             }
             Message::Tell { binding, .. } => {
@@ -343,161 +400,29 @@ impl Exchange {
             _ => {}
         }
     }
+}
 
-    /// A peer says something.
-    pub fn handle_message(&mut self, peer: NodeId, message: Bytes, now: Instant) {
-        let message = match Message::decode(message) {
-            Ok(message) => message,
-            Err(error) => return self.refusals.count(&error),
-        };
-        let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) else {
-            self.refusals.unexpected += 1;
-            return;
-        };
-        let epoch = session.epoch;
-        match message {
-            Message::Bind { binding, object, identity } => {
-                self.handle_bind(peer, binding, object, &identity);
-            }
-            Message::Bound { binding } => {
-                let sent = session.bound(peer, binding, &mut self.next_call);
-                self.refusals.unexpected += u64::from(sent.is_none());
-                self.outputs.extend(sent.into_iter().flatten());
-            }
-            Message::BindRefused { binding, why, identity } => {
-                self.handle_bind_refused(peer, binding, why, &identity);
-            }
-            Message::Request { binding, call, id, payload } => {
-                let (call, age) = (Some(call), Duration::ZERO);
-                let serve = ExchangeOutput::Serve { peer, epoch, binding, call, id, age, payload };
-                self.outputs.push_back(serve);
-            }
-            Message::Tell { binding, stamp_us, id, payload } => {
-                let (call, age) = (None, session.age(stamp_us, now));
-                let serve = ExchangeOutput::Serve { peer, epoch, binding, call, id, age, payload };
-                self.outputs.push_back(serve);
-            }
-            Message::Reply { call, result } => match session.calls.remove(&call) {
-                Some(reply_as) => {
-                    self.outputs.push_back(ExchangeOutput::Resolve { reply_as, result });
-                }
-                None => self.refusals.unexpected += 1,
-            },
-            Message::Subscribe { subscription, topic, identity } => {
-                self.handle_subscribe(peer, subscription, topic, &identity);
-            }
-            Message::SubscribeRefused { why, .. } => {
-                let difference = why.to_string();
-                self.outputs.push_back(ExchangeOutput::Differs { peer, difference });
-            }
-            Message::Unsubscribe { subscription } => {
-                session.taken = session.taken.saturating_sub(1);
-                self.outputs.push_back(ExchangeOutput::Unsubscribe { peer, subscription });
-            }
-            Message::Event { subscription, stamp_us, payload } => {
-                let age = session.age(stamp_us, now);
-                self.handle_peers_event(subscription, age, payload);
-            }
-            Message::Notice { number, payload } => {
-                self.outputs.push_back(ExchangeOutput::Notice { peer, epoch, number, payload });
-            }
-            Message::Confirmed { number } => {
-                if session.notices.remove(&number) {
-                    self.outputs.push_back(ExchangeOutput::Noticed { number, arrived: true });
-                }
-            }
-            Message::Names { stamp_us, complete, added, removed } => {
-                session.age(stamp_us, now);
-                let announcement = Announcement { complete, added, removed };
-                self.outputs.push_back(ExchangeOutput::Names { peer, announcement });
-            }
-            Message::Bye => self.outputs.push_back(ExchangeOutput::Bye { peer }),
-        }
-    }
-
-    fn handle_bind(&mut self, peer: NodeId, binding: u32, object: ObjectName, identity: &[u8]) {
-        let Some((epoch, identity)) = self.take_in(peer, identity) else {
-            let why = Why::Undecodable { reason: "the contract's identity".into() };
-            let refused = Message::BindRefused { binding, why, identity: Bytes::new() };
-            self.outputs.push_back(control(peer, &refused));
-            return;
-        };
-        self.outputs.push_back(ExchangeOutput::Bind { peer, epoch, binding, object, identity });
-    }
-
-    fn handle_subscribe(
-        &mut self,
-        peer: NodeId,
-        subscription: u32,
-        topic: String,
-        identity: &[u8],
-    ) {
-        let Some((_, identity)) = self.take_in(peer, identity) else {
-            let why = Why::Undecodable { reason: "the contract's identity".into() };
-            self.handle_subscribe_refused(peer, subscription, why);
-            return;
-        };
-        let topic = TopicContract { topic, contract: identity.name.clone() };
-        let output = ExchangeOutput::Subscribe { peer, subscription, topic, identity };
-        self.outputs.push_back(output);
-    }
-
-    /// A peer wants something new of us: within bounds, and with a contract that can be read.
-    fn take_in(&mut self, peer: NodeId, identity: &[u8]) -> Option<(Epoch, Box<PeerIdentity>)> {
-        let session = self.peers.get_mut(&peer)?.session.as_mut()?;
-        let identity = PeerIdentity::decode(identity).ok();
-        if session.taken >= BINDINGS_MAX {
-            self.refusals.too_large += 1;
-            return None;
-        }
-        session.taken += 1;
-        Some((session.epoch, Box::new(identity?)))
-    }
-
-    fn handle_bind_refused(&mut self, peer: NodeId, number: u32, why: Why, identity: &[u8]) {
-        let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) else {
-            return;
-        };
-        let binding = session.numbers.remove(&number).and_then(|key| {
-            let binding = session.bindings.remove(&key)?;
-            Some((key, binding))
-        });
-        let Some(((object, name, _), Binding { contract, waiting, .. })) = binding else {
-            self.refusals.unexpected += 1;
-            return;
-        };
-        // Seen from our side, where the peer has sent its own.
-        let theirs = PeerIdentity::decode(identity).ok();
-        let why = match (theirs.map(|theirs| contract.check(&theirs)), why) {
-            (Some(Err(difference)), Why::ContractDiffers { .. }) => {
-                Why::ContractDiffers { difference: difference.to_string() }
-            }
-            (_, why) => why,
-        };
-        if let Why::ContractDiffers { difference } = &why {
-            let difference = difference.clone();
-            self.outputs.push_back(ExchangeOutput::Differs { peer, difference });
-        }
-        let waiting = waiting.unwrap_or_default();
-        if waiting.len() > WAITING {
-            self.outputs.push_back(ExchangeOutput::Room { peer });
-        }
-        for Waiting { reply_as, .. } in waiting {
-            let to = (object.clone(), name);
-            self.outputs.push_back(refuse(peer, to, reply_as, why.clone()));
-        }
-    }
-
-    fn handle_peers_event(&mut self, subscription: u32, age: Duration, payload: Bytes) {
-        let mut interests = self.interests.iter();
-        // As many as the node has topics; they are few.
-        match interests.find(|(_, interest)| interest.subscription == subscription) {
-            Some((topic, _)) => {
-                let topic = topic.clone();
-                self.outputs.push_back(ExchangeOutput::Event { topic, age, payload });
-            }
-            // It crossed our unsubscribing.
-            None => self.refusals.stale += 1,
+/// A request is not going to be answered in this session: it waits for the next one, or is resolved.
+fn give_up(
+    state: &mut Peer,
+    outputs: &mut VecDeque<ExchangeOutput>,
+    pending: Pending,
+    why: &Why,
+    sent: bool,
+) {
+    let Pending { reply_as, again, .. } = pending;
+    // Whoever has left, or has no room, is not asked again.
+    let helps = !matches!(why, Why::Left { .. } | Why::Full | Why::TooLarge { .. });
+    match again {
+        Some(call) if helps && state.again.len() < AGAIN_MAX => state.again.push(*call),
+        _ => {
+            let result = Err(match why {
+                why if !sent => why.clone(),
+                // Its death is certain, and so is that nobody will answer.
+                Why::PeerDied { .. } => why.clone(),
+                why => Why::OutcomeUnknown { reason: why.to_string() },
+            });
+            outputs.push_back(ExchangeOutput::Resolve { reply_as, result });
         }
     }
 }
@@ -507,9 +432,13 @@ fn control(peer: NodeId, message: &Message) -> ExchangeOutput {
 }
 
 fn subscribe(topic: &TopicContract, interest: &Interest) -> Message {
-    let Interest { subscription, identity } = interest;
-    let identity = identity.full().encode().into();
-    Message::Subscribe { subscription: *subscription, topic: topic.topic.clone(), identity }
+    let Interest { subscription, identities } = interest;
+    // What differs is told of the present version.
+    let present = identities.first().map(ContractIdentity::full);
+    let former = identities.iter().skip(1).map(ContractIdentity::brief);
+    let all = present.into_iter().chain(former).take(FORMS_MAX);
+    let identities = all.map(|identity| identity.encode().into()).collect();
+    Message::Subscribe { subscription: *subscription, topic: topic.topic.clone(), identities }
 }
 
 fn refuse(

@@ -42,6 +42,12 @@ pub struct Link {
     /// How often it went down lately, and when last.
     flaps: u32,
     last_down: Instant,
+    /// How often it was suspect lately, when last, and how many hellos have come since.
+    suspicions: u32,
+    last_suspicion: Instant,
+    calm: u32,
+    /// It is suspect for what was, and not for what is.
+    proving: bool,
     gauge: Gauge,
     refused: Option<LinkRefusal>,
     refusals: Refusals,
@@ -96,6 +102,10 @@ impl Link {
             sent: VecDeque::with_capacity(Self::SENT_MAX),
             flaps: 0,
             last_down: Instant::ORIGIN,
+            suspicions: 0,
+            last_suspicion: Instant::ORIGIN,
+            calm: 0,
+            proving: false,
             gauge: Gauge::default(),
             refused: None,
             refusals: Refusals::default(),
@@ -106,6 +116,11 @@ impl Link {
     /// The present state.
     pub fn state(&self) -> LinkState {
         self.state
+    }
+
+    /// Whether a link that is suspect is heard again, and only for how often it was not is not trusted.
+    pub fn is_proving(&self) -> bool {
+        self.state == LinkState::Suspect && self.proving
     }
 
     /// Who is, or was last, at the other end.
@@ -148,6 +163,11 @@ impl Link {
             self.change(LinkState::Up, "the neighbour uses it");
         }
         self.carries()
+    }
+
+    /// Whether a hello is not late at present.
+    fn relied_on(&self) -> bool {
+        self.state == LinkState::Up || self.is_proving()
     }
 
     fn carries(&self) -> bool {
@@ -247,6 +267,7 @@ impl Link {
             self.refusals.stale += 1;
             return;
         };
+        self.calm = after(self.calm, missed);
         self.listen(&hello, missed, now);
         self.judge_quality(now);
         if self.carries() && hello.stance == Stance::Down {
@@ -340,7 +361,7 @@ impl Link {
         }
         heard.proved = match heard.echoed {
             // A link that loses a third of what it carries never proves itself.
-            Some(_) => heard.proved.saturating_sub(missed.saturating_mul(2)).saturating_add(1),
+            Some(_) => after(heard.proved, missed),
             None => 0,
         };
     }
@@ -363,8 +384,14 @@ impl Link {
         match self.state {
             LinkState::Up => {}
             LinkState::Suspect => {
-                if self.due(self.config.suspect_after_percent).is_none_or(|due| due > now) {
+                if self.due(self.config.suspect_after_percent).is_some_and(|due| due <= now) {
+                    return;
+                }
+                // Twice as many for each time: traffic must not come and go with every lost hello.
+                if self.calm >= 1 << self.suspicions.saturating_sub(1) {
                     self.change(LinkState::Up, "the neighbour is heard again");
+                } else if !std::mem::replace(&mut self.proving, true) {
+                    self.change(LinkState::Suspect, "heard again, and not yet trusted");
                 }
             }
             LinkState::Connecting | LinkState::Down => {
@@ -420,7 +447,13 @@ impl Link {
     }
 
     fn change(&mut self, state: LinkState, reason: &'static str) {
+        if let (LinkState::Down | LinkState::Connecting, LinkState::Up, Some(heard)) =
+            (self.state, state, &mut self.neighbour)
+        {
+            heard.arrivals.forget_loss();
+        }
         self.state = state;
+        self.proving &= state == LinkState::Suspect;
         let neighbour = self.neighbour().cloned();
         self.outputs.push_back(LinkOutput::Changed { state, neighbour, reason });
     }
@@ -467,7 +500,14 @@ impl Link {
             LinkState::Up | LinkState::Suspect if down => {
                 self.go_down("the neighbour is not heard, or does not hear", now);
             }
-            LinkState::Up if past(self.due(self.config.suspect_after_percent)) => {
+            LinkState::Up | LinkState::Suspect
+                if self.relied_on() && past(self.due(self.config.suspect_after_percent)) =>
+            {
+                self.proving = false;
+                let lately = now - self.last_suspicion <= Self::FLAP_MEMORY;
+                let before = if lately { self.suspicions } else { 0 };
+                self.suspicions = (before + 1).min(Self::FLAPS_MAX + 1);
+                (self.last_suspicion, self.calm) = (now, 0);
                 self.change(LinkState::Suspect, "a hello is late");
             }
             LinkState::Connecting | LinkState::Down if down => {
@@ -496,8 +536,10 @@ impl Machine for Link {
 
     fn poll_timeout(&self) -> Option<Instant> {
         let silence = match self.state {
-            LinkState::Up => self.due(self.config.suspect_after_percent),
-            LinkState::Suspect => self.due(self.down_after_percent()),
+            LinkState::Up | LinkState::Suspect if self.relied_on() => {
+                self.due(self.config.suspect_after_percent)
+            }
+            LinkState::Up | LinkState::Suspect => self.due(self.down_after_percent()),
             // Looked at with the next hello: nobody depends on a link that is not up.
             LinkState::Connecting | LinkState::Down => None,
         };
@@ -518,6 +560,11 @@ impl Machine for Link {
         }
         self.judge_silence(now);
     }
+}
+
+/// One more good hello, and two less for each that was missing.
+fn after(good: u32, missed: u32) -> u32 {
+    good.saturating_sub(missed.saturating_mul(2)).saturating_add(1)
 }
 
 fn percent(span: Duration, percent: u32) -> Duration {

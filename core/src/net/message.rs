@@ -4,13 +4,15 @@
 //! kind 1 │ fields in the order of the variant
 //! ```
 //! Numbers are of variable length, texts and byte strings stand after their length, a last byte
-//! string without. Stamps are microseconds since the session began, on the sender's clock. An error is encoded as [`Why`] by the codec; it is no daily traffic.
+//! string without. Stamps are microseconds since the session began, on the sender's clock; those of
+//! requests, and their deadlines, tenths of a millisecond. An error is encoded as [`Why`] by the codec;
+//! it is no daily traffic.
 //!
 //! ```text
 //!   one node                                  the other
 //!      │ bind 1: laser, laser/scan v1 ──────────► │  the first message of a contract to an object
 //!      │ ◄─────────────────────────── bound 1     │
-//!      │ request 7 through binding 1 ───────────► │  6 bytes before the message's own
+//!      │ request 7 through binding 1 ───────────► │  9 bytes before the message's own, in an hour 10
 //!      │ ◄─────────────────────────── reply 7     │
 //! ```
 
@@ -25,6 +27,11 @@ const TOPIC_MAX: usize = 255;
 const IDENTITY_MAX: usize = 16 * 1024;
 /// The most bytes of an error. The longest shows 24 lines of differences.
 const WHY_MAX: usize = 8 * 1024;
+
+/// The unit of a request's times, in microseconds: shorter numbers, and fine enough for deadlines.
+pub const TICK_US: u64 = 100;
+/// The most versions of one contract that a listener understands.
+pub const FORMS_MAX: usize = 16;
 
 /// What two nodes say to each other.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -58,6 +65,10 @@ pub enum Message {
         binding: u32,
         /// By which number to reply.
         call: u64,
+        /// When it was sent, in ticks.
+        stamp: u64,
+        /// How long after that it may begin to be served, in ticks; 0 for ever.
+        within: u64,
         /// By which identity a repeated message is known.
         id: Option<MessageId>,
         /// The message.
@@ -83,12 +94,13 @@ pub enum Message {
     },
     /// Send me what is published with you on this topic.
     Subscribe {
-        /// The number, chosen by the listener; good for this session.
+        /// The number, chosen by the listener; good for this session. Events of the n-th version below
+        /// come under this number and n.
         subscription: u32,
         /// The topic.
         topic: String,
-        /// The contract as the listener knows it.
-        identity: Bytes,
+        /// The contract as the listener knows it, and then the earlier versions that it understands.
+        identities: Vec<Bytes>,
     },
     /// The contract is another here; nothing will come.
     SubscribeRefused {
@@ -171,9 +183,9 @@ impl Message {
                 bytes.sized(&encode_why(why));
                 bytes.put_slice(identity);
             }
-            Message::Request { binding, call, id, payload } => {
+            Message::Request { binding, call, stamp, within, id, payload } => {
                 numbered(&mut bytes, REQUEST, *binding);
-                bytes.varint(*call);
+                [call, stamp, within].into_iter().for_each(|number| bytes.varint(*number));
                 put_id(&mut bytes, *id);
                 bytes.put_slice(payload);
             }
@@ -193,10 +205,10 @@ impl Message {
                 put_id(&mut bytes, *id);
                 bytes.put_slice(payload);
             }
-            Message::Subscribe { subscription, topic, identity } => {
+            Message::Subscribe { subscription, topic, identities } => {
                 numbered(&mut bytes, SUBSCRIBE, *subscription);
                 bytes.sized(topic.as_bytes());
-                bytes.put_slice(identity);
+                identities.iter().for_each(|identity| bytes.sized(identity));
             }
             Message::SubscribeRefused { subscription, why } => {
                 numbered(&mut bytes, SUBSCRIBE_REFUSED, *subscription);
@@ -235,7 +247,10 @@ impl Message {
 
     fn payload_length(&self) -> usize {
         match self {
-            Message::Bind { identity, .. } | Message::Subscribe { identity, .. } => identity.len(),
+            Message::Bind { identity, .. } => identity.len(),
+            Message::Subscribe { identities, .. } => {
+                identities.iter().map(|identity| identity.len() + 3).sum()
+            }
             Message::Request { payload, .. }
             | Message::Reply { result: Ok(payload), .. }
             | Message::Tell { payload, .. }
@@ -271,6 +286,8 @@ impl Message {
             REQUEST => Message::Request {
                 binding: number(&mut reader)?,
                 call: reader.varint()?,
+                stamp: reader.varint()?,
+                within: reader.varint()?,
                 id: read_id(&mut reader)?,
                 payload: reader.rest(),
             },
@@ -290,7 +307,7 @@ impl Message {
             SUBSCRIBE => Message::Subscribe {
                 subscription: number(&mut reader)?,
                 topic: reader.text(TOPIC_MAX, "a topic's name")?,
-                identity: rest(reader, IDENTITY_MAX, "a contract's identity")?,
+                identities: read_identities(reader)?,
             },
             SUBSCRIBE_REFUSED => {
                 let subscription = number(&mut reader)?;
@@ -343,6 +360,18 @@ fn number(reader: &mut Reader) -> Result<u32, WireError> {
 fn rest(reader: Reader, limit: usize, what: &'static str) -> Result<Bytes, WireError> {
     let rest = reader.rest();
     if rest.len() > limit { Err(WireError::TooLarge { what }) } else { Ok(rest) }
+}
+
+fn read_identities(mut reader: Reader) -> Result<Vec<Bytes>, WireError> {
+    let what = "a contract's identity";
+    let mut identities = Vec::new();
+    while !reader.is_empty() {
+        if identities.len() == FORMS_MAX {
+            return Err(WireError::TooLarge { what });
+        }
+        identities.push(reader.sized(IDENTITY_MAX, what)?);
+    }
+    Ok(identities)
 }
 
 /// One byte, 0, where there is none.
@@ -409,12 +438,26 @@ mod tests {
                 b"\x02\x01\x01\x02",
             ),
             (
-                Message::Request { binding: 1, call: 7, id: None, payload: payload.clone() },
-                b"\x03\x01\x07\0xy",
+                Message::Request {
+                    binding: 1,
+                    call: 7,
+                    stamp: 300,
+                    within: 5,
+                    id: None,
+                    payload: payload.clone(),
+                },
+                b"\x03\x01\x07\xac\x02\x05\0xy",
             ),
             (
-                Message::Request { binding: 1, call: 7, id, payload: payload.clone() },
-                b"\x03\x01\x07\x01\0\0\0\0\0\0\0\x02\xac\x02xy",
+                Message::Request {
+                    binding: 1,
+                    call: 7,
+                    stamp: 0,
+                    within: 0,
+                    id,
+                    payload: payload.clone(),
+                },
+                b"\x03\x01\x07\0\0\x01\0\0\0\0\0\0\0\x02\xac\x02xy",
             ),
             (Message::Reply { call: 7, result: Ok(payload.clone()) }, b"\x04\x07xy"),
             (Message::Reply { call: 7, result: Err(unknown.clone()) }, b"\x05\x07\x01\x02"),
@@ -426,9 +469,9 @@ mod tests {
                 Message::Subscribe {
                     subscription: 3,
                     topic: "t".into(),
-                    identity: payload.clone(),
+                    identities: vec![payload.clone(), payload.clone()],
                 },
-                b"\x07\x03\x01txy",
+                b"\x07\x03\x01t\x02xy\x02xy",
             ),
             (Message::SubscribeRefused { subscription: 3, why: unknown }, b"\x08\x03\x01\x02"),
             (Message::Unsubscribe { subscription: 3 }, b"\x09\x03"),

@@ -15,8 +15,19 @@
 //! The bytes before a small reliable message, from the first of the frame:
 //!
 //! ```text
-//! frame 2 │ packet 9 │ segment 6..10, 4 more with an acknowledgement │ length 1 │ message …
+//! frame 2 │ packet 9 │ segment 6..8, 4..6 more with an acknowledgement │ length 1 │ message …
 //! ```
+//!
+//! | | at first | after an hour and a million messages | with an acknowledgement on board |
+//! | --- | --- | --- | --- |
+//! | message without an answer | 23 | 28 | 4, then 6 more |
+//! | event | 22 | 27 | 4, then 6 more |
+//! | event of which the newest counts | 22 | 27 | never |
+//! | request | 25 | 32 | 4, then 6 more |
+//! | its answer | 20 | 24 | 4, then 6 more |
+//!
+//! `core/tests/net_header.rs` holds these numbers. Small messages that wait together share a part, and
+//! all of it but the length and their own fields.
 //!
 //! What this module does not do: encryption, multicast, congestion control towards strangers. A robot's
 //! network is its own.
@@ -27,6 +38,7 @@ mod topology;
 mod wire;
 
 pub mod advertisement;
+pub mod claims;
 pub mod crowd;
 pub mod exchange;
 pub mod frame;

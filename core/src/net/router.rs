@@ -139,12 +139,11 @@ impl Router {
             }
             return;
         }
-        let suspect = health == Health::Suspect;
         let (cost, mtu) = (cost.max(1), mtu.min(u16::MAX.into()) as u16);
         match self.links.get_mut(&link) {
             Some(adjacent) if adjacent.neighbour == neighbour => {
                 let same = adjacent.cost == cost && adjacent.mtu == mtu;
-                (adjacent.cost, adjacent.mtu, adjacent.suspect) = (cost, mtu, suspect);
+                (adjacent.cost, adjacent.mtu, adjacent.health) = (cost, mtu, health);
                 if same {
                     self.choose_anew();
                 } else {
@@ -154,7 +153,7 @@ impl Router {
             _ => {
                 let pending = BTreeMap::new();
                 let adjacent =
-                    Adjacent { neighbour, id, cost, mtu, suspect, pending, compare_at: now };
+                    Adjacent { neighbour, id, cost, mtu, health, pending, compare_at: now };
                 self.links.insert(link, adjacent);
                 self.announce_links();
                 self.compare(link);
@@ -270,8 +269,8 @@ impl Router {
         }
     }
 
-    /// The look-up: the next hop if it is well, else the alternate, else either if it carries at
-    /// all; never back to where the packet came from.
+    /// The look-up: the next hop if it is well, else the alternate, else whichever is better off;
+    /// never back to where the packet came from.
     fn choose(&self, destination: NodeId, from: Option<LinkNumber>) -> Option<LinkNumber> {
         let route = self.routes.get(&destination)?;
         let from = from.and_then(|from| self.links.get(&from)).map(|adjacent| adjacent.id);
@@ -516,7 +515,9 @@ impl Router {
             let (mtu, incarnation) = (topology::segment_limit(route.mtu), route.incarnation);
             let output = match before.remove(id) {
                 Some(old) if old.incarnation == incarnation => {
-                    if old.chosen == route.chosen && old.mtu == route.mtu {
+                    // Dearer, it has lost something further on, and with it what was on its way there.
+                    let dearer = route.cost > old.cost;
+                    if old.chosen == route.chosen && old.mtu == route.mtu && !dearer {
                         continue;
                     }
                     RouterOutput::PathChanged { node: *id, mtu }

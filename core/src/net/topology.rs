@@ -1,11 +1,11 @@
 //! The shortest paths through a network, and the alternates to them.
 
-use super::advertisement::Advertisement;
+use super::advertisement::{Advertisement, Edge};
 use super::frame::FRAME_HEADER;
 use super::link::Neighbour;
 use super::node_id::NodeId;
 use super::packet::PACKET_HEADER;
-use super::router::LinkNumber;
+use super::router::{Health, LinkNumber, MTU_MIN};
 use crate::{Incarnation, Instant, NodeName};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
@@ -38,7 +38,7 @@ pub(crate) struct Adjacent {
     pub(crate) id: NodeId,
     pub(crate) cost: u16,
     pub(crate) mtu: u16,
-    pub(crate) suspect: bool,
+    pub(crate) health: Health,
     /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
     pub(crate) pending: BTreeMap<NodeId, Instant>,
     pub(crate) compare_at: Instant,
@@ -50,21 +50,20 @@ pub(crate) fn segment_limit(mtu: u16) -> usize {
 }
 
 impl Route {
-    /// The next hop if it is well, else the alternate, else either if it carries; never to `from`.
+    /// The next hop or the alternate, whichever is better off now, the next hop if both are alike; never
+    /// to `from`.
     pub(crate) fn choose(
         &self,
         links: &BTreeMap<LinkNumber, Adjacent>,
         from: Option<NodeId>,
     ) -> Option<LinkNumber> {
         let ways = [Some(self.next), self.alternate];
-        let usable = |well: bool| {
-            ways.into_iter().flatten().find(|link| {
-                links.get(link).is_some_and(|adjacent| {
-                    Some(adjacent.id) != from && (!well || !adjacent.suspect)
-                })
-            })
-        };
-        usable(true).or_else(|| usable(false))
+        let usable = ways.into_iter().flatten().filter_map(|link| {
+            let adjacent = links.get(&link).filter(|adjacent| Some(adjacent.id) != from)?;
+            Some((adjacent.health, link))
+        });
+        // The first of those that are alike.
+        usable.min_by_key(|(health, _)| *health).map(|(_, link)| link)
     }
 }
 
@@ -119,7 +118,7 @@ impl<'a> Topology<'a> {
         let mut edge_of_search = vec![from];
         while let Some(id) = edge_of_search.pop() {
             for (to, ..) in self.edges(id) {
-                if to != self.here && self.agrees(to, id) && found.insert(to) {
+                if to != self.here && self.back(to, id).is_some() && found.insert(to) {
                     edge_of_search.push(to);
                 }
             }
@@ -179,11 +178,15 @@ impl<'a> Topology<'a> {
             }
             found.insert(id, Distance { cost, mtu });
             for (to, step, limit) in self.edges(id) {
-                if !found.contains_key(&to) && self.agrees(to, id) {
-                    let cost: u32 = cost;
-                    let reached = (cost.saturating_add(step.into()), to, Reverse(mtu.min(limit)));
-                    edge_of_search.push(Reverse(reached));
+                if found.contains_key(&to) {
+                    continue;
                 }
+                let Some((back, limit_back)) = self.back(to, id) else { continue };
+                // The dearer and the narrower word counts: nobody draws traffic by boasting alone.
+                let (step, limit) = (step.max(back), limit.min(limit_back));
+                let cost: u32 = cost;
+                let reached = (cost.saturating_add(step.into()), to, Reverse(mtu.min(limit)));
+                edge_of_search.push(Reverse(reached));
             }
         }
         found
@@ -193,15 +196,28 @@ impl<'a> Topology<'a> {
         if id == self.here {
             return self.links.values().map(|link| (link.id, link.cost, link.mtu)).collect();
         }
-        let known = self.known.get(&id).map_or(&[][..], |known| &known.edges);
-        known.iter().map(|edge| (edge.to, edge.cost, edge.mtu)).collect()
+        self.announced(id).map(|edge| (edge.to, edge.cost, edge.mtu)).collect()
     }
 
-    /// Does `id` also say that it has a link to `other`? Our own links were asked by their hellos.
-    fn agrees(&self, id: NodeId, other: NodeId) -> bool {
+    /// What another node says of its links; one that could not carry an announcement carries none of
+    /// our traffic either.
+    fn announced(&self, id: NodeId) -> impl Iterator<Item = &Edge> {
+        let known = self.known.get(&id).map_or(&[][..], |known| &known.edges);
+        known.iter().filter(|edge| usize::from(edge.mtu) >= MTU_MIN)
+    }
+
+    /// What `id` says of its link to `other`, if it says that it has one. Of our own links their hellos
+    /// have asked the other end; what they cost to there is our own word.
+    fn back(&self, id: NodeId, other: NodeId) -> Option<(u16, u16)> {
         if id == self.here || other == self.here {
-            return self.links.values().any(|link| link.id == id || link.id == other);
+            let neighbour = if id == self.here { other } else { id };
+            let own = self.links.values().filter(|link| link.id == neighbour);
+            let cheapest = own.min_by_key(|link| link.cost)?;
+            // Which of several is meant, whoever looks at each of them knows.
+            let cost = if other == self.here { 0 } else { cheapest.cost };
+            return Some((cost, u16::MAX));
         }
-        self.known.get(&id).is_some_and(|known| known.edges.iter().any(|edge| edge.to == other))
+        let edge = self.announced(id).find(|edge| edge.to == other)?;
+        Some((edge.cost, edge.mtu))
     }
 }

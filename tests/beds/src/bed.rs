@@ -28,11 +28,19 @@ pub(crate) struct Cable {
     net: u8,
 }
 
-/// The cables of the bed.
+/// The cables of the trials.
 pub(crate) const CABLES: [Cable; 3] = [
     Cable { name: "ab", ends: ["a", "b"], net: 1 },
     Cable { name: "bc", ends: ["b", "c"], net: 2 },
     Cable { name: "ca", ends: ["c", "a"], net: 3 },
+];
+
+/// Four cables between two hosts, for the figures: one that was cut has time to prove itself again.
+pub(crate) const PARALLEL: [Cable; 4] = [
+    Cable { name: "ab1", ends: ["a", "b"], net: 1 },
+    Cable { name: "ab2", ends: ["a", "b"], net: 2 },
+    Cable { name: "ab3", ends: ["a", "b"], net: 3 },
+    Cable { name: "ab4", ends: ["a", "b"], net: 4 },
 ];
 
 impl Cable {
@@ -46,6 +54,7 @@ pub(crate) struct Bed {
     kind: Kind,
     /// What all its namespaces begin with: two beds at a time do not meet.
     prefix: String,
+    cables: &'static [Cable],
     relays: Vec<(&'static str, Child)>,
 }
 
@@ -66,15 +75,15 @@ fn command(line: &str) -> Result<(), String> {
 
 impl Bed {
     /// Makes hosts and lays cables.
-    pub(crate) fn new(kind: Kind, prefix: &str) -> Result<Bed, String> {
-        let mut bed = Bed { kind, prefix: prefix.into(), relays: Vec::new() };
+    pub(crate) fn new(kind: Kind, prefix: &str, cables: &'static [Cable]) -> Result<Bed, String> {
+        let mut bed = Bed { kind, prefix: prefix.into(), cables, relays: Vec::new() };
         for host in ["a", "b", "c"] {
             let host = bed.namespace(host);
             command(&format!("ip netns add {host}"))?;
             command(&format!("ip -n {host} link set lo up"))?;
         }
-        for cable in CABLES {
-            bed.lay(cable)?;
+        for cable in cables {
+            bed.lay(*cable)?;
         }
         Ok(bed)
     }
@@ -128,7 +137,7 @@ impl Bed {
     /// A node's links, as its program takes them.
     pub(crate) fn links(&self, host: &str) -> Vec<String> {
         let mut words = Vec::new();
-        for cable in CABLES {
+        for cable in self.cables {
             let Some(own) = cable.ends.iter().position(|end| *end == host) else { continue };
             let address = |end| format!("{}:7400", cable.address(end));
             words.push(cable.name.into());

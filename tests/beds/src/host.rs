@@ -31,13 +31,12 @@ pub(crate) struct Host {
 }
 
 impl Host {
-    /// Starts this program as a node in a namespace.
+    /// Starts this program with these arguments in a namespace.
     pub(crate) fn start(name: &str, namespace: &str, arguments: &[String]) -> Result<Host, String> {
         let program = std::env::current_exe().map_err(|error| error.to_string())?;
         let mut child = Command::new("ip")
             .args(["netns", "exec", namespace])
             .arg(program)
-            .arg("node")
             .args(arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())

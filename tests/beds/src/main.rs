@@ -6,6 +6,7 @@
 #![allow(clippy::print_stdout, reason = "what happens is what this program is for")]
 
 mod bed;
+mod figures;
 mod host;
 mod node;
 mod trial;
@@ -16,7 +17,10 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match arguments.split_first() {
         Some((first, rest)) if first == "node" => blastema::run(node::run(rest)),
+        Some((first, rest)) if first == "mirror" => blastema::run(node::mirror(rest)),
+        Some((first, rest)) if first == "measure" => blastema::run(figures::measure(rest)),
         Some((first, wanted)) if first == "trials" => trial::run(wanted),
+        Some((first, rest)) if first == "figures" => figures::run(rest),
         _ => Err("start tests/beds/run".into()),
     }
     .map_or_else(

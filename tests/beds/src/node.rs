@@ -21,17 +21,17 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// One of a numbered series, sent reliably.
 #[derive(Clone, Debug, Event)]
 #[contract(name = "bed/parcel")]
-struct Parcel {
-    from: String,
-    number: u64,
+pub(crate) struct Parcel {
+    pub(crate) from: String,
+    pub(crate) number: u64,
 }
 
 /// One of a numbered series of requests; each takes effect once.
 #[derive(Clone, Debug, Request)]
 #[contract(name = "bed/order", reply = u64)]
-struct Order {
-    from: String,
-    number: u64,
+pub(crate) struct Order {
+    pub(crate) from: String,
+    pub(crate) number: u64,
 }
 
 /// What came of one series.
@@ -69,6 +69,19 @@ impl Ledger {
     }
 }
 
+impl Ledger {
+    fn tell(&self) {
+        let mut text = String::new();
+        for ((kind, from), series) in self.lock().iter() {
+            let Series { next, lost, doubled, longest_gap, .. } = series;
+            let gap = longest_gap.as_millis();
+            // Writing to a text does not fail.
+            let _ = writeln!(text, "heard {kind} {from} {next} {lost} {doubled} {gap}");
+        }
+        say(&format!("{text}told"));
+    }
+}
+
 impl Component for Ledger {
     fn ports(ports: &mut Ports<Self>) {
         ports.accept::<Parcel>();
@@ -90,7 +103,7 @@ impl Handle<Order> for Ledger {
 }
 
 /// Says something to whoever started this process.
-fn say(line: &str) {
+pub(crate) fn say(line: &str) {
     let mut out = std::io::stdout().lock();
     // Where nobody reads any more, standard input has ended, too.
     let _ = writeln!(out, "{line}").and_then(|()| out.flush());
@@ -130,7 +143,9 @@ async fn orders(sender: Sender<Order>, from: String, stop: Arc<AtomicBool>) -> (
 
 /// What the node is started with: its name, the medium, the interval of hellos, and its links as
 /// `NAME OWN-ADDRESS NEIGHBOUR ITS-ADDRESS`.
-fn describe(arguments: &[String]) -> Result<(blastema::NodeBuilder, Vec<String>), String> {
+pub(crate) fn describe(
+    arguments: &[String],
+) -> Result<(blastema::NodeBuilder, Vec<String>), String> {
     let [name, medium, hello_ms, links @ ..] = arguments else {
         return Err("NAME MEDIUM HELLO_MS (LINK OWN NEIGHBOUR REMOTE)...".into());
     };
@@ -153,6 +168,29 @@ fn describe(arguments: &[String]) -> Result<(blastema::NodeBuilder, Vec<String>)
     neighbours.sort();
     neighbours.dedup();
     Ok((builder, neighbours))
+}
+
+/// The part of a node that takes down what comes, and where it stands.
+fn ledger() -> (Ledger, ChildSpec<Ledger>) {
+    let ledger = Ledger::default();
+    let kept = ledger.clone();
+    let spec = ChildSpec::new("ledger", move || kept.clone());
+    // What an outage held back comes in one burst.
+    (ledger, spec.queue(8192, WhenFull::Wait))
+}
+
+/// A node that only answers, until standard input ends.
+pub(crate) async fn mirror(arguments: &[String]) -> Result<(), String> {
+    let mut commands = commands();
+    let (builder, _) = describe(arguments)?;
+    let (ledger, spec) = ledger();
+    let node = builder.child(spec).start().await.map_err(|error| error.to_string())?;
+    say("ready");
+    while commands.recv().await.is_some() {
+        ledger.tell();
+    }
+    node.shutdown().await;
+    Ok(())
 }
 
 /// Lines from whoever started this process; the channel ends when they do.
@@ -209,11 +247,7 @@ async fn tell_changes(node: Node) {
 pub(crate) async fn run(arguments: &[String]) -> Result<(), String> {
     let mut commands = commands();
     let (builder, neighbours) = describe(arguments)?;
-    let ledger = Ledger::default();
-    let kept = ledger.clone();
-    let spec = ChildSpec::new("ledger", move || kept.clone());
-    // What an outage held back comes in one burst.
-    let spec = spec.queue(8192, WhenFull::Wait);
+    let (ledger, spec) = ledger();
     let node = builder.child(spec).start().await.map_err(|error| error.to_string())?;
     tokio::task::spawn_local(tell_faults(node.clone()));
     tokio::task::spawn_local(tell_changes(node.clone()));
@@ -246,15 +280,7 @@ pub(crate) async fn run(arguments: &[String]) -> Result<(), String> {
                 }
                 say("stopped");
             }
-            "tell" => {
-                let mut text = String::new();
-                for ((kind, from), series) in ledger.lock().iter() {
-                    let Series { next, lost, doubled, longest_gap, .. } = series;
-                    let gap = longest_gap.as_millis();
-                    let _ = writeln!(text, "heard {kind} {from} {next} {lost} {doubled} {gap}");
-                }
-                say(&format!("{text}told"));
-            }
+            "tell" => ledger.tell(),
             other => say(&format!("no command is called {other}")),
         }
     }

@@ -47,10 +47,10 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), String> {
 }
 
 fn trial(kind: Kind, medium: &str, prefix: &str) -> Result<(), String> {
-    let bed = Bed::new(kind, prefix)?;
+    let bed = Bed::new(kind, prefix, &CABLES)?;
     let mut hosts = Vec::new();
     for name in ["a", "b", "c"] {
-        let mut arguments = vec![name.into(), medium.into(), HELLO_MS.into()];
+        let mut arguments = vec!["node".into(), name.into(), medium.into(), HELLO_MS.into()];
         arguments.extend(bed.links(name));
         hosts.push(Host::start(name, &bed.namespace(name), &arguments)?);
     }

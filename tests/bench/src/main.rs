@@ -1,9 +1,10 @@
 //! Benchmarks of the middleware beside what it is built on, as ratios within one run.
 //!
-//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [monitored]`; without
-//! arguments, all of them. `ROUNDS=n` sets how often the rows of a table are run in turn.
+//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [monitored] [failover]`;
+//! without arguments, all of them. `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
+mod failover;
 mod fanout;
 mod measure;
 mod messages;
@@ -13,7 +14,7 @@ mod restart;
 
 use std::process::ExitCode;
 
-const PARTS: [&str; 5] = ["messages", "restart", "fanout", "remote", "monitored"];
+const PARTS: [&str; 6] = ["messages", "restart", "fanout", "remote", "monitored", "failover"];
 
 fn main() -> ExitCode {
     let mut arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -41,6 +42,9 @@ fn main() -> ExitCode {
     }
     if wanted("monitored") {
         monitored::run(rounds.min(3));
+    }
+    if wanted("failover") {
+        blastema::run(failover::run());
     }
     ExitCode::SUCCESS
 }

@@ -1,9 +1,34 @@
 //! Rows that are run in turn within one process, so that their ratios hold while the machine drifts.
 
+use std::time::Duration;
+
 /// The median of some figures.
 pub(crate) fn median(mut figures: Vec<f64>) -> f64 {
     figures.sort_by(f64::total_cmp);
     figures.get(figures.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// The spread of some durations.
+#[derive(Default)]
+pub(crate) struct Quantiles(Vec<Duration>);
+
+impl Quantiles {
+    /// Adds one.
+    pub(crate) fn add(&mut self, figure: Duration) {
+        self.0.push(figure);
+    }
+
+    /// Prints the usual quantiles, in milliseconds.
+    pub(crate) fn print(mut self, row: &str) {
+        self.0.sort();
+        let count = self.0.len();
+        let at = |share: f64| {
+            let rank = ((count as f64 * share).ceil() as usize).clamp(1, count.max(1)) - 1;
+            self.0.get(rank).map_or(f64::NAN, |figure| figure.as_secs_f64() * 1e3)
+        };
+        let (middle, high, highest) = (at(0.5), at(0.99), at(1.0));
+        println!("{row:<34} n {count:>6}  p50 {middle:>8.3}  p99 {high:>8.3}  max {highest:>8.3}");
+    }
 }
 
 /// A table whose rows are measured in turn, round by round.

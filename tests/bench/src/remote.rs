@@ -78,7 +78,8 @@ fn serve_until_told() {
     let _ = std::io::stdin().read_line(&mut String::new());
 }
 
-/// Another process: `bare ADDRESS`, or `node NAME (OWN NEIGHBOUR ADDRESS)...`.
+/// Another process: `bare ADDRESS`, or `node NAME (OWN NEIGHBOUR ADDRESS)...`, or the same with
+/// `single` for a node on one thread.
 pub(crate) fn child(arguments: &[String]) {
     pin(1);
     match arguments {
@@ -87,8 +88,11 @@ pub(crate) fn child(arguments: &[String]) {
             std::thread::spawn(move || blastema::run(bare_echo(address)));
             serve_until_told();
         }
-        [kind, name, links @ ..] if kind == "node" => blastema::run(async {
+        [kind, name, links @ ..] if kind == "node" || kind == "single" => blastema::run(async {
             let mut builder = Node::builder(name).child(ChildSpec::new("mirror", || Mirror));
+            if kind == "single" {
+                builder = builder.on_this_thread();
+            }
             for (number, link) in links.chunks(3).enumerate() {
                 builder = builder.network(network(number, link));
             }
@@ -148,7 +152,7 @@ async fn reached(node: &Node, name: &str) -> Sender<Echo> {
 
 pub(crate) fn run(rounds: usize) {
     pin(0);
-    let [echo, near, left, right, far] = addresses();
+    let [echo, near, left, right, far, single_near, single_far] = addresses();
     let text = |parts: &[&str]| parts.iter().map(|part| (*part).to_owned()).collect::<Vec<_>>();
     let (near_at, left_at) = (near.to_string(), left.to_string());
     let (right_at, far_at) = (right.to_string(), far.to_string());
@@ -156,7 +160,13 @@ pub(crate) fn run(rounds: usize) {
     let middle = ["node", "middle", &left_at, "near", &near_at, &right_at, "far", &far_at];
     let _middle = Peer::start(&text(&middle));
     let _far = Peer::start(&text(&["node", "far", &far_at, "middle", &right_at]));
+    let single = ["single", "single", &single_far.to_string(), "alone", &single_near.to_string()];
+    let _single = Peer::start(&text(&single));
     blastema::run(async {
+        let network = Network::udp("net0", single_near).link(Link::new("single", single_far));
+        let alone = Node::builder("alone").on_this_thread().network(network).start().await;
+        let alone = alone.expect("the node starts");
+        let on_one_thread = reached(&alone, "single:mirror").await;
         let network = Network::udp("net0", near).link(Link::new("middle", left));
         let node = Node::builder("near").network(network).start().await.expect("the node starts");
         let one = reached(&node, "middle:mirror").await;
@@ -164,6 +174,7 @@ pub(crate) fn run(rounds: usize) {
         let mut table = Table::new("request and reply of 64 B between processes, UDP", "us");
         for _ in 0..rounds {
             table.add("bare tokio UDP ping-pong", bare(echo).await);
+            table.add("Sender::ask, nodes on one thread each", asked(&on_one_thread).await);
             table.add("Sender::ask, one hop", asked(&one).await);
             table.add("Sender::ask, two hops", asked(&two).await);
         }
@@ -171,5 +182,6 @@ pub(crate) fn run(rounds: usize) {
         let (one, two) = ("Sender::ask, one hop", "Sender::ask, two hops");
         println!("two hops take {:.2} times one", table.ratio(two) / table.ratio(one));
         node.shutdown().await;
+        alone.shutdown().await;
     });
 }

@@ -196,8 +196,13 @@ async fn a_node_that_goes_and_comes_again_is_lost_and_found_and_serves_the_same_
     let laser = robot.module3.sender::<Do>("module2:laser").unwrap();
     assert_eq!(laser.ask(Do(Deed::Nothing)).await.unwrap(), 1);
 
+    // It cannot say that it goes.
+    robot.cut("ethernet");
+    robot.cut("backup");
     robot.module2.shutdown().await;
     robot.module1.await_fault(FaultKind::NodeLost, "module2").await;
+    robot.mend("ethernet");
+    robot.mend("backup");
     let gone = laser.ask(Do(Deed::Nothing)).await.expect_err("it is gone");
     assert!(gone.message.is_none() || gone.why != Why::DeadlinePassed, "{}", gone.why);
     robot.module2 = TestNode::start(robot.media.module2().child(strings.spec("laser"))).await;

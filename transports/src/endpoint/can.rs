@@ -7,8 +7,12 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CanNodeConfig {
-    /// Our number on the bus. No two nodes may have the same; peers are given by theirs.
+    /// Our number on the bus, 0 to 254. No two nodes may have the same; peers are given by theirs. A
+    /// link to 255 speaks to all.
     pub address: u8,
+    /// Identifiers of 11 bits, for buses and adapters that know no others: addresses 0 to 30 then. All
+    /// nodes of the bus must do alike.
+    pub short_ids: bool,
     /// The largest frame, in bytes. A larger one keeps others waiting longer.
     pub mtu: usize,
     /// How many frames wait for the bus; beyond, they are dropped.
@@ -24,8 +28,9 @@ impl Default for CanNodeConfig {
     fn default() -> Self {
         CanNodeConfig {
             address: 0,
-            // What ISO 15765-2 carries without its escape for longer messages, which few adapters know.
-            mtu: 4_095,
+            short_ids: false,
+            // 148 classic frames: 40 ms of a bus of 500 kbit/s, less than between two hellos.
+            mtu: 1_024,
             queue_frames: 64,
             block_size: 0,
             separation: Duration::ZERO,

@@ -51,8 +51,8 @@ const LONGEST: Duration = Duration::from_secs(3600);
 /// | `tcp://10.0.0.1:7400` | TCP | `interface`, `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout`, `user_timeout` |
 /// | `unix:///run/x.sock` | a Unix-domain socket | `mode` (octal), `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout` |
 /// | `serial:///dev/ttyUSB0` | a serial line | `baud`, `parity`, `stop_bits`, `flow`, `mtu`, `queue_time` |
-/// | `can://can0` | a CAN interface | `fd`, `bit_rate_switch`, `address`, `mtu`, `queue_frames`, `block_size`, `separation` |
-/// | `slcan:///dev/ttyACM0` | a CAN adapter on a serial port | `bitrate`, `baud`, `address`, `mtu`, `queue_frames`, `block_size`, `separation` |
+/// | `can://can0` | a CAN interface | `fd`, `bit_rate_switch`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
+/// | `slcan:///dev/ttyACM0` | a CAN adapter on a serial port | `bitrate`, `baud`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
 /// | `memory://name` | between nodes of one process | |
 ///
 /// Times have a unit (`500ms`). In a path, `%3F` is a question mark, and `%25` a percent sign.
@@ -398,7 +398,8 @@ fn slcan(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
 }
 
 fn can_node(settings: &mut Settings<'_>, node: &mut CanNodeConfig) -> Result<(), EndpointError> {
-    settings.number("address", 0..=255, &mut node.address)?;
+    settings.number("address", 0..=254, &mut node.address)?;
+    settings.switch("short_ids", &mut node.short_ids)?;
     settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut node.mtu)?;
     settings.number("queue_frames", 1..=65_536, &mut node.queue_frames)?;
     settings.number("block_size", 0..=255, &mut node.block_size)?;

@@ -101,12 +101,14 @@ fn can_is_read_with_all_its_settings() {
 
     let Endpoint::Can(config) = good(
         "can://vcan1?fd=true&bit_rate_switch=true&address=7&mtu=800&queue_frames=8&block_size=4\
-         &separation=200us",
+         &separation=200us&short_ids=true",
     ) else {
         panic!()
     };
     assert!(config.bit_rate_switch);
-    let CanNodeConfig { address, mtu, queue_frames, block_size, separation } = config.node;
+    let CanNodeConfig { address, short_ids, mtu, queue_frames, block_size, separation } =
+        config.node;
+    assert!(short_ids);
     assert_eq!((address, mtu, queue_frames, block_size), (7, 800, 8, 4));
     assert_eq!(separation, Duration::from_micros(200));
 }
@@ -195,7 +197,7 @@ fn a_wrong_value_is_pointed_at_with_what_it_may_be() {
     bad("serial:///dev/ttyS0?flow=xon", "xon", 25, "none, hardware");
     bad("serial:///dev/ttyS0?baud=0", "0", 25, "from 50 to");
     bad("can://can0?fd=yes", "yes", 14, "true or false");
-    bad("can://can0?address=256", "256", 19, "from 0 to 255");
+    bad("can://can0?address=256", "256", 19, "from 0 to 254");
     bad("slcan:///dev/ttyACM0?bitrate=300000", "300000", 29, "250000, 500000");
 }
 
@@ -241,6 +243,14 @@ fn the_caret_stands_under_the_wrong_part_whatever_letters_stand_before() {
     assert_eq!(lines.len(), 3, "{text}");
     let column = lines[1].chars().position(|c| c == '?').unwrap() + 1;
     assert_eq!(lines[2], format!("{}^^^", " ".repeat(column)));
+}
+
+#[test]
+fn an_error_has_three_lines_even_where_the_wrong_part_has_several() {
+    let error = "serial:///dev/ttyUSB0?ba\nd=9600".parse::<Endpoint>().unwrap_err();
+
+    assert_eq!(error.part(), "ba\nd");
+    assert_eq!(error.to_string().lines().count(), 3, "{error}");
 }
 
 #[test]

@@ -175,9 +175,7 @@ impl Injection {
                 (here && note.kind == FaultKind::NodeLost, here || touches(&note.place, *module))
             }
         };
-        // A warning accuses nobody: where all three modules share a busy computer, hellos do come late.
-        let is_warning = note.kind == FaultKind::LinkDegraded;
-        match (named, touched || is_warning || note.symptom_of.is_some()) {
+        match (named, touched || note.is_warning() || note.symptom_of.is_some()) {
             (true, _) => Judgement::Named,
             (false, true) => Judgement::Companion,
             (false, false) => Judgement::Foreign,

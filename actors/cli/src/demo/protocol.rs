@@ -216,6 +216,13 @@ pub(crate) struct FaultNote {
     pub(crate) symptom_of: Option<u64>,
 }
 
+impl FaultNote {
+    /// A warning accuses nobody: where all three modules share a busy computer, hellos do come late.
+    pub(crate) fn is_warning(&self) -> bool {
+        self.kind == FaultKind::LinkDegraded
+    }
+}
+
 /// How things stand in a module.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

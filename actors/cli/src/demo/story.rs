@@ -360,7 +360,8 @@ impl Story {
 
     fn judge_between(&mut self, from: Module, note: &FaultNote) {
         let belongs = |last: &Injection| last.judge(note) != Judgement::Foreign;
-        if note.symptom_of.is_none() && !self.last.as_ref().is_some_and(belongs) {
+        let excused = note.is_warning() || note.symptom_of.is_some();
+        if !excused && !self.last.as_ref().is_some_and(belongs) {
             let FaultNote { kind, place, detail, .. } = note;
             let text = format!("{from} named {kind} in {place}, where nothing was done: {detail}");
             if self.stray.len() < PROBLEM_LIMIT {

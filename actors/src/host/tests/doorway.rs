@@ -1,7 +1,7 @@
 //! Names, and the way in from outside the process.
 
 use super::{Add, Boom, Note, Stage, acc, boom, logged, order};
-use crate::registry::{RemoteDoor, RemoteDoors, ReplyTo};
+use crate::registry::{Asked, Postmark, RemoteDoor, RemoteDoors, ReplyTo};
 use crate::{DeadReason, Incarnation, ObjectName, Request, SpecError, WhenFull, Why};
 use blastema_core::{Contract, ContractIdentity, MessageId, NodeName, ObjectAddress, codec};
 use blastema_doubles::{paused, settle};
@@ -9,7 +9,6 @@ use bytes::Bytes;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
 fn encoded<M: Contract>(message: &M) -> Vec<u8> {
     let mut bytes = Vec::new();
@@ -30,6 +29,10 @@ fn reply() -> (ReplyPlace, ReplyTo) {
     (place, Box::new(move |result| *kept.lock().unwrap() = Some(result)))
 }
 
+fn postmark(id: Option<MessageId>) -> Postmark {
+    Postmark { id, ..Postmark::default() }
+}
+
 const ID: Option<MessageId> = Some(MessageId { sender: 9, sequence: 1 });
 
 #[test]
@@ -44,27 +47,26 @@ fn bytes_from_outside_are_served_and_the_reply_goes_back_as_bytes() {
         assert_eq!(identity.fingerprint, ContractIdentity::of::<Add>().fingerprint);
 
         let (place, reply_to) = reply();
-        add.deliver(&encoded(&Add(4)), ID, Some(reply_to), Duration::ZERO).unwrap();
+        add.deliver(&encoded(&Add(4)), postmark(ID), Some(reply_to)).unwrap();
         settle().await;
         let bytes = place.lock().unwrap().take().unwrap().unwrap();
         assert_eq!(codec::decode_reply::<Add>(&bytes).unwrap(), 4);
 
         let (_, note) = registry.doorway(&name("acc"), Note::NAME).unwrap();
-        note.deliver(&encoded(&Note(7)), None, None, Duration::ZERO).unwrap();
+        note.deliver(&encoded(&Note(7)), postmark(None), None).unwrap();
         settle().await;
         assert_eq!(logged(&log), [7]);
 
         let (_, kill) = registry.doorway(&name("acc"), Boom::NAME).unwrap();
         for life in 1..=3 {
             let (place, reply_to) = reply();
-            kill.deliver(&encoded(&boom("x")), ID, Some(reply_to), Duration::ZERO).unwrap();
+            kill.deliver(&encoded(&boom("x")), postmark(ID), Some(reply_to)).unwrap();
             settle().await;
             let why = place.lock().unwrap().take().unwrap().unwrap_err();
             assert_eq!(why, Why::PeerDied { incarnation: Incarnation(life) });
         }
         let (place, reply_to) = reply();
-        let refused =
-            kill.deliver(&encoded(&boom("x")), ID, Some(reply_to), Duration::ZERO).unwrap_err();
+        let refused = kill.deliver(&encoded(&boom("x")), postmark(ID), Some(reply_to)).unwrap_err();
         assert_eq!(refused, Why::Quarantined { kills: 3 });
         assert_eq!(place.lock().unwrap().take(), Some(Err(refused)));
     });
@@ -79,9 +81,8 @@ fn bytes_that_are_no_message_are_refused_and_counted() {
         let (_, add) = registry.doorway(&name("acc"), Add::NAME).unwrap();
 
         let (place, reply_to) = reply();
-        let why = add
-            .deliver(b"garbage that is no number", ID, Some(reply_to), Duration::ZERO)
-            .unwrap_err();
+        let why =
+            add.deliver(b"garbage that is no number", postmark(ID), Some(reply_to)).unwrap_err();
 
         assert!(matches!(why, Why::Undecodable { .. }), "{why}");
         assert_eq!(place.lock().unwrap().take(), Some(Err(why)));
@@ -99,8 +100,8 @@ fn a_message_from_outside_for_which_there_is_no_room_is_counted() {
         let (_child, acc) = stage.start(spec.queue(1, WhenFull::Refuse)).await;
         let (_, note) = stage.environment.registry.doorway(&name("acc"), Note::NAME).unwrap();
 
-        note.deliver(&encoded(&Note(1)), None, None, Duration::ZERO).unwrap();
-        let why = note.deliver(&encoded(&Note(2)), None, None, Duration::ZERO).unwrap_err();
+        note.deliver(&encoded(&Note(1)), postmark(None), None).unwrap();
+        let why = note.deliver(&encoded(&Note(2)), postmark(None), None).unwrap_err();
         settle().await;
 
         assert_eq!((why, logged(&log)), (Why::Full, vec![1]));
@@ -172,8 +173,9 @@ impl RemoteDoors for Mirror {
     }
 }
 impl RemoteDoor for MirrorDoor {
-    fn send(&self, message: Bytes, id: Option<MessageId>, to: Option<ReplyTo>) -> Result<(), Why> {
-        self.0.deliver(&message, id, to, Duration::ZERO)
+    fn send(&self, message: Bytes, asked: Option<Asked>) -> Result<(), Why> {
+        let id = asked.as_ref().and_then(|asked| asked.id);
+        self.0.deliver(&message, postmark(id), asked.map(|asked| asked.reply_to))
     }
     fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         Box::pin(std::future::ready(()))

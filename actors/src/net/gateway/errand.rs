@@ -21,6 +21,8 @@ pub(in crate::net) struct Ship {
     pub(in crate::net) id: Option<MessageId>,
     /// When it was sent: its contract may bound its age.
     pub(in crate::net) sent: Instant,
+    /// When its answer is no use any more.
+    pub(in crate::net) until: Option<Instant>,
     pub(in crate::net) payload: Bytes,
     pub(in crate::net) reply_to: Option<ReplyTo>,
     pub(in crate::net) gate: Arc<Gate>,

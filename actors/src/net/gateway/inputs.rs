@@ -11,7 +11,6 @@ use blastema_contract::session::{Leave, SessionReported};
 use blastema_core::net::exchange::Call;
 use blastema_core::{ObjectAddress, ObjectName, Why};
 use std::sync::atomic::Ordering::Relaxed;
-use tracing::error;
 
 impl Handler<SessionReported> for Gateway {
     type Result = ();
@@ -40,7 +39,7 @@ impl Handler<SessionReported> for Gateway {
                 self.peers.entry(peer).and_modify(|peer| {
                     (peer.session, peer.incarnation, peer.left) = (session, incarnation, false);
                 });
-                self.exchange.handle_opened(peer, platform::now());
+                self.exchange.handle_opened(peer, incarnation, platform::now());
                 for announcement in self.naming.handle_opened(node, incarnation) {
                     let now = platform::now();
                     self.exchange.handle_own_names(Some(peer), &announcement, now);
@@ -50,9 +49,9 @@ impl Handler<SessionReported> for Gateway {
             SessionReported::Message { peer, message } => {
                 self.exchange.handle_message(peer, message, platform::now());
             }
-            SessionReported::Returned { peer, message, why, .. } => {
+            SessionReported::Returned { peer, message, why, sent } => {
                 let why = self.because(peer, why);
-                self.exchange.handle_returned(peer, message, why);
+                self.exchange.handle_returned(peer, message, why, sent);
             }
             SessionReported::Ended { peer, why } => {
                 let condition = match self.exchange.is_reachable(peer) {
@@ -75,7 +74,7 @@ impl Handler<Ship> for Gateway {
     type Result = ();
 
     fn handle(&mut self, message: Ship, context: &mut Context<Self>) {
-        let Ship { to, contract, id, sent, payload, reply_to, gate } = message;
+        let Ship { to, contract, id, sent, until, payload, reply_to, gate } = message;
         gate.taken();
         let reply_as = reply_to.map(|reply_to| {
             let number = self.number();
@@ -83,7 +82,8 @@ impl Handler<Ship> for Gateway {
             number
         });
         let ObjectAddress { node, object } = to;
-        self.exchange.handle_call(Call { node, object, contract, id, sent, payload, reply_as });
+        let call = Call { node, object, contract, id, sent, until, payload, reply_as };
+        self.exchange.handle_call(call);
         self.drive(context);
     }
 }
@@ -93,7 +93,7 @@ impl Handler<Answered> for Gateway {
 
     fn handle(&mut self, message: Answered, context: &mut Context<Self>) {
         let Answered { peer, epoch, call, result } = message;
-        self.exchange.handle_answer(peer, epoch, call, result);
+        self.exchange.handle_answer(peer, epoch, call, result, platform::now());
         self.drive(context);
     }
 }
@@ -107,9 +107,9 @@ impl Handler<Published> for Gateway {
             forwarded.waiting.fetch_sub(1, Relaxed);
         }
         match self.verify((peer, subscription)) {
-            Ok(()) => self.exchange.handle_event(peer, subscription, event, sent),
+            Ok(by) => self.exchange.handle_event(peer, by, event, sent),
             Err(why @ Why::ContractDiffers { .. }) => {
-                error!("a listener's contract differs: {why}");
+                self.differs(peer, &why.to_string());
                 self.end_forward((peer, subscription));
                 self.exchange.handle_subscribe_refused(peer, subscription, why);
             }
@@ -124,8 +124,8 @@ impl Handler<Interested> for Gateway {
 
     fn handle(&mut self, message: Interested, context: &mut Context<Self>) {
         let Interested { key, more } = message;
-        let identity = self.wiring.topics.identity(&key).filter(|_| more);
-        self.exchange.handle_interest(topic(&key), identity);
+        let identities = if more { self.wiring.topics.identities(&key) } else { Vec::new() };
+        self.exchange.handle_interest(topic(&key), identities);
         self.drive(context);
     }
 }

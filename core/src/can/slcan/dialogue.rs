@@ -1,14 +1,15 @@
 //! How an adapter is brought onto the bus, and how fast it is given frames.
 //!
 //! ```text
-//!           done, refused, or no answer          done, or no answer          done, or no answer
-//! Closing ──────────────────────────────► Setting ───────────────► Opening ────────────────► Open
-//!                                             │ refused               │ refused
-//!                                             └───────► Failed ◄──────┘
+//!           a pause               done, or no answer          done, or no answer
+//! Closing ───────────► Setting ────────────────────► Opening ─────────────────► Open
+//!                         │ refused                     │ refused
+//!                         └──────────► Failed ◄─────────┘
 //! ```
 //!
 //! Many an adapter answers nothing at all: silence is no failure. One that is open already, by a program
-//! that died, is closed first, which an adapter that is closed refuses.
+//! that died, is closed first, which an adapter that is closed refuses: whatever is heard in the pause
+//! after that says nothing.
 
 use super::{BitRate, Command, Reply};
 use crate::Instant;
@@ -17,6 +18,9 @@ use std::time::Duration;
 
 /// How long an adapter may take for an answer. Those that answer do so within a few milliseconds.
 const PATIENCE: Duration = Duration::from_millis(200);
+/// How long whatever an adapter says after it was closed counts for nothing: what a serial line of 9,600
+/// bit/s and a dozen bytes take.
+const PAUSE: Duration = Duration::from_millis(20);
 /// Frames may be so far ahead of the bus: a dozen of them at 500 kbit/s, which every adapter's memory
 /// holds. More would only wait there, before what is more urgent.
 const AHEAD: Duration = Duration::from_millis(3);
@@ -72,7 +76,7 @@ impl Dialogue {
         Dialogue { rate, state, free, refused: 0 }
     }
 
-    /// How many frames, or commands, it refused.
+    /// How many frames it refused.
     pub fn refused(&self) -> u64 {
         self.refused
     }
@@ -93,7 +97,8 @@ impl Dialogue {
     /// The command that is to be written next, if any; it counts as written.
     pub fn poll_command(&mut self, now: Instant) -> Option<Command> {
         let State::Saying(step) = self.state else { return None };
-        self.state = State::Waiting { step, until: now + PATIENCE };
+        let patience = if step == Step::Close { PAUSE } else { PATIENCE };
+        self.state = State::Waiting { step, until: now + patience };
         Some(match step {
             Step::Close => Command::Close,
             Step::BitRate => Command::BitRate(self.rate),
@@ -108,15 +113,19 @@ impl Dialogue {
             Reply::Done | Reply::Sent => false,
             Reply::Frame { .. } | Reply::Answer(_) => return,
         };
-        self.refused += u64::from(refused);
-        if let State::Waiting { step, .. } = self.state {
-            self.state = match step {
-                Step::BitRate if refused => {
-                    State::Failed(AdapterError::BitRate { hz: self.rate.hz() })
-                }
-                Step::Open if refused => State::Failed(AdapterError::Open),
-                _ => after(step),
-            };
+        match self.state {
+            State::Waiting { step: Step::Close, .. } => {}
+            State::Waiting { step, .. } => {
+                self.state = match step {
+                    Step::BitRate if refused => {
+                        State::Failed(AdapterError::BitRate { hz: self.rate.hz() })
+                    }
+                    Step::Open if refused => State::Failed(AdapterError::Open),
+                    _ => after(step),
+                };
+            }
+            State::Open => self.refused += u64::from(refused),
+            State::Saying(_) | State::Failed(_) => {}
         }
     }
 
@@ -219,6 +228,7 @@ mod tests {
             said.extend(dialogue.poll_command(at(1)));
             assert_eq!(dialogue.poll_command(at(1)), None, "one at a time");
             dialogue.handle_reply(&Reply::Done);
+            dialogue.handle_timeout(at(21));
         }
 
         assert_eq!(said, [Command::Close, Command::BitRate(rate()), Command::Open]);
@@ -226,16 +236,14 @@ mod tests {
 
     #[test]
     fn every_reply_in_every_state() {
-        let [_, _, rate_next, _, open_next, _, open, failed] = before();
+        let [close, pause, set, _, join, _, open, failed] = before();
         for reply in [Reply::Done, Reply::Sent] {
-            let [close, _, set, _, join, ..] = before();
-            let expected = [close, rate_next, set, open_next, join, open, open, failed];
+            let expected = [close, pause, set, join, join, open, open, failed];
             check(|dialogue| dialogue.handle_reply(&reply), expected);
         }
-        let [close, _, set, _, join, ..] = before();
         let rate_refused = State::Failed(AdapterError::BitRate { hz: 500_000 });
         let open_refused = State::Failed(AdapterError::Open);
-        let expected = [close, rate_next, set, rate_refused, join, open_refused, open, failed];
+        let expected = [close, pause, set, rate_refused, join, open_refused, open, failed];
         check(|dialogue| dialogue.handle_reply(&Reply::Refused), expected);
         let frame = CanFrame::remote(CanId::standard(1).unwrap(), 0).unwrap();
         for reply in [Reply::Frame { frame, time_ms: None }, Reply::Answer("V1013".into())] {
@@ -279,10 +287,11 @@ mod tests {
     }
 
     #[test]
-    fn refusals_are_counted() {
-        let mut dialogue = Dialogue::new(rate());
-        dialogue.handle_reply(&Reply::Refused);
-        dialogue.handle_reply(&Reply::Done);
-        assert_eq!((dialogue.refused(), dialogue.failure()), (1, None));
+    fn frames_that_are_refused_are_counted_and_commands_are_not() {
+        for (name, mut dialogue) in all() {
+            dialogue.handle_reply(&Reply::Refused);
+            dialogue.handle_reply(&Reply::Sent);
+            assert_eq!(dialogue.refused(), u64::from(name == "open"), "{name}");
+        }
     }
 }

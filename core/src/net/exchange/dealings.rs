@@ -1,11 +1,11 @@
 //! What is going on with one peer, as long as its session lasts.
 
-use super::vocabulary::{Epoch, ExchangeOutput};
+use super::vocabulary::{Call, Epoch, ExchangeOutput};
 use crate::net::age::Ages;
-use crate::net::message::Message;
+use crate::net::message::{Message, TICK_US};
 use crate::net::node_id::NodeId;
 use crate::net::segment::Stream;
-use crate::{ContractIdentity, Instant, MessageId, ObjectName};
+use crate::{ContractIdentity, Delivery, Incarnation, Instant, MessageId, ObjectName};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -22,17 +22,23 @@ pub(super) type Numbers = BTreeMap<u32, Bound>;
 #[derive(Debug)]
 pub(super) struct Session {
     pub(super) epoch: Epoch,
+    /// With which life of the peer.
+    pub(super) incarnation: Incarnation,
     /// Our stamps count from here.
     pub(super) began: Instant,
     /// Known from the peer's first stamp on.
     pub(super) ages: Option<Ages>,
     pub(super) bindings: BTreeMap<Bound, Binding>,
     pub(super) numbers: Numbers,
-    /// Our requests that are not answered, by their number on the wire, and the callers' numbers.
-    pub(super) calls: BTreeMap<u64, u64>,
+    /// Our requests that are not answered, by their number on the wire.
+    pub(super) calls: BTreeMap<u64, Pending>,
     pub(super) notices: BTreeSet<u64>,
     /// How many bindings and subscriptions the peer has here.
     pub(super) taken: usize,
+    /// The peer's bindings whose replies go every way; no more than it has bindings.
+    pub(super) redundant: BTreeSet<u32>,
+    /// The requests through them that are not answered.
+    pub(super) redundant_calls: BTreeSet<u64>,
 }
 
 #[derive(Debug)]
@@ -48,10 +54,36 @@ pub(super) struct Waiting {
     pub(super) id: Option<MessageId>,
     pub(super) sent: Instant,
     pub(super) payload: Bytes,
-    pub(super) reply_as: Option<u64>,
+    pub(super) pending: Option<Pending>,
+}
+
+/// A request of ours.
+#[derive(Debug)]
+pub(super) struct Pending {
+    /// The caller's number.
+    pub(super) reply_as: u64,
+    pub(super) until: Option<Instant>,
+    /// It may be sent again.
+    pub(super) again: Option<Box<Call>>,
 }
 
 impl Session {
+    pub(super) fn new(epoch: Epoch, incarnation: Incarnation, began: Instant) -> Self {
+        Session {
+            epoch,
+            incarnation,
+            began,
+            ages: None,
+            bindings: BTreeMap::new(),
+            numbers: BTreeMap::new(),
+            calls: BTreeMap::new(),
+            notices: BTreeSet::new(),
+            taken: 0,
+            redundant: BTreeSet::new(),
+            redundant_calls: BTreeSet::new(),
+        }
+    }
+
     pub(super) fn stamp_us(&self, sent: Instant) -> u64 {
         u64::try_from((sent - self.began).as_micros()).unwrap_or(u64::MAX)
     }
@@ -63,22 +95,25 @@ impl Session {
     pub(super) fn send(
         &mut self,
         peer: NodeId,
-        binding: u32,
+        (binding, delivery): (u32, Delivery),
         waiting: Waiting,
         next_call: &mut u64,
     ) -> ExchangeOutput {
-        let Waiting { id, sent, payload, reply_as } = waiting;
+        let Waiting { id, sent, payload, pending } = waiting;
         let stamp_us = self.stamp_us(sent);
-        let message = match reply_as {
+        let message = match pending {
             None => Message::Tell { binding, stamp_us, id, payload },
-            Some(reply_as) => {
+            Some(pending) => {
                 *next_call += 1;
                 let call = *next_call;
-                self.calls.insert(call, reply_as);
-                Message::Request { binding, call, id, payload }
+                // A deadline of less than a tick is one all the same.
+                let within = pending.until.map_or(0, |until| ticks(until - sent).max(1));
+                self.calls.insert(call, pending);
+                let stamp = stamp_us / TICK_US;
+                Message::Request { binding, call, stamp, within, id, payload }
             }
         };
-        ExchangeOutput::Send { peer, stream: Stream::Data, message: message.encode() }
+        carry(peer, (binding << 1) | 1, delivery, &message)
     }
 
     /// The peer has agreed: what waited goes out. `None` if nothing was asked.
@@ -89,10 +124,33 @@ impl Session {
         next_call: &mut u64,
     ) -> Option<Vec<ExchangeOutput>> {
         let key = self.numbers.get(&number)?;
-        let waiting = self.bindings.get_mut(key)?.waiting.take()?;
+        let binding = self.bindings.get_mut(key)?;
+        let (waiting, delivery) = (binding.waiting.take()?, binding.contract.delivery);
         let room = (waiting.len() > WAITING).then_some(ExchangeOutput::Room { peer });
-        let sent = waiting.into_iter().map(|waiting| self.send(peer, number, waiting, next_call));
+        let sent = waiting
+            .into_iter()
+            .map(|waiting| self.send(peer, (number, delivery), waiting, next_call));
         // Room first: the session may find itself full, and must have the last word.
         Some(room.into_iter().chain(sent).collect())
+    }
+}
+
+fn ticks(span: Duration) -> u64 {
+    u64::try_from(span.as_micros()).unwrap_or(u64::MAX) / TICK_US
+}
+
+/// Hands a message over as its contract wants it to travel. Channels of subscriptions are even, those of
+/// bindings odd.
+pub(super) fn carry(
+    peer: NodeId,
+    channel: u32,
+    delivery: Delivery,
+    message: &Message,
+) -> ExchangeOutput {
+    let message = message.encode();
+    match delivery {
+        Delivery::Reliable => ExchangeOutput::Send { peer, stream: Stream::Data, message },
+        Delivery::Redundant => ExchangeOutput::Send { peer, stream: Stream::Redundant, message },
+        Delivery::Newest => ExchangeOutput::SendNewest { peer, channel, message },
     }
 }

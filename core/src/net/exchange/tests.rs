@@ -1,9 +1,9 @@
 //! Two exchanges that hear each other.
 
 use super::*;
-use crate::NodeName;
 use crate::layout::{Described, Layout};
 use crate::net::naming::Announcement;
+use crate::{Delivery, Incarnation, NodeName};
 
 fn layout_of_number() -> &'static Layout {
     u64::layout()
@@ -16,7 +16,15 @@ fn layout_of_text() -> &'static Layout {
 fn contract(message: crate::layout::LayoutOf) -> ContractIdentity {
     let reply = layout_of_number;
     let fingerprint = crate::contract::fingerprint(message, reply);
-    ContractIdentity { name: "count", version: 1, fingerprint, message, reply }
+    ContractIdentity {
+        name: "count",
+        version: 1,
+        delivery: Delivery::Reliable,
+        idempotent: false,
+        fingerprint,
+        message,
+        reply,
+    }
 }
 
 fn count() -> ContractIdentity {
@@ -63,7 +71,7 @@ impl Pair {
         for end in 0..2 {
             let peer = pair.ids[1 - end];
             pair.ends[end].handle_reachable(peer, true);
-            pair.ends[end].handle_opened(peer, at(0));
+            pair.ends[end].handle_opened(peer, Incarnation(1), at(0));
         }
         pair.run();
         pair
@@ -102,6 +110,7 @@ impl Pair {
             contract,
             id: None,
             sent: at(self.now),
+            until: None,
             payload: payload(),
             reply_as,
         };
@@ -142,8 +151,8 @@ fn the_first_message_binds_and_all_are_served_in_order() {
         .collect();
     assert_eq!(calls, [Some(1), None, Some(2)]);
     let left = pair.ids[0];
-    pair.ends[1].handle_answer(left, epoch, 2, Ok(payload()));
-    pair.ends[1].handle_answer(left, epoch, 1, Err(Why::Stopped));
+    pair.ends[1].handle_answer(left, epoch, 2, Ok(payload()), at(0));
+    pair.ends[1].handle_answer(left, epoch, 1, Err(Why::Stopped), at(0));
     pair.run();
     let resolved = |reply_as, result| ExchangeOutput::Resolve { reply_as, result };
     assert_eq!(pair.take(0), [resolved(11, Ok(payload())), resolved(10, Err(Why::Stopped))]);
@@ -188,17 +197,18 @@ fn everything_is_resolved_when_the_session_ends_and_late_answers_go_nowhere() {
     pair.ends[0].handle_ended(right, &Why::Stopped);
     pair.run();
 
-    let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(Why::Stopped) };
+    let unknown = Why::OutcomeUnknown { reason: Why::Stopped.to_string() };
+    let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(unknown) };
     let noticed = ExchangeOutput::Noticed { number: 77, arrived: false };
     assert_eq!(pair.take(0), [resolved, noticed, ExchangeOutput::Forget { peer: right }]);
 
     let left = pair.ids[0];
     pair.ends[1].handle_ended(left, &Why::Stopped);
     for end in 0..2 {
-        pair.ends[end].handle_opened(pair.ids[1 - end], at(0));
+        pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
     }
     pair.take(1);
-    pair.ends[1].handle_answer(left, epoch, 1, Ok(payload()));
+    pair.ends[1].handle_answer(left, epoch, 1, Ok(payload()), at(0));
     pair.run();
     assert_eq!(pair.take(0), [], "the answer belongs to the session before");
 }
@@ -225,7 +235,8 @@ fn too_many_messages_for_one_binding_are_told_and_then_refused() {
     for _ in 0..WAITING_MAX + 1 {
         let (node, object) = (node("right"), arm());
         let (id, reply_as, contract) = (None, None, count());
-        let call = Call { node, object, contract, id, sent: at(0), payload: payload(), reply_as };
+        let (sent, until, payload) = (at(0), None, payload());
+        let call = Call { node, object, contract, id, sent, until, payload, reply_as };
         pair.ends[0].handle_call(call);
     }
     pair.run();
@@ -242,9 +253,9 @@ fn too_many_messages_for_one_binding_are_told_and_then_refused() {
 #[test]
 fn an_interest_is_told_now_and_to_every_later_session() {
     let mut pair = Pair::new();
-    pair.ends[0].handle_interest(topic(), Some(count()));
+    pair.ends[0].handle_interest(topic(), vec![count()]);
     for end in 0..2 {
-        pair.ends[end].handle_opened(pair.ids[1 - end], at(0));
+        pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
     }
     pair.run();
     let told = pair.take(1);
@@ -253,16 +264,17 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     };
     assert_eq!(*wanted, topic());
 
-    pair.ends[1].handle_event(*peer, *subscription, payload(), at(0));
+    pair.ends[1].handle_event(*peer, (*subscription, Delivery::Reliable), payload(), at(0));
     pair.run();
-    let event = ExchangeOutput::Event { topic: topic(), age: Duration::ZERO, payload: payload() };
+    let event =
+        ExchangeOutput::Event { topic: topic(), form: 0, age: Duration::ZERO, payload: payload() };
     assert_eq!(pair.take(0), [event]);
 
-    pair.ends[0].handle_interest(topic(), None);
+    pair.ends[0].handle_interest(topic(), vec![]);
     pair.run();
     let (peer, subscription) = (*peer, *subscription);
     assert_eq!(pair.take(1), [ExchangeOutput::Unsubscribe { peer, subscription }]);
-    pair.ends[1].handle_event(peer, subscription, payload(), at(0));
+    pair.ends[1].handle_event(peer, (subscription, Delivery::Reliable), payload(), at(0));
     pair.run();
     assert_eq!(pair.take(0), []);
     assert_eq!(pair.ends[0].refusals().stale, 1);
@@ -297,6 +309,7 @@ fn a_returned_message_resolves_its_request() {
         contract: count(),
         id: None,
         sent: at(0),
+        until: None,
         payload: payload(),
         reply_as,
     };
@@ -306,7 +319,7 @@ fn a_returned_message_resolves_its_request() {
         let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
             panic!("it is sent");
         };
-        pair.ends[0].handle_returned(peer, message, Why::Full);
+        pair.ends[0].handle_returned(peer, message, Why::Full, false);
         told.extend(pair.ends[0].poll_output());
     }
 

@@ -33,6 +33,8 @@ pub struct Call {
     pub id: Option<MessageId>,
     /// When the object sent it.
     pub sent: Instant,
+    /// When the answer is no use any more.
+    pub until: Option<Instant>,
     /// The message.
     pub payload: Bytes,
     /// The number by which the caller knows the request; `None` if it wants no reply.
@@ -48,6 +50,15 @@ pub enum ExchangeOutput {
         peer: NodeId,
         /// In which stream.
         stream: Stream,
+        /// What.
+        message: Bytes,
+    },
+    /// Give this to the session with the peer, to be sent once: of the channel the newest counts.
+    SendNewest {
+        /// Whom.
+        peer: NodeId,
+        /// On which channel.
+        channel: u32,
         /// What.
         message: Bytes,
     },
@@ -77,8 +88,10 @@ pub enum ExchangeOutput {
         call: Option<u64>,
         /// By which identity a repeated message is known.
         id: Option<MessageId>,
-        /// How long it has been on its way; zero for a request, whose caller minds its own deadline.
+        /// How long it has been on its way.
         age: Duration,
+        /// A request is not to be begun after this.
+        until: Option<Instant>,
         /// The message.
         payload: Bytes,
     },
@@ -124,8 +137,9 @@ pub enum ExchangeOutput {
         subscription: u32,
         /// Which topic.
         topic: TopicContract,
-        /// The contract as the peer knows it.
-        identity: Box<PeerIdentity>,
+        /// The contract as the peer knows it, and then the earlier versions that it understands. What is
+        /// sent by the n-th of them goes under the number and n.
+        identities: Vec<PeerIdentity>,
     },
     /// Send no more of this.
     Unsubscribe {
@@ -138,6 +152,8 @@ pub enum ExchangeOutput {
     Event {
         /// Which topic.
         topic: TopicContract,
+        /// By which of our versions of the contract it is read: 0 is the present one.
+        form: usize,
         /// How long it has been on its way.
         age: Duration,
         /// The event.

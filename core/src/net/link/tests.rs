@@ -228,6 +228,29 @@ fn an_observer_that_is_a_little_late_first_reads_what_has_come() {
 }
 
 #[test]
+fn a_link_that_is_suspect_over_and_over_is_heard_longer_each_time_before_it_is_trusted() {
+    let mut cable = running();
+    let mut spans = vec![];
+    for _ in 0..4 {
+        cable.cut = [true; 2];
+        while cable.ends[0].state() != LinkState::Suspect {
+            cable.run_until(cable.now + 1);
+        }
+        assert!(!cable.ends[0].is_proving());
+        cable.cut = [false; 2];
+        let back = cable.now;
+        let mut proving = false;
+        while cable.ends[0].state() != LinkState::Up {
+            cable.run_until(cable.now + 1);
+            proving |= cable.ends[0].is_proving();
+        }
+        spans.push((cable.now - back, proving));
+        cable.run_until(cable.now + 200);
+    }
+    assert!(spans.is_sorted() && !spans[0].1 && spans[3].1 && spans[3].0 > 60, "{spans:?}");
+}
+
+#[test]
 fn a_restarted_neighbour_is_a_new_incarnation_and_the_old_one_is_never_heard_again() {
     let mut cable = running();
     let old_hello = Frame::Hello(Hello {
@@ -360,6 +383,19 @@ fn loss_alone_hardly_ever_takes_a_link_down() {
     };
     // Both ends together; with three and a half intervals it would be some sixty.
     assert!(cable.told.iter().filter(down).count() <= 6);
+}
+
+#[test]
+fn an_outage_counts_as_no_loss_once_it_is_over() {
+    let mut cable = running();
+    for _ in 0..3 {
+        cable.cut = [true; 2];
+        cable.run_until(cable.now + 45);
+        cable.cut = [false; 2];
+        cable.run_until(cable.now + 1000);
+    }
+    assert_eq!(cable.states(), [LinkState::Up; 2]);
+    assert_eq!(cable.ends[0].quality().loss_permille, 0);
 }
 
 #[test]

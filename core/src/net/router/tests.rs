@@ -107,6 +107,21 @@ fn the_alternate_is_known_ahead_and_taken_without_any_computation() {
 }
 
 #[test]
+fn of_two_ways_that_are_not_well_the_better_one_is_taken() {
+    let mut router = between_two();
+    let mut chosen = |left, right| {
+        router.handle_link(FIRST, LinkStatus { health: left, ..up("left", 1) }, at(1020));
+        router.handle_link(SECOND, LinkStatus { health: right, ..up("right", 5) }, at(1020));
+        router.route(id("far")).unwrap().chosen
+    };
+
+    assert_eq!(chosen(Health::Suspect, Health::Proving), Some(SECOND));
+    assert_eq!(chosen(Health::Proving, Health::Suspect), Some(FIRST));
+    assert_eq!(chosen(Health::Proving, Health::Up), Some(SECOND));
+    assert_eq!(chosen(Health::Suspect, Health::Suspect), Some(FIRST));
+}
+
+#[test]
 fn a_way_that_would_lead_back_is_no_alternate() {
     let mut router = router();
     router.handle_link(FIRST, up("left", 1), at(1000));
@@ -132,6 +147,60 @@ fn an_edge_counts_only_if_both_ends_announce_it() {
     let told = without_routing(outputs(&mut router, 1030));
 
     assert!(matches!(&told[..], [RouterOutput::Reachable { node, .. }] if *node == named("far")));
+}
+
+#[test]
+fn who_boasts_of_a_cheap_link_draws_no_traffic_unless_its_other_end_says_so_too() {
+    let mut router = between_two();
+    // By `left`, `far` costs 1 and 50, whatever `left` says: `right` is nearer with 5 and 1.
+    tell(&mut router, FIRST, advertisement("left", 2, &[("own", 1), ("far", 1)]), 1020);
+    tell(&mut router, FIRST, advertisement("far", 2, &[("left", 50), ("right", 1)]), 1020);
+    outputs(&mut router, 1030);
+    let route = router.route(id("far")).unwrap();
+    assert_eq!((route.next, route.cost), (SECOND, 6));
+
+    // That it has links to others, none of them confirms.
+    let boast = [("own", 1), ("far", 1), ("right", 1), ("nowhere", 1)];
+    tell(&mut router, FIRST, advertisement("left", 3, &boast), 1040);
+    outputs(&mut router, 1050);
+    assert_eq!(router.route(id("right")).unwrap().next, SECOND);
+    assert!(router.route(id("nowhere")).is_none());
+}
+
+#[test]
+fn a_link_that_is_said_to_carry_next_to_nothing_is_no_way() {
+    let mut router = between_two();
+    let mut narrow = advertisement("far", 2, &[("left", 1), ("right", 1)]);
+    narrow.edges[0].mtu = 1;
+
+    tell(&mut router, FIRST, narrow, 1020);
+    outputs(&mut router, 1030);
+
+    let route = router.route(id("far")).unwrap();
+    assert_eq!((route.next, route.mtu), (SECOND, 1400));
+}
+
+#[test]
+fn what_somebody_says_in_our_name_is_outdone() {
+    let mut router = between_two();
+
+    tell(&mut router, FIRST, advertisement("own", 700, &[("nowhere", 1)]), 1020);
+
+    let told = announced(&outputs(&mut router, 1020), SECOND);
+    let own = told.iter().find(|told| told.stamp.origin == id("own")).unwrap();
+    assert_eq!((own.stamp.sequence, own.edges.len()), (701, 2));
+}
+
+#[test]
+fn a_way_that_became_dearer_further_on_is_told_so_that_what_was_lost_there_is_repeated() {
+    let mut router = between_two();
+    router.handle_link(SECOND, LinkStatus { health: Health::Down, ..up("right", 5) }, at(1020));
+    without_routing(outputs(&mut router, 1020));
+
+    tell(&mut router, FIRST, advertisement("left", 2, &[("own", 1), ("far", 9)]), 1040);
+
+    let changed = RouterOutput::PathChanged { node: id("far"), mtu: 1389 };
+    assert!(outputs(&mut router, 1050).contains(&changed));
 }
 
 #[test]

@@ -60,11 +60,13 @@ pub struct LinkStatus {
     pub mtu: usize,
 }
 
-/// Whether a link can be used.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Whether a link can be used, the best first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Health {
     /// It carries.
     Up,
+    /// It carries again, and has failed too often lately to be taken where there is another way.
+    Proving,
     /// It may have failed: taken only where there is no other way.
     Suspect,
     /// It does not carry.

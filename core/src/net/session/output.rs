@@ -1,6 +1,6 @@
 //! What a session wants done, and what it did.
 
-use crate::net::packet::Class;
+use crate::net::packet::{Class, Undelivered};
 use crate::net::segment::Stream;
 use crate::{Incarnation, Why};
 use bytes::Bytes;
@@ -94,4 +94,8 @@ pub struct SessionCounters {
     /// Parts of that stream of which fewer copies came than of others around: some way does not carry,
     /// and nobody has noticed by the delivery.
     pub alone: u64,
+    /// Packets that came back undelivered; what is reliable of them was sent again.
+    pub returned: u64,
+    /// Why the last of them did.
+    pub last_return: Option<Undelivered>,
 }

@@ -4,7 +4,7 @@ use super::assembly::pieces_of;
 use super::outbound::Part;
 use super::{STREAMS, Session, SessionConfig, SessionOutput, State, lane};
 use crate::Instant;
-use crate::net::packet::Class;
+use crate::net::packet::{Class, Undelivered};
 use crate::net::segment::{Ack, DATA_HEADER, Data, Segment, Stream};
 
 /// Which stream goes first when several wait.
@@ -15,6 +15,18 @@ impl Session {
     pub(super) fn flying(&self, of: usize) -> usize {
         let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == of);
         streams.map(|stream| self.streams[stream as usize].outbound.flying()).sum()
+    }
+
+    /// Something of ours came back: it is repeated once the routers have had time to find another way,
+    /// and never faster than silence would be taken for loss.
+    pub fn handle_undelivered(&mut self, reason: Undelivered, now: Instant) {
+        self.now = now;
+        self.counters.returned += 1;
+        self.counters.last_return = Some(reason);
+        let soon = now + self.config.retransmit_min;
+        for lane in &mut self.retransmit_at {
+            *lane = lane.map(|at| at.min(soon));
+        }
     }
 
     /// Sends the next part that may be sent: control first, and what was lost before what is new.

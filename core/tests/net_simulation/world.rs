@@ -1,8 +1,6 @@
 //! Whole networks of link, router and session machines over wires that lose, delay, reorder and
 //! double, are cut and mended, between nodes that die and live again: one seed, one run.
 
-#![allow(dead_code, reason = "each test needs a part of it")]
-
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
 use blastema_core::net::router::{Health, LinkStatus};
 use blastema_core::net::segment::Stream;
@@ -24,6 +22,8 @@ pub(crate) struct Wire {
     /// Which node and which of its links, at both ends.
     pub(crate) ends: [(usize, usize); 2],
     pub(crate) cut: bool,
+    /// How probably it loses a frame, beside the weather.
+    pub(crate) loss: f64,
     pub(crate) mtu: usize,
 }
 
@@ -69,6 +69,8 @@ pub(crate) struct World {
     pub(crate) lives: Vec<u64>,
     pub(crate) frames: Frames,
     pub(crate) count: u64,
+    /// How often some traffic went another way.
+    pub(crate) path_changes: u64,
     pub(crate) trace: DefaultHasher,
     pub(crate) sent: BTreeMap<(usize, u64, usize), u64>,
     /// What arrived, and in which life of the receiver.
@@ -91,7 +93,7 @@ impl World {
             let ends = [(a, links[a]), (b, links[b])];
             links[a] += 1;
             links[b] += 1;
-            Wire { ends, cut: false, mtu: 1400 }
+            Wire { ends, cut: false, loss: 0.0, mtu: 1400 }
         };
         let wires = wires.iter().map(wire).collect();
         let mut world = World {
@@ -104,6 +106,7 @@ impl World {
             lives: vec![0; nodes],
             frames: BTreeMap::new(),
             count: 0,
+            path_changes: 0,
             trace: DefaultHasher::new(),
             sent: BTreeMap::new(),
             delivered: BTreeMap::new(),
@@ -208,7 +211,7 @@ impl World {
     }
 
     /// Carries out everything that a node's machines want.
-    fn settle(&mut self, index: usize) {
+    pub(crate) fn settle(&mut self, index: usize) {
         let Some(mut node) = self.nodes[index].take() else { return };
         while self.settle_links(&mut node)
             | self.settle_router(&mut node)
@@ -225,22 +228,23 @@ impl World {
             let (wire, side, _) = node.links[index];
             while let Some(output) = node.links[index].2.poll_output() {
                 busy = true;
-                let router = &mut node.router;
+                let (link, router) = (&node.links[index].2, &mut node.router);
                 match output {
                     LinkOutput::Transmit(frame) => self.throw(wire, side, &frame),
-                    LinkOutput::Changed { state, neighbour: Some(neighbour), .. } => {
-                        let health = match state {
+                    LinkOutput::Changed { .. } | LinkOutput::Quality(_) => {
+                        let Some(neighbour) = link.neighbour().cloned() else { continue };
+                        let health = match link.state() {
                             LinkState::Up => Health::Up,
+                            LinkState::Suspect if link.is_proving() => Health::Proving,
                             LinkState::Suspect => Health::Suspect,
                             LinkState::Down | LinkState::Connecting => Health::Down,
                         };
-                        let mtu = self.wires[wire].mtu;
-                        let status = LinkStatus { neighbour, health, cost: 10, mtu };
+                        let (mtu, cost) = (self.wires[wire].mtu, link.quality().cost_percent / 10);
+                        let status = LinkStatus { neighbour, health, cost, mtu };
                         router.handle_link(number, status, self.now);
                     }
                     LinkOutput::Routing(bytes) => router.handle_routing(number, bytes, self.now),
                     LinkOutput::Packet(packet) => router.handle_packet(number, packet, self.now),
-                    LinkOutput::Changed { .. } | LinkOutput::Quality(_) => {}
                     LinkOutput::Refused(refusal) => panic!("{refusal}"),
                 }
             }
@@ -254,12 +258,12 @@ impl World {
 
     /// Lets the weather have a frame.
     fn throw(&mut self, wire: usize, side: usize, frame: &Bytes) {
-        let Wire { cut, mtu, .. } = self.wires[wire];
+        let Wire { cut, mtu, loss: own, .. } = self.wires[wire];
         assert!(frame.len() <= mtu, "{} bytes for an mtu of {mtu}", frame.len());
         (self.now, wire, frame).hash(&mut self.trace);
         let Weather { loss, double, delay: (least, most) } = self.weather;
         for _ in 0..1 + u64::from(self.random.chance(double)) {
-            let lost = self.random.chance(loss);
+            let lost = self.random.chance(loss) || own > 0.0 && self.random.chance(own);
             let spread = (most - least).as_nanos() as u64;
             let delay = least + Duration::from_nanos(self.random.below(spread + 1));
             if !lost && !cut {
@@ -293,6 +297,7 @@ impl World {
                     session.handle_path(mtu, now);
                 }
                 RouterOutput::PathChanged { node: peer, mtu } => {
+                    self.path_changes += 1;
                     sessions.get_mut(&peer).unwrap().handle_path(mtu, now);
                 }
                 RouterOutput::Lost { node: peer, .. } => {
@@ -300,7 +305,11 @@ impl World {
                     node.reachable.remove(&id);
                     sessions.get_mut(&id).unwrap().handle_no_path(now);
                 }
-                RouterOutput::Undelivered { .. } => {}
+                RouterOutput::Undelivered { destination, reason } => {
+                    if let Some(session) = sessions.get_mut(&destination) {
+                        session.handle_undelivered(reason, now);
+                    }
+                }
                 other => panic!("{other:?}"),
             }
         }

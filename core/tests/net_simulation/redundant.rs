@@ -1,12 +1,10 @@
 //! What goes every way at once: a single fault is not noticed by whoever listens.
 
-mod simulation;
-
+use crate::world::{CALM, MS, World, for_seeds, name};
 use blastema_core::net::link::LinkState;
 use blastema_core::net::segment::Stream;
 use blastema_core::net::session::SessionCounters;
 use blastema_core::net::{NodeId, Session};
-use simulation::{CALM, MS, World, for_seeds, name};
 use std::time::Duration;
 
 const INTERVAL: Duration = Duration::from_millis(10);
@@ -59,7 +57,7 @@ fn single_faults(world: &mut World, count: usize, every: usize) -> usize {
     faults
 }
 
-/// Also with `cargo test --release -p blastema-core --test net_redundant`, which sends a million.
+/// Also with `cargo test --release -p blastema-core --test net_simulation`, which sends a million.
 #[test]
 fn single_faults_cost_nothing_and_no_gap_is_longer_than_two_intervals() {
     let (count, seeds) = if cfg!(debug_assertions) { (10_000, 0..2) } else { (1_000_000, 0..1) };

@@ -1,0 +1,240 @@
+//! Requests to other nodes: deadlines, identities, and what is said where nothing can be known.
+
+use super::*;
+use crate::WhenFull;
+
+/// Counts how often it takes effect, slowly.
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(reply = u64)]
+struct Book(u64);
+
+/// The same, and it may take effect twice.
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(reply = u64, idempotent)]
+struct SetTo(u64);
+
+const SERVICE: Duration = Duration::from_millis(100);
+
+/// Takes 100 ms for each request, and writes down what took effect.
+struct Desk(Log);
+
+impl Component for Desk {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Book>().serve::<SetTo>();
+    }
+}
+
+impl Desk {
+    async fn serve(&mut self, n: u64) -> u64 {
+        tokio::time::sleep(SERVICE).await;
+        self.0.0.lock().unwrap().push(n);
+        n
+    }
+}
+
+impl Handle<Book> for Desk {
+    async fn handle(&mut self, Book(n): Book, _: &mut Context<Self>) -> u64 {
+        self.serve(n).await
+    }
+}
+
+impl Handle<SetTo> for Desk {
+    async fn handle(&mut self, SetTo(n): SetTo, _: &mut Context<Self>) -> u64 {
+        self.serve(n).await
+    }
+}
+
+/// A component at this module, and what took effect there.
+async fn desk(module: &Module) -> (Box<dyn Child>, Log) {
+    let log = Log::default();
+    let kept = log.clone();
+    let spec = ChildSpec::new("desk", move || Desk(kept.clone())).queue(100, WhenFull::Refuse);
+    let (mut child, _) = spec.into_child(&module.host).unwrap();
+    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient());
+    settle().await;
+    (child, log)
+}
+
+fn asking<M: crate::Request>(
+    sender: Sender<M>,
+    message: M,
+    within: Duration,
+) -> actix_rt::task::JoinHandle<Result<M::Reply, Why>> {
+    actix_rt::spawn(
+        async move { sender.ask_within(message, within).await.map_err(|error| error.why) },
+    )
+}
+
+fn cut_all(robot: &Robot) {
+    ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
+}
+
+fn restore_all(robot: &Robot) {
+    ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.restore(end));
+}
+
+#[test]
+fn a_request_whose_deadline_passed_in_the_queue_is_not_begun() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_desk, log) = desk(&right).await;
+        let sender = left.sender::<Book>("right:desk");
+        assert_eq!(sender.ask(Book(0)).await.unwrap(), 0);
+
+        let asked: Vec<_> = (1..5).map(|n| asking(sender.clone(), Book(n), 250 * MS)).collect();
+        advance(2000 * MS).await;
+
+        let mut answers = Vec::new();
+        for asked in asked {
+            answers.push(asked.await.unwrap());
+        }
+        let late = Err(Why::DeadlinePassed);
+        assert_eq!(answers, [Ok(1), Ok(2), late.clone(), late]);
+        // The third was begun in time; the fourth was not.
+        assert_eq!(log.take(), [0, 1, 2, 3]);
+    });
+}
+
+#[test]
+fn a_request_that_was_late_on_the_way_is_not_begun() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let (_desk, log) = desk(&right).await;
+        let sender = left.sender::<Book>("right:desk");
+        assert_eq!(sender.ask(Book(0)).await.unwrap(), 0);
+
+        cut_all(&robot);
+        let late = asking(sender.clone(), Book(1), 300 * MS);
+        let in_time = asking(sender.clone(), Book(2), 10_000 * MS);
+        advance(1000 * MS).await;
+        restore_all(&robot);
+        advance(2000 * MS).await;
+
+        assert_eq!(late.await.unwrap(), Err(Why::DeadlinePassed));
+        assert_eq!(in_time.await.unwrap(), Ok(2));
+        assert_eq!(log.take(), [0, 2]);
+    });
+}
+
+#[test]
+fn where_the_way_was_lost_after_the_request_was_sent_the_outcome_is_not_known() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let (_desk, log) = desk(&right).await;
+        let sender = left.sender::<Book>("right:desk");
+        assert_eq!(sender.ask(Book(0)).await.unwrap(), 0);
+
+        let sent = asking(sender.clone(), Book(1), 60_000 * MS);
+        advance(20 * MS).await;
+        cut_all(&robot);
+        advance(500 * MS).await;
+        // No way is known any more: this one does not leave the node.
+        let kept = asking(sender.clone(), Book(2), 60_000 * MS);
+        advance(5000 * MS).await;
+
+        let why = sent.await.unwrap().unwrap_err();
+        assert!(matches!(why, Why::OutcomeUnknown { .. }), "{why}");
+        let why = kept.await.unwrap().unwrap_err();
+        assert_eq!(why, Why::Unreachable { node: "right".into() });
+        assert_eq!(log.take(), [0, 1], "it did take effect, which nobody could know");
+    });
+}
+
+#[test]
+fn an_idempotent_request_is_asked_again_by_itself_and_takes_effect_once() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let (_desk, log) = desk(&right).await;
+        let sender = left.sender::<SetTo>("right:desk");
+        assert_eq!(sender.ask(SetTo(0)).await.unwrap(), 0);
+
+        let asked = asking(sender.clone(), SetTo(1), 20_000 * MS);
+        let late = asking(sender.clone(), SetTo(2), 3000 * MS);
+        advance(20 * MS).await;
+        cut_all(&robot);
+        advance(5000 * MS).await;
+        assert_eq!(late.await.unwrap(), Err(Why::DeadlinePassed));
+        restore_all(&robot);
+        advance(5000 * MS).await;
+
+        assert_eq!(asked.await.unwrap(), Ok(1));
+        // Sent in two sessions, and served in the first.
+        assert_eq!(log.take(), [0, 1, 2]);
+    });
+}
+
+#[test]
+fn an_idempotent_request_goes_on_to_the_next_life_of_the_callees_node() {
+    paused(async {
+        let mut robot = Robot::default();
+        let left = robot.module("left", 1, &[("ethernet", &["right"])]).await;
+        let right = robot.module("right", 1, &[("ethernet", &["left"])]).await;
+        let (dying, log) = desk(&right).await;
+        advance(500 * MS).await;
+        let sender = left.sender::<SetTo>("right:desk");
+        assert_eq!(sender.ask(SetTo(0)).await.unwrap(), 0);
+
+        let again = asking(sender.clone(), SetTo(1), 20_000 * MS);
+        let once = asking(left.sender::<Book>("right:desk"), Book(2), 20_000 * MS);
+        advance(20 * MS).await;
+        robot.kill("ethernet/right");
+        drop((right, dying));
+        let right = robot.module("right", 2, &[("ethernet", &["left"])]).await;
+        let (_desk, _) = desk(&right).await;
+        advance(3000 * MS).await;
+
+        assert_eq!(again.await.unwrap(), Ok(1));
+        assert_eq!(once.await.unwrap(), Err(Why::PeerDied { incarnation: Incarnation(1) }));
+        drop(log);
+    });
+}
+
+#[test]
+fn a_request_that_is_sent_again_under_its_identity_takes_effect_once() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let (_desk, log) = desk(&right).await;
+        let sender = left.sender::<Book>("right:desk");
+        assert_eq!(sender.ask(Book(0)).await.unwrap(), 0);
+        let repeatable = sender.repeatable(Book(1));
+
+        let first = {
+            let sender = sender.repeatable(Book(9));
+            assert_ne!(sender.id(), repeatable.id());
+            let asked = actix_rt::spawn(async move {
+                let result = repeatable.ask_within(10_000 * MS).await;
+                (repeatable, result.map_err(|error| error.why))
+            });
+            advance(20 * MS).await;
+            cut_all(&robot);
+            advance(5000 * MS).await;
+            asked
+        };
+        let (repeatable, result) = first.await.unwrap();
+        assert!(matches!(result, Err(Why::OutcomeUnknown { .. })), "{result:?}");
+        restore_all(&robot);
+        advance(5000 * MS).await;
+
+        assert_eq!(repeatable.ask().await.unwrap(), 1);
+        assert_eq!(repeatable.ask().await.unwrap(), 1);
+        assert_eq!(log.take(), [0, 1]);
+    });
+}
+
+#[test]
+fn a_tell_by_another_contract_is_a_dead_letter_and_a_fault_of_the_sender() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let sender = left.sender::<super::other::Add>("right:acc");
+
+        sender.tell(super::other::Add { summand: 1.0 }).unwrap();
+        advance(50 * MS).await;
+
+        let acc = ObjectName::new("acc").unwrap();
+        assert_eq!(left.host.dead_letters.count(&acc, DeadReason::Refused), 1);
+        let declared = left.declared.expect().await;
+        assert_eq!(declared.kind, FaultKind::ContractMismatch);
+        assert!(declared.detail.contains("with node right"), "{}", declared.detail);
+        assert_eq!(right.declared.expect().await.object, acc);
+    });
+}

@@ -1,0 +1,187 @@
+//! How messages travel, as their contracts say.
+
+use super::*;
+use crate::{Event, WhenFull};
+
+/// A reading of which only the newest counts.
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(delivery = "newest", max_size = 100_000)]
+struct Reading(u64, Vec<u8>);
+
+/// A command that must not wait for a failed cable.
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(delivery = "redundant")]
+struct Stop(u64);
+
+/// The same as a question.
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(reply = u64, delivery = "redundant")]
+struct Halt(u64);
+
+struct Ear(Log);
+
+impl Component for Ear {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Reading>().accept::<Stop>().serve::<Halt>();
+        let _ = ports.listen::<Reading>();
+        let _ = ports.listen::<Stop>();
+    }
+}
+
+impl Handle<Reading> for Ear {
+    async fn handle(&mut self, Reading(n, _): Reading, _: &mut Context<Self>) {
+        self.0.0.lock().unwrap().push(n);
+    }
+}
+
+impl Handle<Stop> for Ear {
+    async fn handle(&mut self, Stop(n): Stop, _: &mut Context<Self>) {
+        self.0.0.lock().unwrap().push(n);
+    }
+}
+
+impl Handle<Halt> for Ear {
+    async fn handle(&mut self, Halt(n): Halt, _: &mut Context<Self>) -> u64 {
+        n
+    }
+}
+
+async fn ear(module: &Module) -> (Box<dyn Child>, Log) {
+    let log = Log::default();
+    let kept = log.clone();
+    let spec = ChildSpec::new("ear", move || Ear(kept.clone())).queue(20_000, WhenFull::Refuse);
+    let (mut child, _) = spec.into_child(&module.host).unwrap();
+    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient());
+    advance(50 * MS).await;
+    (child, log)
+}
+
+fn publisher<E: Event>(module: &Module) -> Publisher<E> {
+    module.host.topics.publisher(E::NAME).unwrap()
+}
+
+#[test]
+fn of_readings_the_newest_arrives_and_what_was_lost_is_not_repeated() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let (_ear, log) = ear(&right).await;
+        let publisher = publisher::<Reading>(&left);
+        let sender = left.sender::<Reading>("right:ear");
+
+        publisher.publish(Reading(1, vec![])).unwrap();
+        publisher.publish(Reading(2, vec![0; 50_000])).unwrap();
+        advance(10 * MS).await;
+        sender.tell(Reading(3, vec![])).unwrap();
+        advance(10 * MS).await;
+        assert_eq!(log.take(), [1, 2, 3]);
+
+        ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
+        publisher.publish(Reading(4, vec![])).unwrap();
+        sender.tell(Reading(5, vec![])).unwrap();
+        advance(300 * MS).await;
+        ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.restore(end));
+        advance(1000 * MS).await;
+        publisher.publish(Reading(6, vec![])).unwrap();
+        advance(10 * MS).await;
+        sender.tell(Reading(7, vec![])).unwrap();
+        advance(10 * MS).await;
+
+        assert_eq!(log.take(), [6, 7]);
+    });
+}
+
+#[test]
+fn readings_do_not_wait_behind_what_waits_in_order() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let (_ear, log) = ear(&right).await;
+        let readings = left.sender::<Reading>("right:ear");
+        readings.tell(Reading(0, vec![])).unwrap();
+        advance(10 * MS).await;
+        // What is reliable fills its buffers while nothing arrives at the other end.
+        robot.cut("ethernet/right");
+        robot.cut("ieee1394/right");
+        let notes = left.sender::<Note>("right:acc");
+        while notes.tell(Note(1)).is_ok() {}
+        advance(5 * MS).await;
+        assert_eq!(notes.tell(Note(1)).unwrap_err().why, Why::Full);
+
+        assert_eq!(readings.tell(Reading(1, vec![])), Ok(()));
+
+        drop((log, right));
+    });
+}
+
+#[test]
+fn what_goes_every_way_is_not_late_when_a_cable_fails() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let (_ear, log) = ear(&right).await;
+        let publisher = publisher::<Stop>(&left);
+        let mut heard = Vec::new();
+
+        for n in 0..300_u64 {
+            let network = if n < 150 { "ethernet/left" } else { "ieee1394/left" };
+            match n {
+                50 | 200 => robot.cut(network),
+                100 | 250 => robot.restore(network),
+                _ => {}
+            }
+            publisher.publish(Stop(n)).unwrap();
+            advance(10 * MS).await;
+            let came = log.take();
+            assert_eq!(came, [n], "each within its interval");
+            heard.extend(came);
+        }
+
+        assert_eq!(heard.len(), 300);
+        let session = right.net.read_sessions().await.remove(0);
+        assert!(session.counters.replicas > 100, "{:?}", session.counters);
+        assert_eq!(session.counters.missed, 0);
+    });
+}
+
+#[test]
+fn a_question_that_goes_every_way_is_answered_every_way() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let (_ear, _log) = ear(&right).await;
+        let sender = left.sender::<Halt>("right:ear");
+        assert_eq!(sender.ask(Halt(0)).await.unwrap(), 0);
+
+        for (n, cable) in [(1, "ethernet/left"), (2, "ieee1394/left")] {
+            robot.cut(cable);
+            let before = platform::now();
+            assert_eq!(sender.ask(Halt(n)).await.unwrap(), n);
+            let took = platform::now() - before;
+            assert!(took < 10 * MS, "{took:?}");
+            robot.restore(cable);
+            advance(3000 * MS).await;
+        }
+    });
+}
+
+#[test]
+fn parties_that_count_on_other_deliveries_do_not_bind() {
+    mod theirs {
+        use crate::Event;
+
+        #[derive(Clone, Debug, Event)]
+        #[contract(name = "Stop")]
+        pub(super) struct Stop(pub(super) u64);
+    }
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_ear, log) = ear(&right).await;
+
+        publisher::<theirs::Stop>(&left).publish(theirs::Stop(1)).unwrap();
+        advance(50 * MS).await;
+
+        for module in [&left, &right] {
+            let declared = module.declared.expect().await;
+            assert_eq!(declared.kind, FaultKind::ContractMismatch);
+            assert!(declared.detail.contains("delivery re"), "{}", declared.detail);
+        }
+        assert_eq!(log.take(), []);
+    });
+}

@@ -1,0 +1,197 @@
+//! Nodes of different releases: the newer one converts, at the receiver.
+
+use super::*;
+
+/// The first release.
+mod one {
+    use crate::{Event, Request};
+
+    #[derive(Clone, Debug, PartialEq, Event)]
+    #[contract(name = "speed")]
+    pub(super) struct Speed {
+        pub(super) mm_per_s: u32,
+    }
+
+    #[derive(Clone, Debug, PartialEq, Request)]
+    #[contract(name = "limit", reply = u32)]
+    pub(super) struct Limit(pub(super) u32);
+}
+
+/// The second.
+mod two {
+    use super::one;
+    use crate::{Event, Request, Structure};
+
+    #[derive(Clone, Debug, PartialEq, Event)]
+    #[contract(name = "speed", version = 2, from = one::Speed)]
+    pub(super) struct Speed {
+        #[contract(unit = "m/s")]
+        pub(super) forward: f64,
+    }
+
+    impl From<one::Speed> for Speed {
+        fn from(old: one::Speed) -> Self {
+            Speed { forward: f64::from(old.mm_per_s) / 1000.0 }
+        }
+    }
+
+    #[derive(Clone, Debug, PartialEq, Structure)]
+    pub(super) struct Granted {
+        pub(super) mm_per_s: u32,
+        pub(super) reason: String,
+    }
+
+    #[derive(Clone, Debug, PartialEq, Request)]
+    #[contract(name = "limit", version = 2, from = one::Limit, reply = Granted)]
+    pub(super) struct Limit {
+        pub(super) wanted: u32,
+        pub(super) urgent: bool,
+    }
+
+    impl From<one::Limit> for Limit {
+        fn from(one::Limit(wanted): one::Limit) -> Self {
+            Limit { wanted, urgent: false }
+        }
+    }
+
+    impl From<Granted> for u32 {
+        fn from(granted: Granted) -> Self {
+            granted.mm_per_s
+        }
+    }
+}
+
+/// The third.
+mod three {
+    use super::two;
+    use crate::Event;
+
+    #[derive(Clone, Debug, PartialEq, Event)]
+    #[contract(name = "speed", version = 3, from = two::Speed)]
+    pub(super) struct Speed {
+        #[contract(unit = "m/s")]
+        pub(super) forward: f64,
+        #[contract(unit = "m/s")]
+        pub(super) sideways: f64,
+    }
+
+    impl From<two::Speed> for Speed {
+        fn from(old: two::Speed) -> Self {
+            Speed { forward: old.forward, sideways: 0.0 }
+        }
+    }
+}
+
+/// Holds speeds in millimetres per second.
+struct Wheels(Log);
+
+impl Component for Wheels {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<two::Limit>().accept::<three::Speed>();
+        let _ = ports.listen::<three::Speed>();
+    }
+}
+
+impl Handle<three::Speed> for Wheels {
+    async fn handle(&mut self, speed: three::Speed, _: &mut Context<Self>) {
+        self.0.0.lock().unwrap().push((speed.forward * 1000.0 + speed.sideways) as u64);
+    }
+}
+
+impl Handle<two::Limit> for Wheels {
+    async fn handle(&mut self, limit: two::Limit, _: &mut Context<Self>) -> two::Granted {
+        let mm_per_s = if limit.urgent { 0 } else { limit.wanted / 2 };
+        two::Granted { mm_per_s, reason: "half of it".into() }
+    }
+}
+
+/// Listens by the first release's contract.
+struct Old(Log);
+
+impl Component for Old {
+    fn ports(ports: &mut Ports<Self>) {
+        let _ = ports.accept::<one::Speed>().listen::<one::Speed>();
+    }
+}
+
+impl Handle<one::Speed> for Old {
+    async fn handle(&mut self, speed: one::Speed, _: &mut Context<Self>) {
+        self.0.0.lock().unwrap().push(speed.mm_per_s.into());
+    }
+}
+
+async fn live(module: &Module, spec: ChildSpec<impl Component>) -> Box<dyn Child> {
+    let (mut child, _) = spec.into_child(&module.host).unwrap();
+    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient());
+    advance(50 * MS).await;
+    child
+}
+
+#[test]
+fn messages_requests_and_events_of_earlier_releases_are_converted_by_the_receiver() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let log = Log::default();
+        let kept = log.clone();
+        let _wheels = live(&right, ChildSpec::new("wheels", move || Wheels(kept.clone()))).await;
+
+        let granted = left.sender::<one::Limit>("right:wheels").ask(one::Limit(700)).await;
+        assert_eq!(granted.unwrap(), 350, "there and back");
+
+        left.sender("right:wheels").tell(one::Speed { mm_per_s: 1 }).unwrap();
+        left.sender("right:wheels").tell(two::Speed { forward: 0.002 }).unwrap();
+        let now = three::Speed { forward: 0.0, sideways: 3.0 };
+        left.sender("right:wheels").tell(now).unwrap();
+        advance(50 * MS).await;
+        assert_eq!(log.take(), [1, 2, 3]);
+
+        let old = left.host.topics.publisher::<one::Speed>("speed").unwrap();
+        old.publish(one::Speed { mm_per_s: 4 }).unwrap();
+        old.publish(one::Speed { mm_per_s: 5 }).unwrap();
+        advance(50 * MS).await;
+        assert_eq!(log.take(), [4, 5]);
+        assert_eq!(left.declared.drain().len() + right.declared.drain().len(), 0);
+    });
+}
+
+#[test]
+fn a_topic_that_is_known_before_anybody_listens_is_settled_at_once() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let old = left.host.topics.publisher::<one::Speed>("speed").unwrap();
+        let log = Log::default();
+        let kept = log.clone();
+        let _wheels = live(&right, ChildSpec::new("wheels", move || Wheels(kept.clone()))).await;
+
+        old.publish(one::Speed { mm_per_s: 4 }).unwrap();
+        advance(50 * MS).await;
+
+        assert_eq!(log.take(), [4]);
+    });
+}
+
+#[test]
+fn who_is_older_than_the_sender_is_refused_with_the_difference_on_both_sides() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let log = Log::default();
+        let kept = log.clone();
+        let _old = live(&right, ChildSpec::new("old", move || Old(kept.clone()))).await;
+
+        let new = left.host.topics.publisher::<two::Speed>("speed").unwrap();
+        new.publish(two::Speed { forward: 1.0 }).unwrap();
+        left.sender("right:old").tell(two::Speed { forward: 1.0 }).unwrap();
+        advance(50 * MS).await;
+
+        assert_eq!(log.take(), []);
+        for module in [&left, &right] {
+            let declared = module.declared.drain();
+            assert!(declared.len() >= 2, "{declared:?}");
+            for fault in declared {
+                assert_eq!(fault.kind, FaultKind::ContractMismatch);
+                let detail = fault.detail;
+                assert!(detail.contains("version") && detail.contains("forward"), "{detail}");
+            }
+        }
+    });
+}

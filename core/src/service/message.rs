@@ -1,0 +1,38 @@
+//! What the replicas of a service say to each other.
+
+use crate::MessageId;
+use crate::Why;
+use serde::{Deserialize, Serialize};
+
+/// How far a replica has come: under which epoch its last entry was made, and the how manieth it was.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub(super) struct Position {
+    pub(super) epoch: u64,
+    pub(super) number: u64,
+}
+
+/// One request that was executed, and its reply.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Served {
+    pub(super) id: MessageId,
+    pub(super) result: Result<Vec<u8>, Why>,
+}
+
+/// What one replica tells another.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum Message {
+    /// From the primary: it acts under this epoch.
+    Hello { epoch: u64, number: u64 },
+    /// The standby votes for nobody else for a lease, and has come so far.
+    Promise { epoch: u64, number: u64, position: Position, in_step: bool },
+    /// The sender acts under no such epoch: this one holds.
+    Outdated { epoch: u64 },
+    /// A standby wants to be primary.
+    Claim { epoch: u64, position: Position },
+    /// It may.
+    Vote { epoch: u64 },
+    /// A request was executed. Warm standbys get the state after it, hot ones the request.
+    Entry { epoch: u64, position: Position, served: Served, body: Vec<u8> },
+    /// Everything, for a standby that is not in step.
+    Snapshot { epoch: u64, position: Position, state: Vec<u8>, table: Vec<Served> },
+}

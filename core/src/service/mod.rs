@@ -1,0 +1,89 @@
+//! A service with one primary and standbys on other nodes.
+//!
+//! ```text
+//!            majority votes                lease over, or a greater epoch
+//!  Standby ─────────────────► Primary ──────────────────────────────────► Standby
+//!     │ promise over             │ hello, entry, snapshot
+//!     └─ claims an epoch         └─► standbys: promise, store or execute, confirm
+//! ```
+//!
+//! It is an election with leases, and a log of which only the end matters. The primary says hello; a
+//! standby that hears it promises to vote for nobody else for a lease and a margin for the clocks'
+//! drift. The primary acts for as long as a majority's promises last by its own clock, counted from
+//! when it *asked*, without the margin: it stops before anybody may follow. Each primary has an epoch
+//! of its own, and what an older one says is refused.
+//!
+//! A request is executed by the primary, and its reply held back until every standby that is in step
+//! has the request's identity, its reply, and the state (warm) or the request (hot), and a majority has
+//! them. A request that comes again is answered from that table. The election is won only by who has
+//! the newest entry of a majority: what was answered once stays done.
+//!
+//! The replicas keep their table in memory. A process that begins anew has forgotten it: that is one
+//! failure. What the machine promises, it promises for fewer than half of the nodes failing at a time.
+
+mod message;
+mod replica;
+
+pub use replica::{
+    MESSAGE_MAX, QUEUE_MAX, Replica, ReplicaOutput, Role, ServiceOutcome, TABLE_MAX,
+};
+
+use crate::NodeName;
+use std::time::Duration;
+
+/// What standbys do while they stand by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum StandbyKind {
+    /// Nothing: whoever takes over begins with the state that it was built with. The outcome of
+    /// requests in flight is unknown.
+    Cold,
+    /// They keep the primary's state and table, and load the state when they take over.
+    #[default]
+    Warm,
+    /// They execute every request as the primary did: they take over at once.
+    Hot,
+}
+
+/// What happens where less than a majority of the declared nodes see each other.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum OnPartition {
+    /// There is no service there.
+    #[default]
+    Stop,
+    /// There is one in every part: for what does no harm twice. When the parts meet again, what the
+    /// primary of the lower epoch did is forgotten.
+    Continue,
+}
+
+/// A replica's settings.
+#[derive(Clone, Debug)]
+pub struct ReplicaConfig {
+    /// Which of the members we are.
+    pub own: NodeName,
+    /// All nodes that carry the service, the one that should begin first.
+    pub members: Vec<NodeName>,
+    /// What standbys do.
+    pub kind: StandbyKind,
+    /// What to do without a majority.
+    pub on_partition: OnPartition,
+    /// How often the primary says hello. Shorter finds its death sooner and costs more.
+    pub hello_interval: Duration,
+}
+
+impl ReplicaConfig {
+    /// How long a primary may act after a majority was last heard of: three hellos, of which two may
+    /// be lost.
+    pub fn lease(&self) -> Duration {
+        self.hello_interval * 3
+    }
+
+    /// What clocks may drift apart in one lease, and timers be late: a tenth, far above what quartz
+    /// does, so that a busy computer has some room too.
+    pub fn margin(&self) -> Duration {
+        self.lease() / 10
+    }
+
+    fn majority(&self) -> usize {
+        self.members.len() / 2 + 1
+    }
+}

@@ -1,0 +1,398 @@
+//! One replica of a service.
+
+mod primary;
+mod standby;
+#[cfg(test)]
+mod tests;
+
+use super::message::{Message, Position, Served};
+use super::{OnPartition, ReplicaConfig, StandbyKind};
+use crate::codec;
+use crate::{Instant, Machine, MessageId, NodeName, Why};
+use bytes::Bytes;
+use primary::Primary;
+use standby::Standby;
+use std::collections::{BTreeMap, VecDeque};
+
+/// Requests that may wait for one service. Beyond, callers are told to slow down.
+pub const QUEUE_MAX: usize = 256;
+/// Replies that are kept for requests that come again: all that callers can have under way, several
+/// times over.
+pub const TABLE_MAX: usize = 1024;
+/// The most bytes of one message between replicas: a state, and its table.
+pub const MESSAGE_MAX: usize = 4 * 1024 * 1024;
+
+/// What a replica is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// It serves.
+    Primary {
+        /// Under this epoch.
+        epoch: u64,
+    },
+    /// It stands by.
+    Standby {
+        /// For this node, where one is known to serve.
+        primary: Option<NodeName>,
+    },
+}
+
+/// What came of a request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ServiceOutcome {
+    /// It was served, or failed for good; the same request is never executed again.
+    Served(Result<Bytes, Why>),
+    /// It was not taken.
+    Refused(Why),
+    /// The service is on this node, if anywhere.
+    Elsewhere(Option<NodeName>),
+}
+
+/// What is to be done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ReplicaOutput {
+    /// Tell another replica.
+    Send {
+        /// Whom.
+        to: NodeName,
+        /// What.
+        message: Bytes,
+    },
+    /// The role has changed.
+    Became(Role),
+    /// Let the component serve this, and say what came of it by [`Replica::handle_executed`], with its
+    /// state afterwards where that is wanted.
+    Execute {
+        /// The request.
+        request: Bytes,
+        /// The state is wanted too.
+        save: bool,
+    },
+    /// Ask the component for its state, for [`Replica::handle_saved`].
+    Save,
+    /// Give the component this state, and say so by [`Replica::handle_loaded`].
+    Load {
+        /// The state.
+        state: Bytes,
+    },
+    /// Answer a caller.
+    Answer {
+        /// The number under which it asked.
+        caller: u64,
+        /// What.
+        outcome: ServiceOutcome,
+    },
+}
+
+/// What the component is to do, one after the other.
+#[derive(Clone, Debug)]
+enum Job {
+    /// Serve a request, for the first time.
+    Serve { id: MessageId, request: Bytes },
+    /// Serve it again as the primary did.
+    Replay { request: Bytes },
+    /// Take over this state.
+    Load { state: Bytes },
+    /// Give the state, for standbys that are not in step.
+    Save,
+}
+
+/// The machine of one service on one of its nodes.
+#[derive(Debug)]
+pub struct Replica {
+    config: ReplicaConfig,
+    /// The state that the component was built with.
+    initial: Bytes,
+    /// The greatest epoch in which somebody served, or in which we voted for another.
+    epoch: u64,
+    /// The greatest epoch that we claimed: our vote in it is our own.
+    claimed: u64,
+    position: Position,
+    /// The newest state, where standbys are warm.
+    state: Option<Bytes>,
+    table: VecDeque<Served>,
+    role: Acting,
+    jobs: VecDeque<Job>,
+    /// The component is busy with this.
+    working: Option<Job>,
+    /// Services that this one depends on are there.
+    ready: bool,
+    refused: u64,
+    outputs: VecDeque<ReplicaOutput>,
+}
+
+#[derive(Debug)]
+enum Acting {
+    Primary(Primary),
+    Standby(Standby),
+}
+
+impl Replica {
+    /// A replica that stands by. It votes for nobody for a lease: it may have promised so in a life
+    /// that it does not remember. `initial` is the state of the component as it was built.
+    pub fn new(config: ReplicaConfig, initial: Bytes, now: Instant) -> Self {
+        let standby = Standby::beginning(&config, now);
+        Replica {
+            config,
+            initial,
+            epoch: 0,
+            claimed: 0,
+            position: Position::default(),
+            state: None,
+            table: VecDeque::new(),
+            role: Acting::Standby(standby),
+            jobs: VecDeque::new(),
+            working: None,
+            ready: true,
+            refused: 0,
+            outputs: VecDeque::new(),
+        }
+    }
+
+    /// What this replica is now.
+    pub fn role(&self) -> Role {
+        match &self.role {
+            Acting::Primary(primary) => Role::Primary { epoch: primary.epoch },
+            Acting::Standby(standby) => Role::Standby { primary: standby.primary.clone() },
+        }
+    }
+
+    /// Messages that were not understood.
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+
+    /// The services that this one depends on are there, or not: without them it does not take over.
+    pub fn handle_ready(&mut self, ready: bool) {
+        self.ready = ready;
+    }
+
+    /// Somebody asks for the service.
+    pub fn handle_request(&mut self, caller: u64, id: MessageId, request: Bytes, now: Instant) {
+        self.handle_timeout(now);
+        let served = self.served(id).cloned();
+        let primary = match &mut self.role {
+            Acting::Standby(standby) => {
+                let elsewhere = ServiceOutcome::Elsewhere(standby.primary.clone());
+                return self.answer(caller, elsewhere);
+            }
+            Acting::Primary(primary) => primary,
+        };
+        // The one who asks again is the one who waits.
+        if let Some(waiting) = primary.waiting.get_mut(&id) {
+            let before = std::mem::replace(waiting, caller);
+            return self.answer(before, ServiceOutcome::Elsewhere(None));
+        }
+        match served {
+            Some(served) => {
+                self.answer(caller, ServiceOutcome::Served(served.result.map(Bytes::from)));
+            }
+            None if primary.waiting.len() >= QUEUE_MAX => {
+                self.answer(caller, ServiceOutcome::Refused(Why::Full));
+            }
+            None => {
+                primary.waiting.insert(id, caller);
+                self.jobs.push_back(Job::Serve { id, request });
+                self.work();
+            }
+        }
+    }
+
+    /// The component has served what it was to execute.
+    pub fn handle_executed(
+        &mut self,
+        result: Result<Bytes, Why>,
+        state: Option<Bytes>,
+        now: Instant,
+    ) {
+        match self.working.take() {
+            Some(Job::Serve { id, request }) => match (&mut self.role, result) {
+                // It was begun while this replica served: it counts, should it serve again.
+                (Acting::Standby(_), result) => self.note_late(id, result, state),
+                // It did not get that far: the same request may come again.
+                (Acting::Primary(primary), Err(why @ (Why::Restarting | Why::Full))) => {
+                    let caller = primary.waiting.remove(&id);
+                    caller.into_iter().for_each(|caller| {
+                        self.answer(caller, ServiceOutcome::Refused(why.clone()));
+                    });
+                }
+                (Acting::Primary(_), result) => {
+                    self.commit_later(id, request, result, state, now);
+                }
+            },
+            Some(Job::Replay { .. }) | None => {}
+            Some(other) => self.working = Some(other),
+        }
+        self.work();
+    }
+
+    /// A life of the component has ended, and its state with it.
+    pub fn handle_component_died(&mut self, now: Instant) {
+        match (&mut self.role, self.config.kind) {
+            (Acting::Primary(_), StandbyKind::Warm | StandbyKind::Cold) => {
+                let state = self.last_state();
+                self.jobs.push_front(Job::Load { state });
+                self.work();
+            }
+            (Acting::Primary(_), StandbyKind::Hot) => self.handle_damage(now),
+            // It has to be told everything anew.
+            (Acting::Standby(standby), StandbyKind::Hot) => standby.fall_behind(),
+            (Acting::Standby(_), _) => {}
+        }
+    }
+
+    /// The component has given its state; `None` where it could not.
+    pub fn handle_saved(&mut self, state: Option<Bytes>, now: Instant) {
+        match self.working.take() {
+            Some(Job::Save) => {
+                if let Some(state) = state {
+                    self.send_snapshots(&state, now);
+                }
+            }
+            other => self.working = other,
+        }
+        self.work();
+    }
+
+    fn last_state(&self) -> Bytes {
+        self.state.clone().unwrap_or_else(|| self.initial.clone())
+    }
+
+    /// The component has taken over a state, or could not.
+    pub fn handle_loaded(&mut self) {
+        match self.working.take() {
+            Some(Job::Load { .. }) => {}
+            other => self.working = other,
+        }
+        self.work();
+    }
+
+    /// Another replica says something.
+    pub fn handle_message(&mut self, from: &NodeName, message: &[u8], now: Instant) {
+        if !self.config.members.contains(from) || *from == self.config.own {
+            self.refused += 1;
+            return;
+        }
+        let Ok(message) = codec::decode_bounded::<Message, MESSAGE_MAX>(message) else {
+            self.refused += 1;
+            return;
+        };
+        self.handle_timeout(now);
+        match message {
+            Message::Hello { epoch, number } => self.hear_hello(from, epoch, number, now),
+            Message::Promise { epoch, number, position, in_step } => {
+                self.hear_promise(from, epoch, number, (position, in_step), now);
+            }
+            Message::Outdated { epoch } => match &self.role {
+                Acting::Primary(primary) if epoch > primary.epoch => self.step_down(None, now),
+                Acting::Primary(_) => {}
+                Acting::Standby(_) => self.claimed = self.claimed.max(epoch),
+            },
+            Message::Claim { epoch, position } => self.hear_claim(from, epoch, position, now),
+            Message::Vote { epoch } => self.hear_vote(from, epoch, now),
+            Message::Entry { epoch, position, served, body } => {
+                self.hear_entry(from, epoch, position, served, body);
+            }
+            Message::Snapshot { epoch, position, state, table } => {
+                self.hear_snapshot(from, (epoch, position), state, table);
+            }
+        }
+    }
+
+    fn see(&mut self, epoch: u64) {
+        self.epoch = self.epoch.max(epoch);
+    }
+
+    fn served(&self, id: MessageId) -> Option<&Served> {
+        self.table.iter().rev().find(|served| served.id == id)
+    }
+
+    fn note(&mut self, served: Served) {
+        if self.table.len() >= TABLE_MAX {
+            self.table.pop_front();
+        }
+        self.table.push_back(served);
+    }
+
+    /// Gives the component the next job, if it has none.
+    fn work(&mut self) {
+        if self.working.is_some() {
+            return;
+        }
+        let Some(job) = self.jobs.pop_front() else { return };
+        self.outputs.push_back(match &job {
+            Job::Serve { request, .. } => {
+                let save = self.config.kind == StandbyKind::Warm && self.config.members.len() > 1;
+                ReplicaOutput::Execute { request: request.clone(), save }
+            }
+            Job::Replay { request } => {
+                ReplicaOutput::Execute { request: request.clone(), save: false }
+            }
+            Job::Load { state } => ReplicaOutput::Load { state: state.clone() },
+            Job::Save => ReplicaOutput::Save,
+        });
+        self.working = Some(job);
+    }
+
+    /// This replica serves no more.
+    fn step_down(&mut self, primary: Option<NodeName>, now: Instant) {
+        let standby = Standby::following(&self.config, primary.clone(), now);
+        let Acting::Primary(past) = std::mem::replace(&mut self.role, Acting::Standby(standby))
+        else {
+            return;
+        };
+        // What it did and nobody has is void; who asks again gets it from whoever follows.
+        self.jobs.retain(|job| !matches!(job, Job::Serve { .. } | Job::Save));
+        for caller in past.callers() {
+            self.answer(caller, ServiceOutcome::Elsewhere(primary.clone()));
+        }
+        self.outputs.push_back(ReplicaOutput::Became(Role::Standby { primary }));
+    }
+
+    fn answer(&mut self, caller: u64, outcome: ServiceOutcome) {
+        self.outputs.push_back(ReplicaOutput::Answer { caller, outcome });
+    }
+
+    fn send(&mut self, to: &NodeName, message: &Message) {
+        let message = codec::encode_unbounded(message).into();
+        self.outputs.push_back(ReplicaOutput::Send { to: to.clone(), message });
+    }
+
+    fn tell_others(&mut self, message: &Message) {
+        let message = Bytes::from(codec::encode_unbounded(message));
+        for to in self.config.members.iter().filter(|member| **member != self.config.own) {
+            let (to, message) = (to.clone(), message.clone());
+            self.outputs.push_back(ReplicaOutput::Send { to, message });
+        }
+    }
+}
+
+impl Machine for Replica {
+    type Output = ReplicaOutput;
+
+    fn poll_output(&mut self) -> Option<ReplicaOutput> {
+        self.outputs.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        match &self.role {
+            Acting::Primary(primary) => Some(primary.due(&self.config)),
+            Acting::Standby(standby) => Some(standby.due()),
+        }
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        match &self.role {
+            Acting::Primary(primary) if !primary.holds(&self.config, now) => {
+                self.step_down(None, now);
+            }
+            Acting::Primary(primary) if now >= primary.hello_at => {
+                self.say_hello(now);
+                self.release(now);
+            }
+            Acting::Standby(standby) if now >= standby.claim_at => self.claim(now),
+            Acting::Standby(standby) if now >= standby.due() => self.vote_late(now),
+            Acting::Primary(_) | Acting::Standby(_) => {}
+        }
+    }
+}

@@ -1,0 +1,280 @@
+//! What a replica does while it serves.
+
+use super::*;
+
+/// Hellos whose promises may still come.
+const HELLOS_KEPT: usize = 16;
+
+/// A replica that serves.
+#[derive(Debug)]
+pub(super) struct Primary {
+    pub(super) epoch: u64,
+    pub(super) hello_at: Instant,
+    number: u64,
+    /// When which hello was said.
+    said: VecDeque<(u64, Instant)>,
+    standbys: BTreeMap<NodeName, Follower>,
+    /// Who waits for which request, and where it stands.
+    pub(super) waiting: BTreeMap<MessageId, u64>,
+    /// Replies that are held back, in order.
+    held: VecDeque<(Position, MessageId, Instant)>,
+    began: Instant,
+    /// The component has lost its state: somebody else is to serve as soon as all is answered.
+    damaged: bool,
+}
+
+/// What the primary knows of a standby.
+#[derive(Debug)]
+struct Follower {
+    /// When the newest hello was said that it has promised after.
+    promised: Instant,
+    step: Step,
+    position: Position,
+}
+
+/// Whether a standby has what the primary has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Step {
+    /// It needs a snapshot.
+    Behind,
+    /// One was sent then, and everything since.
+    Sent(Instant),
+    /// It has it, and gets everything since.
+    Abreast,
+}
+
+impl Primary {
+    fn new(epoch: u64, now: Instant) -> Self {
+        Primary {
+            epoch,
+            hello_at: now,
+            number: 0,
+            said: VecDeque::new(),
+            standbys: BTreeMap::new(),
+            waiting: BTreeMap::new(),
+            held: VecDeque::new(),
+            began: now,
+            damaged: false,
+        }
+    }
+
+    /// Until when a majority has promised to vote for nobody else.
+    fn lease_until(&self, config: &ReplicaConfig) -> Option<Instant> {
+        let needed = config.majority() - 1;
+        if needed == 0 || config.on_partition == OnPartition::Continue {
+            return None;
+        }
+        let promised = self.standbys.values().map(|follower| follower.promised);
+        // Those who voted have promised so, since before we began.
+        let mut promised: Vec<_> =
+            promised.chain(std::iter::repeat_n(self.began, needed)).collect();
+        promised.sort_unstable_by(|a, b| b.cmp(a));
+        promised.get(needed - 1).map(|at| *at + config.lease())
+    }
+
+    pub(super) fn holds(&self, config: &ReplicaConfig, now: Instant) -> bool {
+        self.lease_until(config).is_none_or(|until| now < until)
+    }
+
+    pub(super) fn due(&self, config: &ReplicaConfig) -> Instant {
+        self.lease_until(config).map_or(self.hello_at, |until| until.min(self.hello_at))
+    }
+
+    pub(super) fn callers(self) -> impl Iterator<Item = u64> {
+        self.waiting.into_values()
+    }
+}
+
+impl Replica {
+    /// A majority wants this replica to serve; it was asked at `asked`.
+    pub(super) fn take_over(&mut self, epoch: u64, asked: Instant, now: Instant) {
+        self.role = Acting::Primary(Primary::new(epoch, asked));
+        self.see(epoch);
+        self.outputs.push_back(ReplicaOutput::Became(Role::Primary { epoch }));
+        match self.config.kind {
+            StandbyKind::Cold => {
+                self.table.clear();
+                self.jobs.push_back(Job::Load { state: self.initial.clone() });
+            }
+            StandbyKind::Warm => {
+                let state = self.last_state();
+                self.jobs.push_back(Job::Load { state });
+            }
+            // It has executed everything already, or is about to.
+            StandbyKind::Hot => {}
+        }
+        self.work();
+        self.say_hello(now);
+    }
+
+    pub(super) fn say_hello(&mut self, now: Instant) {
+        let Acting::Primary(primary) = &mut self.role else { return };
+        primary.number += 1;
+        primary.hello_at = now + self.config.hello_interval;
+        primary.said.push_back((primary.number, now));
+        if primary.said.len() > HELLOS_KEPT {
+            primary.said.pop_front();
+        }
+        let hello = Message::Hello { epoch: primary.epoch, number: primary.number };
+        self.tell_others(&hello);
+    }
+
+    pub(super) fn hear_promise(
+        &mut self,
+        from: &NodeName,
+        epoch: u64,
+        number: u64,
+        (position, in_step): (Position, bool),
+        now: Instant,
+    ) {
+        let lease = self.config.lease();
+        let Acting::Primary(primary) = &mut self.role else { return };
+        if epoch != primary.epoch {
+            return;
+        }
+        let said = primary.said.iter().find(|(said, _)| *said == number).map(|(_, at)| *at);
+        // Somebody without a promise is no follower yet.
+        let Some(promised) = said.or(primary.standbys.get(from).map(|known| known.promised)) else {
+            return;
+        };
+        let fresh = Follower { promised, step: Step::Behind, position: Position::default() };
+        let follower = primary.standbys.entry(from.clone()).or_insert(fresh);
+        follower.promised = follower.promised.max(promised);
+        follower.step = match (follower.step, in_step) {
+            // While it was behind, entries were not sent to it.
+            (Step::Behind, _) => Step::Behind,
+            (Step::Sent(at), false) if now - at > lease => Step::Behind,
+            (Step::Sent(at), false) => Step::Sent(at),
+            // It has begun anew: what it once confirmed, it has forgotten.
+            (Step::Abreast, false) => Step::Behind,
+            (Step::Sent(_) | Step::Abreast, true) => {
+                follower.position = follower.position.max(position);
+                Step::Abreast
+            }
+        };
+        // An entry went astray with its session.
+        let waits = |(needed, _, at): &(Position, MessageId, Instant)| {
+            follower.position < *needed && now - *at > lease
+        };
+        if follower.step == Step::Abreast && primary.held.front().is_some_and(waits) {
+            follower.step = Step::Behind;
+        }
+        if follower.step == Step::Behind && self.config.kind != StandbyKind::Cold {
+            let mut jobs = self.jobs.iter().chain(&self.working);
+            if !jobs.any(|job| matches!(job, Job::Save)) {
+                self.jobs.push_back(Job::Save);
+            }
+        }
+        self.work();
+        self.release(now);
+    }
+
+    /// The component's state as it is now, for everybody who is behind.
+    pub(super) fn send_snapshots(&mut self, state: &Bytes, now: Instant) {
+        let Acting::Primary(primary) = &mut self.role else { return };
+        if primary.damaged {
+            return;
+        }
+        let (epoch, position) = (primary.epoch, self.position);
+        let mut late = Vec::new();
+        for (node, follower) in &mut primary.standbys {
+            if follower.step == Step::Behind {
+                // What comes after reaches it after: sessions keep the order.
+                follower.step = Step::Sent(now);
+                follower.position = Position::default();
+                late.push(node.clone());
+            }
+        }
+        let (state, table) = (state.to_vec(), self.table.iter().cloned().collect());
+        let snapshot = Message::Snapshot { epoch, position, state, table };
+        late.iter().for_each(|node| self.send(node, &snapshot));
+    }
+
+    /// The component has lost its state. Where standbys have it, one of them is to serve.
+    pub(super) fn handle_damage(&mut self, now: Instant) {
+        if let Acting::Primary(primary) = &mut self.role {
+            primary.damaged = true;
+        }
+        self.release(now);
+    }
+
+    /// A request has been executed: whoever is in step has to know before its caller does.
+    pub(super) fn commit_later(
+        &mut self,
+        id: MessageId,
+        request: Bytes,
+        result: Result<Bytes, Why>,
+        state: Option<Bytes>,
+        now: Instant,
+    ) {
+        let Acting::Primary(primary) = &mut self.role else { return };
+        let epoch = primary.epoch;
+        if self.config.kind != StandbyKind::Cold {
+            self.position = Position { epoch, number: self.position.number + 1 };
+        }
+        let position = self.position;
+        primary.held.push_back((position, id, now));
+        let told = primary.standbys.iter().filter(|(_, follower)| follower.step != Step::Behind);
+        let told: Vec<_> = told.map(|(node, _)| node.clone()).collect();
+        let died = result.is_err();
+        let served = Served { id, result: result.map(Vec::from) };
+        self.note(served.clone());
+        if self.config.kind != StandbyKind::Cold {
+            let body = match (self.config.kind, state) {
+                (StandbyKind::Warm, Some(state)) => {
+                    self.state = Some(state.clone());
+                    state
+                }
+                // A component that could not give its state has failed: the last one stands.
+                (StandbyKind::Warm, None) => self.last_state(),
+                // What kills one of them need not kill the others.
+                _ if died => Bytes::new(),
+                _ => request,
+            };
+            let entry = Message::Entry { epoch, position, served, body: body.to_vec() };
+            told.iter().for_each(|node| self.send(node, &entry));
+        }
+        self.release(now);
+    }
+
+    /// Lets go of the replies that every standby in step, and a majority, knows of.
+    pub(super) fn release(&mut self, now: Instant) {
+        let config = &self.config;
+        let Acting::Primary(primary) = &mut self.role else { return };
+        if !primary.holds(config, now) {
+            return;
+        }
+        // Whoever has been silent for a lease keeps nobody waiting, and has to come into step anew.
+        for follower in primary.standbys.values_mut() {
+            if now - follower.promised > config.lease() + config.margin() {
+                follower.step = Step::Behind;
+            }
+        }
+        let mut answers = Vec::new();
+        while let Some((position, id, _)) = primary.held.front().copied() {
+            if config.kind != StandbyKind::Cold {
+                let followers = primary.standbys.values();
+                let in_step = followers.filter(|follower| follower.step == Step::Abreast);
+                let known =
+                    in_step.clone().filter(|follower| follower.position >= position).count();
+                let all = known == in_step.count();
+                let enough =
+                    config.on_partition == OnPartition::Continue || known + 1 >= config.majority();
+                if !all || !enough {
+                    break;
+                }
+            }
+            primary.held.pop_front();
+            answers.extend(primary.waiting.remove(&id).map(|caller| (caller, id)));
+        }
+        let leaves = primary.damaged && primary.held.is_empty();
+        for (caller, id) in answers {
+            let Some(served) = self.served(id) else { continue };
+            let outcome = ServiceOutcome::Served(served.result.clone().map(Bytes::from));
+            self.answer(caller, outcome);
+        }
+        if leaves {
+            self.step_down(None, now);
+        }
+    }
+}

@@ -1,0 +1,259 @@
+//! What a replica does while another one serves, or nobody does.
+
+use super::*;
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// A replica that stands by.
+#[derive(Debug)]
+pub(super) struct Standby {
+    /// Who serves, as far as is known.
+    pub(super) primary: Option<NodeName>,
+    /// We vote for nobody else before.
+    promised_until: Instant,
+    /// When we want to serve ourselves, unless somebody else is heard of.
+    pub(super) claim_at: Instant,
+    /// Under which epoch the last snapshot came: since then nothing is missing.
+    in_step: Option<u64>,
+    claiming: Option<Claiming>,
+    /// Somebody claims while our promise still lasts: it is answered when that is over.
+    asked: Option<(NodeName, u64, Position)>,
+}
+
+/// An epoch that was claimed.
+#[derive(Debug)]
+struct Claiming {
+    epoch: u64,
+    asked: Instant,
+    votes: BTreeSet<NodeName>,
+}
+
+impl Standby {
+    fn waiting(config: &ReplicaConfig, primary: Option<NodeName>, now: Instant) -> Self {
+        let promised_until = now + config.lease() + config.margin();
+        Standby {
+            claim_at: promised_until + turn(config, primary.as_ref()),
+            primary,
+            promised_until,
+            in_step: None,
+            claiming: None,
+            asked: None,
+        }
+    }
+
+    /// When there is something to do.
+    pub(super) fn due(&self) -> Instant {
+        match self.asked {
+            Some(_) => self.claim_at.min(self.promised_until),
+            None => self.claim_at,
+        }
+    }
+
+    pub(super) fn beginning(config: &ReplicaConfig, now: Instant) -> Self {
+        Standby::waiting(config, None, now)
+    }
+
+    /// What this replica has is not what the primary has.
+    pub(super) fn fall_behind(&mut self) {
+        self.in_step = None;
+    }
+
+    pub(super) fn following(
+        config: &ReplicaConfig,
+        primary: Option<NodeName>,
+        now: Instant,
+    ) -> Self {
+        Standby::waiting(config, primary, now)
+    }
+}
+
+/// Those before us in the order of the members have their turn first, but for the one that has gone.
+fn turn(config: &ReplicaConfig, gone: Option<&NodeName>) -> Duration {
+    let others = config.members.iter().filter(|member| Some(*member) != gone);
+    let before = others.take_while(|member| **member != config.own).count();
+    config.hello_interval / 2 * u32::try_from(before).unwrap_or(u32::MAX)
+}
+
+impl Replica {
+    pub(super) fn hear_hello(&mut self, from: &NodeName, epoch: u64, number: u64, now: Instant) {
+        if epoch < self.epoch {
+            return self.send(from, &Message::Outdated { epoch: self.epoch });
+        }
+        if let Acting::Primary(primary) = &self.role {
+            // Two may serve under one epoch only where each half of a network goes on by itself.
+            if (primary.epoch, from) > (epoch, &self.config.own) {
+                return;
+            }
+            self.step_down(Some(from.clone()), now);
+        }
+        self.see(epoch);
+        let Acting::Standby(standby) = &mut self.role else { return };
+        let known = standby.primary.as_ref() == Some(from);
+        standby.primary = Some(from.clone());
+        (standby.claiming, standby.asked) = (None, None);
+        standby.promised_until = now + self.config.lease() + self.config.margin();
+        standby.claim_at = standby.promised_until + turn(&self.config, Some(from));
+        let in_step = standby.in_step == Some(epoch) || self.config.kind == StandbyKind::Cold;
+        let position = self.position;
+        self.send(from, &Message::Promise { epoch, number, position, in_step });
+        if !known {
+            let primary = Some(from.clone());
+            self.outputs.push_back(ReplicaOutput::Became(Role::Standby { primary }));
+        }
+    }
+
+    /// Nobody serves: this replica offers to.
+    pub(super) fn claim(&mut self, now: Instant) {
+        let again = self.config.hello_interval + turn(&self.config, None);
+        let Acting::Standby(standby) = &mut self.role else { return };
+        standby.claim_at = now + again;
+        if !self.ready {
+            return;
+        }
+        if standby.primary.take().is_some() {
+            self.outputs.push_back(ReplicaOutput::Became(Role::Standby { primary: None }));
+        }
+        let epoch = self.epoch.max(self.claimed) + 1;
+        self.claimed = epoch;
+        let Acting::Standby(standby) = &mut self.role else { return };
+        standby.claiming = Some(Claiming { epoch, asked: now, votes: BTreeSet::new() });
+        if self.config.majority() == 1 || self.config.on_partition == OnPartition::Continue {
+            return self.take_over(epoch, now, now);
+        }
+        let position = self.position;
+        self.tell_others(&Message::Claim { epoch, position });
+    }
+
+    pub(super) fn hear_claim(
+        &mut self,
+        from: &NodeName,
+        epoch: u64,
+        position: Position,
+        now: Instant,
+    ) {
+        if let Acting::Primary(_) = self.role {
+            // It has not heard our hellos, but will.
+            return;
+        }
+        let voted = self.epoch.max(self.claimed);
+        if epoch <= voted {
+            return self.send(from, &Message::Outdated { epoch: voted });
+        }
+        let Acting::Standby(standby) = &mut self.role else { return };
+        if position < self.position {
+            // We know of more: it is our turn.
+            standby.claim_at = standby.claim_at.min(standby.promised_until.max(now));
+            self.claimed = self.claimed.max(epoch);
+            return self.handle_timeout(now);
+        }
+        if now < standby.promised_until {
+            standby.asked = Some((from.clone(), epoch, position));
+            return;
+        }
+        // A vote is a promise as well.
+        (standby.claiming, standby.asked) = (None, None);
+        standby.promised_until = now + self.config.lease() + self.config.margin();
+        standby.claim_at = standby.promised_until + turn(&self.config, None);
+        self.see(epoch);
+        self.send(from, &Message::Vote { epoch });
+    }
+
+    /// Our promise is over, and somebody claims.
+    pub(super) fn vote_late(&mut self, now: Instant) {
+        let Acting::Standby(standby) = &mut self.role else { return };
+        if let Some((from, epoch, position)) = standby.asked.take() {
+            self.hear_claim(&from, epoch, position, now);
+        }
+    }
+
+    /// What was begun as primary has been served; nobody else knows of it.
+    pub(super) fn note_late(
+        &mut self,
+        id: MessageId,
+        result: Result<Bytes, Why>,
+        state: Option<Bytes>,
+    ) {
+        if self.config.kind == StandbyKind::Cold {
+            return;
+        }
+        self.position.number += 1;
+        self.state = state.or(self.state.take());
+        self.note(Served { id, result: result.map(Vec::from) });
+    }
+
+    pub(super) fn hear_vote(&mut self, from: &NodeName, epoch: u64, now: Instant) {
+        let Acting::Standby(standby) = &mut self.role else { return };
+        let Some(claiming) = &mut standby.claiming else { return };
+        if claiming.epoch != epoch || now - claiming.asked >= self.config.lease() {
+            return;
+        }
+        claiming.votes.insert(from.clone());
+        if claiming.votes.len() + 1 >= self.config.majority() {
+            let asked = claiming.asked;
+            self.take_over(epoch, asked, now);
+        }
+    }
+
+    pub(super) fn hear_entry(
+        &mut self,
+        from: &NodeName,
+        epoch: u64,
+        position: Position,
+        served: Served,
+        body: Vec<u8>,
+    ) {
+        let Acting::Standby(standby) = &mut self.role else { return };
+        if epoch < self.epoch || standby.in_step != Some(epoch) {
+            return;
+        }
+        if position.number != self.position.number + 1 {
+            return standby.fall_behind();
+        }
+        self.position = position;
+        self.note(served);
+        match self.config.kind {
+            StandbyKind::Warm => self.state = Some(body.into()),
+            StandbyKind::Hot if body.is_empty() => {}
+            StandbyKind::Hot => self.jobs.push_back(Job::Replay { request: body.into() }),
+            StandbyKind::Cold => {}
+        }
+        self.work();
+        self.confirm(from, epoch);
+    }
+
+    pub(super) fn hear_snapshot(
+        &mut self,
+        from: &NodeName,
+        (epoch, position): (u64, Position),
+        state: Vec<u8>,
+        table: Vec<Served>,
+    ) {
+        let Acting::Standby(standby) = &mut self.role else { return };
+        if epoch < self.epoch {
+            return;
+        }
+        standby.in_step = Some(epoch);
+        self.position = position;
+        self.table = table.into_iter().take(TABLE_MAX).collect();
+        // What is being served since before is in none of this.
+        if let Some(Job::Serve { request, .. }) = &self.working {
+            self.working = Some(Job::Replay { request: request.clone() });
+        }
+        match self.config.kind {
+            StandbyKind::Hot => {
+                self.jobs.clear();
+                self.jobs.push_back(Job::Load { state: state.into() });
+            }
+            StandbyKind::Warm | StandbyKind::Cold => self.state = Some(state.into()),
+        }
+        self.work();
+        self.confirm(from, epoch);
+    }
+
+    /// Tells the primary how far we have come; this is no promise.
+    fn confirm(&mut self, primary: &NodeName, epoch: u64) {
+        let position = self.position;
+        let message = Message::Promise { epoch, number: 0, position, in_step: true };
+        self.send(primary, &message);
+    }
+}

@@ -1,0 +1,88 @@
+//! How many bytes stand before a small message on the wire. The page on networks and the module `net`
+//! state these numbers.
+
+use blastema_core::net::frame::Frame;
+use blastema_core::net::message::Message;
+use blastema_core::net::packet::{Packet, Payload};
+use blastema_core::net::segment::{Ack, Data, Datagram, Segment, Stream};
+use blastema_core::net::{Class, NodeId};
+use bytes::{BufMut, Bytes, BytesMut};
+
+const PAYLOAD: &[u8] = b"sixty-four bytes of a message, or none at all";
+
+fn frame(segment: &Segment) -> usize {
+    let packet = Packet {
+        class: Class::Data,
+        hops: 16,
+        destination: NodeId(1),
+        source: NodeId(2),
+        payload: Payload::Segment(segment.encode()),
+    };
+    Frame::Data(packet.encode()).encode().len() - PAYLOAD.len()
+}
+
+/// The overhead of one message alone in its part, without and with an acknowledgement on board.
+fn reliable(message: &Message, stream: Stream, sequence: u64) -> [usize; 2] {
+    let message = message.encode();
+    let mut payload = BytesMut::new();
+    payload.put_u8(u8::try_from(message.len()).unwrap());
+    payload.put_slice(&message);
+    let data = Data {
+        tag: 7,
+        stream,
+        sequence,
+        first: true,
+        last: true,
+        again: false,
+        piece: None,
+        ack: None,
+        payload: payload.freeze(),
+    };
+    let ack = Some(Ack { next: sequence, window: 256, ranges: vec![] });
+    let acking = Data { ack, ..data.clone() };
+    [Segment::Data(data), Segment::Data(acking)].map(|segment| frame(&segment))
+}
+
+/// In the first milliseconds of a session, and after an hour and a million messages.
+const TIMES: [(u64, u64); 2] = [(100, 10_000), (1_000_000, 3_600_000_000)];
+
+#[test]
+fn a_small_message_has_the_overhead_that_the_documentation_states() {
+    let payload = Bytes::from_static(PAYLOAD);
+    let tell =
+        |stamp_us| Message::Tell { binding: 5, stamp_us, id: None, payload: payload.clone() };
+    let event = |stamp_us| Message::Event { subscription: 5, stamp_us, payload: payload.clone() };
+    let request = |call, stamp_us: u64| Message::Request {
+        binding: 5,
+        call,
+        stamp: stamp_us / 100,
+        within: 10_000,
+        id: None,
+        payload: payload.clone(),
+    };
+    let reply = |call| Message::Reply { call, result: Ok(payload.clone()) };
+
+    let [fresh, late] = TIMES.map(|(count, us)| {
+        [
+            reliable(&tell(us), Stream::Data, count),
+            reliable(&event(us), Stream::Data, count),
+            reliable(&event(us), Stream::Redundant, count),
+            reliable(&request(count, us), Stream::Data, count),
+            reliable(&reply(count), Stream::Data, count),
+        ]
+    });
+
+    assert_eq!(fresh, [[23, 27], [22, 26], [22, 26], [25, 29], [20, 24]]);
+    assert_eq!(late, [[28, 34], [27, 33], [27, 33], [32, 38], [24, 30]]);
+}
+
+#[test]
+fn a_small_reading_of_which_the_newest_counts_has_the_overhead_that_is_stated() {
+    let payload = Bytes::from_static(PAYLOAD);
+    let overhead = TIMES.map(|(sequence, stamp_us)| {
+        let message = Message::Event { subscription: 5, stamp_us, payload: payload.clone() };
+        let payload = message.encode();
+        frame(&Segment::Datagram(Datagram { tag: 7, channel: 10, sequence, piece: None, payload }))
+    });
+    assert_eq!(overhead, [22, 27]);
+}

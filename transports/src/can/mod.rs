@@ -1,0 +1,189 @@
+//! CAN interfaces of the system, by SocketCAN: classic and FD.
+//!
+//! * A bus has a speed. The kernel is given no more than a few frames; what waits, waits here, where
+//!   it is bounded and counted.
+//! * An interface that is down, or was removed, is said to be closed at once, and opened again within a
+//!   second of its return.
+//! * The kernel sorts out what is for others; what other things on the bus say is not seen.
+
+mod layout;
+
+use crate::can_node::{CanNode, CanPort, addressing};
+use crate::endpoint::CanConfig;
+use blastema_core::Instant;
+use blastema_core::can::{Addressing, CanFrame, Format};
+use layout::{EXTENDED, REMOTE};
+use socket2::SockRef;
+use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
+use std::future::Future;
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+use tokio::net::UnixDatagram;
+use tokio::time::Sleep;
+
+/// A CAN interface as a medium.
+///
+/// ```no_run
+/// use blastema_transports::{CanBus, CanConfig, FrameTransport};
+/// # fn now() -> blastema_core::Instant { panic!() }
+/// let mut config = CanConfig::new("can0");
+/// config.node.address = 3;
+/// let transport = FrameTransport::new(CanBus::new(config, now));
+/// ```
+pub type CanBus = CanNode<CanSocket>;
+
+/// How large the kernel's send buffer is asked to be, in bytes: it makes of it the smallest that it has,
+/// half a dozen frames. An interface's own queue has room for ten, so that this fills first, and tells us
+/// when there is room again.
+const SEND_BUFFER: usize = 1;
+/// When a full queue of the interface, which other programs use too, is tried again: a few frames' time.
+const FULL_PAUSE: Duration = Duration::from_millis(1);
+/// What an interface's MTU is that carries CAN FD.
+const FD_MTU: u32 = 72;
+
+const DATA: u32 = 0x00da_0000;
+const ALL: u32 = 0x00db_ff00;
+
+impl CanBus {
+    /// The bus at this interface. The clock must be the one on which this arbiter's timers run.
+    pub fn new(config: CanConfig, now: fn() -> Instant) -> Self {
+        let format =
+            if config.fd { Format::Fd { fast: config.bit_rate_switch } } else { Format::Classic };
+        let node = config.node.clone();
+        CanNode::over(CanSocket { config, socket: None, pause: None }, node, format, now)
+    }
+}
+
+/// A raw socket on a CAN interface.
+pub struct CanSocket {
+    config: CanConfig,
+    socket: Option<UnixDatagram>,
+    /// The interface's queue is full: the next attempt.
+    pause: Option<Pin<Box<Sleep>>>,
+}
+
+impl CanSocket {
+    fn connect(&self) -> io::Result<UnixDatagram> {
+        let CanConfig { interface, fd, node, .. } = &self.config;
+        let socket = CanFdSocket::open(interface)?;
+        socket.set_nonblocking(true)?;
+        socket.set_filters(&filters(addressing(node), node.address))?;
+        let options = SockRef::from(socket.as_raw_socket());
+        options.set_send_buffer_size(SEND_BUFFER)?;
+        // A socket of an interface that is down says so, once.
+        options.take_error()?.map_or(Ok(()), Err)?;
+        let mtu = std::fs::read_to_string(format!("/sys/class/net/{interface}/mtu"));
+        let mtu: Option<u32> = mtu.ok().and_then(|text| text.trim().parse().ok());
+        if *fd && mtu.is_some_and(|mtu| mtu < FD_MTU) {
+            return Err(io::Error::other(format!(
+                "the interface carries classic frames only: `ip link set {interface} type can fd \
+                 on`, or leave fd=true out"
+            )));
+        }
+        // A socket is a socket: tokio has none of this kind, and needs to know only that it sends and
+        // receives whole pieces. (socketcan's own asynchronous socket is not woken when there is room.)
+        UnixDatagram::from_std(socket.as_raw_socket().try_clone()?.into())
+    }
+
+    fn explain(&self, error: io::Error) -> io::Error {
+        use rustix::io::Errno;
+        let interface = &self.config.interface;
+        let advice = match error.raw_os_error().map(Errno::from_raw_os_error) {
+            Some(Errno::NETDOWN) => {
+                format!("it is down: `ip link set {interface} up type can bitrate 500000`")
+            }
+            Some(Errno::NODEV) => "there is no such interface: plug the adapter in".into(),
+            Some(Errno::AFNOSUPPORT) => "this system has no CAN: load the module can_raw".into(),
+            _ => return error,
+        };
+        io::Error::new(error.kind(), format!("{error}: {advice}"))
+    }
+}
+
+impl CanPort for CanSocket {
+    fn name(&self) -> String {
+        format!("can {}", self.config.interface)
+    }
+
+    fn open(&mut self, _: Instant) -> io::Result<()> {
+        self.socket = Some(self.connect().map_err(|error| self.explain(error))?);
+        Ok(())
+    }
+
+    fn poll_write(
+        &mut self,
+        task: &mut Context<'_>,
+        frame: &CanFrame,
+        _: Instant,
+    ) -> Poll<io::Result<()>> {
+        let mut bytes = [0; layout::FD];
+        let length = layout::write(frame, &mut bytes);
+        loop {
+            if let Some(pause) = &mut self.pause {
+                ready!(pause.as_mut().poll(task));
+                self.pause = None;
+            }
+            let Some(socket) = &self.socket else { return Poll::Ready(Err(closed())) };
+            ready!(socket.poll_send_ready(task))?;
+            match socket.try_send(&bytes[..length]) {
+                Ok(_) => return Poll::Ready(Ok(())),
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                Err(error) if is_full(&error) => {
+                    self.pause = Some(Box::pin(tokio::time::sleep(FULL_PAUSE)));
+                }
+                Err(error) => return Poll::Ready(Err(self.explain(error))),
+            }
+        }
+    }
+
+    fn poll_read(
+        &mut self,
+        task: &mut Context<'_>,
+        _: Instant,
+    ) -> Poll<io::Result<Option<CanFrame>>> {
+        let Some(socket) = &self.socket else { return Poll::Ready(Err(closed())) };
+        let mut bytes = [0; layout::FD];
+        loop {
+            ready!(socket.poll_recv_ready(task))?;
+            match socket.try_recv(&mut bytes) {
+                Ok(length) => return Poll::Ready(Ok(layout::read(&bytes[..length]))),
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                Err(error) => return Poll::Ready(Err(self.explain(error))),
+            }
+        }
+    }
+
+    fn close(&mut self) {
+        self.socket = None;
+        self.pause = None;
+    }
+}
+
+fn closed() -> io::Error {
+    io::ErrorKind::NotConnected.into()
+}
+
+/// The queue of the interface has no room; nothing wakes us when it has.
+fn is_full(error: &io::Error) -> bool {
+    let error = error.raw_os_error().map(rustix::io::Errno::from_raw_os_error);
+    error == Some(rustix::io::Errno::NOBUFS)
+}
+
+/// What is for us, what is for all, and what is said under our address by somebody else.
+fn filters(addressing: Addressing, own: u8) -> Vec<CanFilter> {
+    let own = u32::from(own);
+    let filter = |id, mask| CanFilter::new(id, mask | EXTENDED | REMOTE);
+    match addressing {
+        Addressing::Standard => {
+            vec![filter(0x400 | own << 5, 0x7e0), filter(0x7e0, 0x7e0), filter(0x400 | own, 0x41f)]
+        }
+        // The priority, the uppermost three bits, is the speaker's business.
+        _ => vec![
+            filter(EXTENDED | DATA | own << 8, 0x03ff_ff00),
+            filter(EXTENDED | ALL, 0x03ff_ff00),
+            filter(EXTENDED | DATA | own, 0x03ff_00ff),
+        ],
+    }
+}

@@ -1,0 +1,350 @@
+//! A node of a CAN bus: what sockets and adapters share.
+//!
+//! ```text
+//! frame ─► frame, CRC-32C ─► ISO 15765-2 ─► CAN frames ─► socket or adapter ─► bus
+//! ```
+//!
+//! ISO 15765-2 checks no message as a whole, only each of its CAN frames: after a loss, parts of two
+//! messages can come to look like one. So each frame is followed by its checksum. It also gives an empty
+//! frame some bytes, without which the standard cannot send it.
+//!
+//! A frame to [`BusAddress::ALL`] goes to all nodes, once, with nobody's confirmation.
+
+use crate::endpoint::CanNodeConfig;
+use crate::frame_medium::{Arrival, FrameMedium, Opening, QueueLimits, Sending};
+use blastema_contract::transport::MediumAddress;
+use blastema_core::can::isotp::{IsoTpRefusals, Separation};
+use blastema_core::can::{
+    Addressing, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput,
+};
+use blastema_core::{Instant, Machine};
+use bytes::{BufMut, Bytes, BytesMut};
+use crc::{CRC_32_ISCSI, Crc};
+use std::collections::VecDeque;
+use std::future::Future;
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use tokio::time::Sleep;
+
+static CHECK: Crc<u32> = Crc::<u32>::new(&CRC_32_ISCSI);
+/// How long the checksum is, in bytes.
+const CHECK_LENGTH: usize = 4;
+/// So many CAN frames are moved in one turn, before others of the arbiter have theirs: as many as a
+/// message has.
+const TURN: usize = 160;
+
+/// What moves CAN frames: a socket, or an adapter on a serial line.
+pub trait CanPort: Send + 'static {
+    /// How people call it; it stands at the beginning of errors.
+    fn name(&self) -> String;
+
+    /// Opens it, or opens it again after it was closed.
+    ///
+    /// # Errors
+    /// It cannot be opened; the text says what the user may do.
+    fn open(&mut self, now: Instant) -> io::Result<()>;
+
+    /// Ready when what was opened is on the bus.
+    ///
+    /// # Errors
+    /// It cannot be used; the text says what the user may do.
+    fn poll_ready(&mut self, _: &mut Context<'_>, _: Instant) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    /// Gives one frame to the bus. Where the answer is `Pending`, the task is woken when it is worth
+    /// another attempt, and the frame is offered again.
+    ///
+    /// # Errors
+    /// It is lost: it is closed, and opened again.
+    fn poll_write(
+        &mut self,
+        task: &mut Context<'_>,
+        frame: &CanFrame,
+        now: Instant,
+    ) -> Poll<io::Result<()>>;
+
+    /// Takes what came: a frame, or `None` for something that is none.
+    ///
+    /// # Errors
+    /// It is lost: it is closed, and opened again.
+    fn poll_read(
+        &mut self,
+        task: &mut Context<'_>,
+        now: Instant,
+    ) -> Poll<io::Result<Option<CanFrame>>>;
+
+    /// Lets go of it.
+    fn close(&mut self);
+}
+
+/// Which node we are, as a medium that moves frames of any length.
+pub struct CanNode<P> {
+    port: P,
+    config: CanNodeConfig,
+    format: Format,
+    /// The clock on which this arbiter's timers run.
+    now: fn() -> Instant,
+    machine: Option<IsoTp>,
+    /// What the machine had refused when it was last looked at.
+    refusals: IsoTpRefusals,
+    /// A frame that the bus has not taken yet.
+    ready: Option<CanFrame>,
+    arrivals: VecDeque<Arrival>,
+    timer: Option<(Instant, Pin<Box<Sleep>>)>,
+}
+
+impl<P: CanPort> CanNode<P> {
+    pub(crate) fn over(
+        port: P,
+        config: CanNodeConfig,
+        format: Format,
+        now: fn() -> Instant,
+    ) -> Self {
+        CanNode {
+            port,
+            config,
+            format,
+            now,
+            machine: None,
+            refusals: IsoTpRefusals::default(),
+            ready: None,
+            arrivals: VecDeque::new(),
+            timer: None,
+        }
+    }
+
+    fn build(&self) -> io::Result<IsoTp> {
+        let CanNodeConfig { mtu, queue_frames, block_size, separation, .. } = self.config;
+        let mut config = IsoTpConfig::default();
+        config.format = self.format;
+        config.message_max = mtu + CHECK_LENGTH;
+        config.queue_messages = queue_frames;
+        config.block_size = block_size;
+        config.separation = Separation::at_least(separation);
+        let addressing = addressing(&self.config);
+        IsoTp::new(BusAddress(self.config.address), addressing, config).ok_or_else(|| {
+            let last = (0..=u8::MAX).rev().find(|last| addressing.names(BusAddress(*last)));
+            let (address, last) = (self.config.address, last.unwrap_or_default());
+            io::Error::other(format!(
+                "no node can have the address {address}: choose one from 0 to {last}"
+            ))
+        })
+    }
+
+    /// Looks at what the machine has to say.
+    fn settle(&mut self) {
+        let Some(machine) = &mut self.machine else { return };
+        while let Some(output) = machine.poll_output() {
+            let arrival = match output {
+                IsoTpOutput::Received { from, message } => match unseal(message) {
+                    Some(frame) => Arrival::Frame { from: MediumAddress::Can(from.0), frame },
+                    None => Arrival::Refused,
+                },
+                IsoTpOutput::Sent { .. } => continue,
+                IsoTpOutput::NotSent { to, error, with_it } => {
+                    tracing::debug!(%to, %error, "a frame was not sent over CAN");
+                    Arrival::Lost { frames: 1 + with_it }
+                }
+                IsoTpOutput::NotReceived { from, error } => {
+                    tracing::debug!(%from, %error, "a frame did not come in over CAN");
+                    Arrival::Refused
+                }
+                IsoTpOutput::AddressTaken => {
+                    let (port, address) = (self.port.name(), self.config.address);
+                    tracing::error!(
+                        %port,
+                        address,
+                        "another node of the bus has our address: give one of the two another"
+                    );
+                    continue;
+                }
+            };
+            self.arrivals.push_back(arrival);
+        }
+        let IsoTpRefusals { malformed, unasked, forged, .. } = machine.refusals();
+        let before = std::mem::replace(&mut self.refusals, machine.refusals());
+        let more = malformed + unasked + forged - before.malformed - before.unasked - before.forged;
+        self.arrivals.extend((0..more).map(|_| Arrival::Refused));
+    }
+
+    /// Gives the bus what it takes, up to a turn's worth. Says whether there may be more.
+    fn write(&mut self, task: &mut Context<'_>) -> io::Result<bool> {
+        for _ in 0..TURN {
+            let now = (self.now)();
+            let next = self.ready.take().or_else(|| self.machine.as_mut()?.poll_frame(now));
+            let Some(frame) = next else { return Ok(false) };
+            match self.port.poll_write(task, &frame, now) {
+                Poll::Ready(result) => result?,
+                Poll::Pending => {
+                    self.ready = Some(frame);
+                    return Ok(false);
+                }
+            }
+        }
+        Ok(true)
+    }
+
+    /// Takes what the bus has, until there is something to tell, up to a turn's worth. Says whether
+    /// there may be more.
+    fn read(&mut self, task: &mut Context<'_>) -> io::Result<bool> {
+        for _ in 0..TURN {
+            if !self.arrivals.is_empty() {
+                return Ok(true);
+            }
+            let now = (self.now)();
+            match self.port.poll_read(task, now) {
+                Poll::Pending => return Ok(false),
+                Poll::Ready(frame) => match (frame?, &mut self.machine) {
+                    (Some(frame), Some(machine)) => {
+                        machine.handle_frame(&frame, now);
+                        self.settle();
+                        // What it asks for goes out before more is taken in: a sender waits for it.
+                        self.write(task)?;
+                        self.settle();
+                    }
+                    _ => self.arrivals.push_back(Arrival::Refused),
+                },
+            }
+        }
+        Ok(true)
+    }
+
+    /// Lets the machine act on what is due, and leaves a timer for what will be. Says whether anything
+    /// was due.
+    fn keep_time(&mut self, task: &mut Context<'_>) -> bool {
+        let Some(machine) = &mut self.machine else { return false };
+        let now = (self.now)();
+        let Some(due) = machine.poll_timeout() else {
+            self.timer = None;
+            return false;
+        };
+        if due <= now {
+            machine.handle_timeout(now);
+            self.settle();
+            return true;
+        }
+        if self.timer.as_ref().is_none_or(|(armed, _)| *armed != due) {
+            self.timer = Some((due, Box::pin(tokio::time::sleep(due - now))));
+        }
+        let Some((_, timer)) = &mut self.timer else { return false };
+        let over = timer.as_mut().poll(task).is_ready();
+        if over {
+            self.timer = None;
+        }
+        over
+    }
+}
+
+impl<P: CanPort> FrameMedium for CanNode<P> {
+    fn name(&self) -> String {
+        self.port.name()
+    }
+
+    fn queue(&self) -> QueueLimits {
+        // Frames wait in the machine, for each target on its own, so that one which is not there keeps
+        // nobody waiting.
+        QueueLimits { frames: self.config.queue_frames, ..QueueLimits::default() }
+    }
+
+    fn open(&mut self) -> io::Result<Opening> {
+        self.close();
+        let machine = self.build()?;
+        self.port.open((self.now)())?;
+        self.machine = Some(machine);
+        let local = MediumAddress::Can(self.config.address);
+        Ok(Opening { local, mtu: self.config.mtu })
+    }
+
+    fn poll_ready(&mut self, task: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.port.poll_ready(task, (self.now)())
+    }
+
+    fn knows(&self, address: &MediumAddress) -> bool {
+        matches!(address, MediumAddress::Can(_))
+    }
+
+    fn poll_send(
+        &mut self,
+        task: &mut Context<'_>,
+        to: &MediumAddress,
+        frame: &Bytes,
+    ) -> Poll<io::Result<Sending>> {
+        let (MediumAddress::Can(to), Some(machine)) = (to, &mut self.machine) else {
+            return Poll::Ready(Ok(Sending::Dropped));
+        };
+        let taken = machine.handle_message(BusAddress(*to), seal(frame), (self.now)());
+        if let Err(error) = &taken {
+            tracing::trace!(%error, "a frame was not taken for CAN");
+            return Poll::Ready(Ok(Sending::Dropped));
+        }
+        if self.write(task)? {
+            task.waker().wake_by_ref();
+        }
+        self.settle();
+        Poll::Ready(Ok(Sending::Sent))
+    }
+
+    fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<Arrival>> {
+        // What the bus took just now may end a message, and a timer may let the next frame go.
+        for _ in 0..TURN {
+            if let Some(arrival) = self.arrivals.pop_front() {
+                return Poll::Ready(Ok(arrival));
+            }
+            let more = self.write(task)?;
+            self.settle();
+            let more = self.read(task)? | more;
+            if !(self.keep_time(task) | more) && self.arrivals.is_empty() {
+                return Poll::Pending;
+            }
+        }
+        task.waker().wake_by_ref();
+        Poll::Pending
+    }
+
+    fn close(&mut self) {
+        self.port.close();
+        self.machine = None;
+        self.refusals = IsoTpRefusals::default();
+        self.ready = None;
+        self.arrivals.clear();
+        self.timer = None;
+    }
+}
+
+/// How this node's bus writes addresses into identifiers.
+pub(crate) fn addressing(config: &CanNodeConfig) -> Addressing {
+    if config.short_ids { Addressing::Standard } else { Addressing::default() }
+}
+
+/// A frame with its checksum.
+fn seal(frame: &[u8]) -> Bytes {
+    let mut message = BytesMut::with_capacity(frame.len() + CHECK_LENGTH);
+    message.put_slice(frame);
+    message.put_u32_le(CHECK.checksum(frame));
+    message.freeze()
+}
+
+/// A frame without its checksum, if that is the frame's.
+fn unseal(message: Bytes) -> Option<Bytes> {
+    let (frame, check) = message.split_last_chunk::<CHECK_LENGTH>()?;
+    let length = frame.len();
+    (CHECK.checksum(frame).to_le_bytes() == *check).then(|| message.slice(..length))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_is_told_from_parts_of_two() {
+        for length in [0, 1, 7, 100] {
+            let frame: Bytes = (0..length).collect();
+            assert_eq!(unseal(seal(&frame)), Some(frame));
+        }
+        let (a, b) = (seal(&[1; 20]), seal(&[2; 20]));
+        assert_eq!(unseal([&a[..13], &b[13..]].concat().into()), None);
+        assert_eq!(unseal(Bytes::from_static(b"abc")), None);
+    }
+}

@@ -1,0 +1,254 @@
+//! CAN adapters on a serial port that speak SLCAN, after Lawicel's CAN232.
+//!
+//! * The adapter is brought onto the bus step by step, whether it answers or not; one that an ended
+//!   program left open is closed first.
+//! * It is given frames no faster than the bus carries them, so that its memory, whose size nobody
+//!   knows, does not overflow.
+//! * Unplugged, the port is closed at once and opened again by its path, with back-off.
+
+use crate::can_node::{CanNode, CanPort};
+use crate::endpoint::SlcanConfig;
+use blastema_core::Instant;
+use blastema_core::can::slcan::{BitRate, Command, Dialogue, Listener, Reply};
+use blastema_core::can::{CanFrame, Format};
+use std::collections::VecDeque;
+use std::future::Future;
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::Sleep;
+use tokio_serial::{ErrorKind, SerialStream};
+
+/// So many bytes are read at once: what the system holds of a terminal.
+const CHUNK: usize = 4096;
+
+/// A CAN adapter as a medium.
+///
+/// ```no_run
+/// use blastema_transports::{FrameTransport, SlcanBus, SlcanConfig};
+/// # fn now() -> blastema_core::Instant { panic!() }
+/// let mut config = SlcanConfig::new("/dev/ttyACM0");
+/// (config.bitrate, config.node.address) = (250_000, 3);
+/// let transport = FrameTransport::new(SlcanBus::new(config, now));
+/// ```
+pub type SlcanBus = CanNode<SlcanAdapter>;
+
+impl SlcanBus {
+    /// The bus at this adapter. The clock must be the one on which this arbiter's timers run.
+    pub fn new(config: SlcanConfig, now: fn() -> Instant) -> Self {
+        let node = config.node.clone();
+        CanNode::over(SlcanAdapter { config, line: None }, node, Format::Classic, now)
+    }
+}
+
+/// An adapter at a serial port.
+pub struct SlcanAdapter {
+    config: SlcanConfig,
+    line: Option<Line>,
+}
+
+/// A port that is open, and what is known of the adapter there.
+struct Line {
+    port: SerialStream,
+    dialogue: Dialogue,
+    listener: Listener,
+    chunk: Vec<u8>,
+    unread: VecDeque<u8>,
+    /// What is on its way to the adapter.
+    outgoing: VecDeque<u8>,
+    /// How many lines, and frames, had been refused when that was last looked at.
+    refused: u64,
+    timer: Option<(Instant, Pin<Box<Sleep>>)>,
+}
+
+impl SlcanAdapter {
+    fn explain(&self, error: &tokio_serial::Error) -> io::Error {
+        let there = self.config.path.exists();
+        let advice = match error.kind() {
+            ErrorKind::Io(io::ErrorKind::PermissionDenied) => {
+                "the system forbids it: let this user use the port, often by the group dialout"
+            }
+            _ if !there => "there is no such port: plug the adapter in, or check the path",
+            ErrorKind::NoDevice => "another program uses this port: end it, or choose another port",
+            _ => "check that it is a serial port, and that it can what is asked of it",
+        };
+        io::Error::other(format!("{error}: {advice}"))
+    }
+}
+
+impl CanPort for SlcanAdapter {
+    fn name(&self) -> String {
+        format!("slcan {}", self.config.path.display())
+    }
+
+    fn open(&mut self, _: Instant) -> io::Result<()> {
+        let hz = self.config.bitrate;
+        let rate = BitRate::of(hz).ok_or_else(|| {
+            let text = format!("adapters know no bus of {hz} bit/s: choose 10, 20, 50, 100, 125, 250, 500, 800 or 1000 kbit/s");
+            io::Error::other(text)
+        })?;
+        let builder = tokio_serial::new(self.config.path.to_string_lossy(), self.config.baud);
+        let port = SerialStream::open(&builder).map_err(|error| self.explain(&error))?;
+        self.line = Some(Line {
+            port,
+            dialogue: Dialogue::new(rate),
+            listener: Listener::default(),
+            chunk: vec![0; CHUNK],
+            unread: VecDeque::new(),
+            // Whatever an ended program left half said comes to its end.
+            outgoing: b"\r\r\r".iter().copied().collect(),
+            refused: 0,
+            timer: None,
+        });
+        Ok(())
+    }
+
+    fn poll_ready(&mut self, task: &mut Context<'_>, now: Instant) -> Poll<io::Result<()>> {
+        let Some(line) = &mut self.line else { return Poll::Ready(Err(unplugged())) };
+        loop {
+            // What others say on the bus before we are on it is not for us.
+            while line.hear()?.is_some() {}
+            if line.carry_on(task, now)? {
+                return Poll::Ready(Ok(()));
+            }
+            ready!(line.poll_read(task))?;
+        }
+    }
+
+    fn poll_write(
+        &mut self,
+        task: &mut Context<'_>,
+        frame: &CanFrame,
+        now: Instant,
+    ) -> Poll<io::Result<()>> {
+        let Some(line) = &mut self.line else { return Poll::Ready(Err(unplugged())) };
+        ready!(line.poll_flush(task))?;
+        match line.dialogue.takes(now) {
+            Ok(()) => {}
+            Err(Some(then)) => {
+                ready!(line.poll_timer(task, then, now));
+            }
+            Err(None) => return Poll::Ready(Err(unplugged())),
+        }
+        line.say(&Command::Send(*frame));
+        line.dialogue.handle_sent(frame, now);
+        // The frame is taken: what the port has no room for now goes out before the next.
+        match line.poll_flush(task) {
+            Poll::Ready(Err(error)) => Poll::Ready(Err(error)),
+            Poll::Ready(Ok(())) | Poll::Pending => Poll::Ready(Ok(())),
+        }
+    }
+
+    fn poll_read(
+        &mut self,
+        task: &mut Context<'_>,
+        _: Instant,
+    ) -> Poll<io::Result<Option<CanFrame>>> {
+        let Some(line) = &mut self.line else { return Poll::Ready(Err(unplugged())) };
+        // What the port had no room for a while ago.
+        if let Poll::Ready(flushed) = line.poll_flush(task) {
+            flushed?;
+        }
+        loop {
+            if let Some(found) = line.hear()? {
+                return Poll::Ready(Ok(found));
+            }
+            ready!(line.poll_read(task))?;
+        }
+    }
+
+    fn close(&mut self) {
+        if let Some(mut line) = self.line.take() {
+            // The adapter leaves the bus, if it can be told so without waiting.
+            line.outgoing.clear();
+            line.say(&Command::Close);
+            let (bytes, _) = line.outgoing.as_slices();
+            let _ = line.port.try_write(bytes);
+        }
+    }
+}
+
+impl Line {
+    fn say(&mut self, command: &Command) {
+        let mut text = Vec::new();
+        command.encode(&mut text);
+        self.outgoing.extend(text);
+    }
+
+    fn poll_flush(&mut self, task: &mut Context<'_>) -> Poll<io::Result<()>> {
+        while !self.outgoing.is_empty() {
+            let bytes = self.outgoing.make_contiguous();
+            match ready!(Pin::new(&mut self.port).poll_write(task, bytes))? {
+                0 => return Poll::Ready(Err(unplugged())),
+                written => drop(self.outgoing.drain(..written)),
+            }
+        }
+        Poll::Ready(Ok(()))
+    }
+
+    /// Reads what the port has.
+    fn poll_read(&mut self, task: &mut Context<'_>) -> Poll<io::Result<()>> {
+        let mut buffer = ReadBuf::new(&mut self.chunk);
+        ready!(Pin::new(&mut self.port).poll_read(task, &mut buffer))?;
+        if buffer.filled().is_empty() {
+            // A port that was unplugged reads so for ever.
+            return Poll::Ready(Err(unplugged()));
+        }
+        self.unread.extend(buffer.filled());
+        Poll::Ready(Ok(()))
+    }
+
+    /// Says what brings the adapter onto the bus, and keeps the time of its answers. The answer is whether
+    /// it is there.
+    fn carry_on(&mut self, task: &mut Context<'_>, now: Instant) -> io::Result<bool> {
+        while !self.dialogue.is_open() {
+            if let Some(command) = self.dialogue.poll_command(now) {
+                self.say(&command);
+            }
+            if let Poll::Ready(flushed) = self.poll_flush(task) {
+                flushed?;
+            }
+            let due = self.dialogue.poll_timeout().unwrap_or(now);
+            if self.poll_timer(task, due, now).is_pending() {
+                return Ok(false);
+            }
+            self.dialogue.handle_timeout(due);
+        }
+        Ok(true)
+    }
+
+    /// Understands what was read: a frame, or something that is none; nothing when more must come.
+    fn hear(&mut self) -> io::Result<Option<Option<CanFrame>>> {
+        while let Some(byte) = self.unread.pop_front() {
+            match self.listener.handle_byte(byte) {
+                Some(Reply::Frame { frame, .. }) => return Ok(Some(Some(frame))),
+                Some(reply) => self.dialogue.handle_reply(&reply),
+                None => {}
+            }
+            if let Some(error) = self.dialogue.failure() {
+                return Err(io::Error::other(error));
+            }
+            let refused = self.listener.refused() + self.dialogue.refused();
+            if std::mem::replace(&mut self.refused, refused) != refused {
+                return Ok(Some(None));
+            }
+        }
+        Ok(None)
+    }
+
+    fn poll_timer(&mut self, task: &mut Context<'_>, due: Instant, now: Instant) -> Poll<()> {
+        if self.timer.as_ref().is_none_or(|(armed, _)| *armed != due) {
+            self.timer = Some((due, Box::pin(tokio::time::sleep(due - now))));
+        }
+        let Some((_, timer)) = &mut self.timer else { return Poll::Ready(()) };
+        ready!(timer.as_mut().poll(task));
+        self.timer = None;
+        Poll::Ready(())
+    }
+}
+
+fn unplugged() -> io::Error {
+    let text = "the adapter was unplugged: plug it in again";
+    io::Error::new(io::ErrorKind::UnexpectedEof, text)
+}
