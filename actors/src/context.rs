@@ -3,17 +3,20 @@
 use crate::component::{Component, Failure, Handle};
 use crate::death_watch::{Down, Mourner};
 use crate::host::anchor::Anchor;
+use crate::host::environment::HostEnvironment;
 use crate::host::life::{Life, Rhythm, TimerId};
 use crate::host::pulse;
 use crate::host::stamp::Stamp;
 use crate::lease::{self, Commander};
 use crate::reference::ActorRef;
 use crate::sender::{Detached, Sender};
+use crate::service::ServiceRef;
 use crate::topic::Publisher;
 use crate::variable::{self, VariableRef};
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::{
-    Contract, Event, FaultKind, Incarnation, Lifecycle, NameError, ObjectName, Variable, Why,
+    Contract, Event, FaultKind, Incarnation, Lifecycle, NameError, ObjectName, Request, Variable,
+    Why,
 };
 use std::any::{Any, TypeId};
 use std::cell::RefCell;
@@ -77,6 +80,15 @@ impl<C: Component> Context<C> {
     /// [`Why::Unknown`] where no object here has the name, or it owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
         variable::find(&self.anchor.record.environment.registry, object)
+    }
+
+    /// Asks the service of this name, whichever node serves it.
+    ///
+    /// # Errors
+    /// The name does not parse. Whether there is such a service is found out when it is asked.
+    pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
+        let HostEnvironment { registry, services, .. } = &self.anchor.record.environment;
+        ServiceRef::new(registry, services, name)
     }
 
     /// Commands the actuator of this name, here or on another node. The lease is renewed by a task of

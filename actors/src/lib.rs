@@ -65,6 +65,7 @@
 //! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`Why`] |
 //! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`], [`Transaction`] |
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
+//! | outlive a node | [`ServiceSpec`], [`Stateful`], [`ServiceRef`] |
 //! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`Row`] |
 //! | recover | [`core::recovery::Plan`], [`RecoveryStrategy`] |
 //! | connect nodes | [`Network`], [`Link`], [`medium::FrameMedium`] |
@@ -98,6 +99,7 @@ mod reference;
 mod registry;
 mod reply;
 mod sender;
+mod service;
 mod topic;
 mod variable;
 
@@ -128,6 +130,7 @@ pub use host::office::DeadLetterOffice;
 pub use lease::{ActuatorSpec, Commander};
 pub use reference::ActorRef;
 pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
+pub use service::{OnPartition, Role, ServiceRef, ServiceSpec, StandbyKind, Stateful};
 pub use topic::Publisher;
 pub use variable::{
     Decision, Reading, RestorePolicy, Transaction, ValueState, VariableRef, VariableSpec,

@@ -10,7 +10,8 @@ use blastema_core::{Contract, Event, Request, Variable, Why};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-type OpenPort<C> = fn(&Arc<Anchor<C>>) -> Port;
+/// Makes the door for one contract.
+pub(crate) type OpenPort<C> = fn(&Arc<Anchor<C>>) -> Port;
 type Bind<C> = Box<dyn FnOnce(&Topics) -> Result<Arc<dyn Subscription<C>>, Why>>;
 
 /// The ports of one component: filled in `Component::ports`.
@@ -85,6 +86,11 @@ impl<C: Component> Ports<C> {
     ) -> Vec<(lease::Declared, Arc<dyn Doorway>)> {
         let actuators = std::mem::take(&mut self.actuators).into_iter();
         actuators.map(|(declared, open)| (declared, open(anchor).into_doorway())).collect()
+    }
+
+    /// More contracts that it takes.
+    pub(crate) fn open_beside(&mut self, beside: Vec<OpenPort<C>>) {
+        self.open.extend(beside);
     }
 
     /// The variables that were declared.

@@ -285,6 +285,8 @@ struct Entry {
 struct Inner {
     /// As many as the node has objects.
     objects: BTreeMap<ObjectName, Entry>,
+    /// What nodes say to each other, and no object does: one contract each.
+    hidden: BTreeMap<ObjectName, Port>,
     /// Rises whenever a name is given or taken away.
     revision: u64,
     node: Option<NodeName>,
@@ -321,6 +323,11 @@ impl Registry {
         inner.objects.insert(name.clone(), Entry { ports, mortal });
         inner.revision += 1;
         Ok(())
+    }
+
+    /// Takes a contract from other nodes under a name that is nobody's and is not told to them.
+    pub(crate) fn hide(&self, name: ObjectName, port: Port) {
+        self.lock().hidden.insert(name, port);
     }
 
     /// One more contract is taken at an object's name.
@@ -372,6 +379,7 @@ impl Registry {
     ) -> Result<(ContractIdentity, Arc<dyn Doorway>), Why> {
         let inner = self.lock();
         let port = inner.objects.get(object).and_then(|entry| entry.ports.get(contract));
+        let port = port.or_else(|| inner.hidden.get(object));
         let port = port.ok_or_else(|| Why::Unknown { name: object.to_string() })?;
         Ok((port.identity.clone(), port.doorway.clone()))
     }

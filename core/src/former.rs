@@ -9,7 +9,7 @@
 //! is declared is a chain, each version naming the one before; all of it is understood.
 
 use crate::codec::{self, DecodeError, EncodeError};
-use crate::{Contract, ContractIdentity, Difference, PeerIdentity};
+use crate::{Contract, ContractIdentity};
 use std::fmt;
 
 type Read<M> = Box<dyn Fn(&[u8]) -> Result<M, DecodeError> + Send + Sync>;
@@ -75,32 +75,6 @@ impl<M: Contract> Former<M> {
     pub fn answer(&self, reply: M::Reply, buffer: &mut Vec<u8>) -> Result<(), EncodeError> {
         (self.answer)(reply, buffer)
     }
-}
-
-/// How two parties stand to each other.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Settled {
-    /// They mean the same.
-    Same,
-    /// The receiver reads the sender's version by this one of its former ones, from 0.
-    Converted(usize),
-}
-
-/// Settles a receiver's contract, with its former versions, against a sender's.
-///
-/// # Errors
-/// [`Difference`] to the receiver's present version.
-pub fn settle<'a>(
-    present: &ContractIdentity,
-    former: impl IntoIterator<Item = &'a ContractIdentity>,
-    sender: &PeerIdentity,
-) -> Result<Settled, Difference> {
-    let difference = match present.check(sender) {
-        Ok(()) => return Ok(Settled::Same),
-        Err(difference) => difference,
-    };
-    let place = former.into_iter().position(|former| former.check(sender).is_ok());
-    place.map(Settled::Converted).ok_or(difference)
 }
 
 const fn is_same(one: &str, other: &str) -> bool {

@@ -39,7 +39,7 @@ pub use delivery::{Delivery, Why};
 pub use description::{DescriptionError, LayoutDescription};
 pub use difference::Difference;
 pub use fault::{Fault, FaultId, FaultKind, Place, Severity};
-pub use former::{Former, Settled};
+pub use former::Former;
 pub use identity::Incarnation;
 pub use layout::{Described, Layout};
 pub use lifecycle::Lifecycle;

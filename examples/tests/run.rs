@@ -176,6 +176,18 @@ fn two_nodes_lose_nothing_when_a_cable_is_cut() {
 }
 
 #[test]
+fn cable_pulled_leaves_the_arm_moving() {
+    check(
+        "cable_pulled",
+        &[
+            "the left cable is pulled",
+            "link down: brain -left- shoulder",
+            "the arm took 500 steps, once and in order, to 1.57 rad",
+        ],
+    );
+}
+
+#[test]
 fn serial_and_udp_carry_out_every_order_once_whichever_cable_is_pulled() {
     check(
         "serial_and_udp",
@@ -184,18 +196,6 @@ fn serial_and_udp_carry_out_every_order_once_whichever_cable_is_pulled() {
             "link down: body -serial- arm",
             "300 orders carried out, each once",
             "both cables are back",
-        ],
-    );
-}
-
-#[test]
-fn cable_pulled_leaves_the_arm_moving() {
-    check(
-        "cable_pulled",
-        &[
-            "the left cable is pulled",
-            "link down: brain -left- shoulder",
-            "the arm took 500 steps, once and in order, to 1.57 rad",
         ],
     );
 }
@@ -242,4 +242,17 @@ fn commander_leaves_the_wheels_at_rest_when_its_cable_is_cut() {
         ],
     );
     check("commander", &["the planner hears: the lease has ended: claim anew"]);
+}
+
+#[test]
+fn standby_goes_on_counting_when_the_node_that_serves_is_cut_off() {
+    check(
+        "standby",
+        &[
+            "100 counted",
+            "-- the node that serves is cut off",
+            "200 counted, by another node: true",
+            "the first one is back, and stands by",
+        ],
+    );
 }

@@ -1,8 +1,11 @@
 //! Whole nodes over every medium, on real sockets and ptys, described by endpoint strings.
 
+#[path = "../../transports/tests/adapters/mod.rs"]
+mod adapters;
 #[path = "../../transports/tests/cable/mod.rs"]
 mod cable;
 
+use adapters::Adapters;
 use blastema::prelude::*;
 use blastema::{EndpointProblem, Link, Network};
 use cable::Cable;
@@ -284,5 +287,21 @@ fn a_wrong_endpoint_or_address_is_refused_at_start_with_the_wrong_part_underline
         let network = Network::new("cable", "tcp://127.0.0.1:0");
         let error = start(network.link(Link::to("module2", "module2:7400").cost(3))).await;
         assert_eq!(error.part(), "module2");
+    });
+}
+
+#[test]
+fn two_nodes_speak_over_can_adapters_whatever_else_these_say() {
+    blastema::run(async {
+        let bus = Adapters::new();
+        let network = |own: u8, peer: &str, at: &str| {
+            bus.plug(own);
+            bus.inject(own, b"\x07NOISE\rt1");
+            let port = bus.port(own);
+            let endpoint = format!("slcan://{}?bitrate=1000000&address={own}", port.display());
+            Network::new("bus", &endpoint).peer(peer, at)
+        };
+
+        speak_over(network(1, "module2", "2"), network(2, "module1", "1")).await;
     });
 }

@@ -4,7 +4,7 @@
 //! is killed when its part is over.
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Link, Network};
+use blastema::{ActuatorSpec, Link, Network, ServiceSpec, StandbyKind, Stateful};
 use std::net::{SocketAddr, UdpSocket};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -76,6 +76,9 @@ fn a_process_plays_its_role() {
     blastema::run(async {
         match role.as_str() {
             "commander" => command_wheels().await,
+            "carrier1" => carry_counter(1).await,
+            "carrier2" => carry_counter(2).await,
+            "carrier3" => carry_counter(3).await,
             other => panic!("there is no role {other}"),
         }
     });
@@ -133,4 +136,96 @@ fn wheels_stop_by_themselves_when_their_commanders_process_is_killed() {
         assert_eq!(next.command(Drive(0.5)).await, Ok(0.5));
         node.shutdown().await;
     });
+}
+
+/// Adds one, and answers the sum.
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(name = "counter/add", reply = u64)]
+struct Add;
+
+#[derive(Default)]
+struct Counter(u64);
+
+impl Component for Counter {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Add>();
+    }
+}
+
+impl Handle<Add> for Counter {
+    async fn handle(&mut self, _: Add, _: &mut Context<Self>) -> u64 {
+        self.0 += 1;
+        self.0
+    }
+}
+
+impl Stateful for Counter {
+    fn save(&self) -> Vec<u8> {
+        self.0.to_le_bytes().into()
+    }
+
+    fn load(&mut self, state: &[u8]) -> Result<(), Failure> {
+        let bytes = state.try_into().map_err(|_| Failure::from("a sum has eight bytes"))?;
+        self.0 = u64::from_le_bytes(bytes);
+        Ok(())
+    }
+}
+
+async fn carry_counter(number: usize) {
+    let members = ["module1", "module2", "module3"];
+    let kind = match std::env::var("BLASTEMA_TEST_KIND").as_deref() {
+        Ok("hot") => StandbyKind::Hot,
+        _ => StandbyKind::Warm,
+    };
+    let counter = ServiceSpec::new("counter", members, Counter::default).standby(kind);
+    let node = Node::builder(&format!("module{number}"))
+        .network(ethernet(&addresses(), number))
+        .service(counter);
+    let _node = node.start().await.unwrap();
+    std::future::pending::<()>().await;
+}
+
+#[test]
+fn a_service_goes_on_counting_when_the_processes_that_serve_it_are_killed() {
+    let addresses = free_addresses(4);
+    let start = |number: usize| Process::start(&format!("carrier{number}"), &addresses);
+    let mut carriers = [start(1), start(2), start(3)];
+
+    blastema::run(async {
+        let node = Node::builder("module0").network(ethernet(&addresses, 0)).start().await.unwrap();
+        let counter = node.service::<Add>("counter").unwrap();
+        let mut sum = 0;
+        for round in 0..3 {
+            for _ in 0..20 {
+                sum += 1;
+                let counted = counter.ask_within(Add, PATIENCE).await;
+                assert_eq!(counted, Ok(sum), "round {round}");
+            }
+            // Whoever serves is killed while a request is under way.
+            let asking = counter.clone();
+            let asked =
+                tokio::task::spawn_local(async move { asking.ask_within(Add, PATIENCE).await });
+            tokio::task::yield_now().await;
+            let primary = primary(&counter).await;
+            carriers[primary - 1].kill();
+            sum += 1;
+            assert_eq!(asked.await.unwrap(), Ok(sum), "round {round}, across the kill");
+            carriers[primary - 1] = start(primary);
+            // It is in step again when a majority could do without either of the others.
+            while node.neighbourhood().await.len() < 3 {
+                tokio::task::yield_now().await;
+            }
+        }
+        node.shutdown().await;
+    });
+}
+
+/// The number of the node that serves.
+async fn primary(counter: &blastema::ServiceRef<Add>) -> usize {
+    loop {
+        if let Some(node) = counter.primary() {
+            return node.as_str()["module".len()..].parse().expect("a number");
+        }
+        tokio::task::yield_now().await;
+    }
 }

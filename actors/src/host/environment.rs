@@ -5,6 +5,7 @@ use super::office::DeadLetterOffice;
 use super::watch::WatchList;
 use crate::lease::Yard;
 use crate::registry::Registry;
+use crate::service::Roster;
 use crate::topic::Topics;
 use crate::variable::Store;
 use actix::Recipient;
@@ -29,6 +30,7 @@ pub(crate) struct HostEnvironment {
     pub(crate) watch_list: WatchList,
     pub(crate) variables: Store,
     pub(crate) actuators: Yard,
+    pub(crate) services: Roster,
 }
 
 impl HostEnvironment {
@@ -44,6 +46,7 @@ impl HostEnvironment {
             watch_list: WatchList::default(),
             variables: Store::default(),
             actuators: Yard::default(),
+            services: Roster::default(),
         }
     }
 }

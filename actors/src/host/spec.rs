@@ -5,9 +5,10 @@ use super::child::HostedChild;
 use super::environment::HostEnvironment;
 use crate::component::Component;
 use crate::lane::WhenFull;
-use crate::ports::Ports;
+use crate::ports::{OpenPort, Ports};
 use crate::reference::ActorRef;
 use crate::registry::NameTaken;
+use crate::service::{Stateful, stateful_ports};
 use blastema_contract::child::Child;
 use blastema_core::detection::Watch;
 use blastema_core::{NameError, ObjectName, Why};
@@ -112,6 +113,8 @@ pub struct ChildSpec<C: Component> {
     rate_hz: Option<f64>,
     limits: Limits,
     depends_on: Vec<String>,
+    /// Contracts of the middleware's own that it takes beside its ports.
+    beside: Vec<OpenPort<C>>,
 }
 
 impl<C: Component> fmt::Debug for ChildSpec<C> {
@@ -133,7 +136,17 @@ impl<C: Component> ChildSpec<C> {
             rate_hz: None,
             limits: Limits::default(),
             depends_on: Vec::new(),
+            beside: Vec::new(),
         }
+    }
+
+    /// Lets its state be saved and loaded.
+    pub(crate) fn stateful(mut self) -> Self
+    where
+        C: Stateful,
+    {
+        self.beside = stateful_ports();
+        self
     }
 
     /// Calls `on_execute` so many times a second while the component is active.
@@ -228,6 +241,7 @@ impl<C: Component> ChildSpec<C> {
         }
         let name = ObjectName::new(&self.name)?;
         let mut ports = Ports::<C>::of();
+        ports.open_beside(self.beside);
         let record = Record::new(name.clone(), limits, environment.clone());
         let anchor = Arc::new(Anchor::new(record, self.queue, self.factory));
         let (variables, actuators) = (ports.take_variables(), ports.take_actuators(&anchor));

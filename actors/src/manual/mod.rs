@@ -12,6 +12,7 @@
 //! | [events] | publish and subscribe: conditions and topics |
 //! | [variables] | values that outlive restarts: read, written and watched from any node |
 //! | [commanding] | actuators that come to rest by themselves when their commander goes |
+//! | [services] | services that a standby on another node takes over |
 //! | [supervision] | who is restarted with whom, how often, and what follows then |
 //! | [faults] | the list of faults, the monitor's table, roots and symptoms |
 //! | [recovery] | which measure answers which fault; strategies of one's own |
@@ -44,6 +45,9 @@ pub mod variables {}
 
 #[doc = include_str!("commanding.md")]
 pub mod commanding {}
+
+#[doc = include_str!("services.md")]
+pub mod services {}
 
 #[doc = include_str!("supervision.md")]
 pub mod supervision {}

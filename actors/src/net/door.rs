@@ -9,7 +9,7 @@ use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicU8, AtomicUsize, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use tokio::sync::Notify;
 
@@ -28,6 +28,7 @@ pub(super) struct Doors {
 pub(super) struct Gate {
     node: NodeName,
     condition: AtomicU8,
+    isolated: AtomicBool,
     under_way: AtomicUsize,
     changed: Notify,
 }
@@ -65,7 +66,17 @@ impl Gate {
     }
 
     pub(super) fn is_open(&self) -> bool {
-        self.condition() == Condition::Open
+        self.condition() == Condition::Open && !self.is_isolated()
+    }
+
+    /// Nothing is sent there and nothing taken from there, or all is well again.
+    pub(super) fn isolate(&self, isolated: bool) {
+        self.isolated.store(isolated, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    pub(super) fn is_isolated(&self) -> bool {
+        self.isolated.load(Relaxed)
     }
 
     /// A session is open, whether it has room or not.
@@ -86,6 +97,9 @@ impl Gate {
     }
 
     fn check(&self) -> Result<(), Why> {
+        if self.is_isolated() {
+            return Err(Why::Isolated);
+        }
         match self.condition() {
             Condition::Unreachable => Err(Why::Unreachable { node: self.node.to_string() }),
             Condition::Opening => Err(Why::Restarting),
@@ -141,6 +155,7 @@ impl Doors {
             Arc::new(Gate {
                 node: node.clone(),
                 condition: AtomicU8::new(Condition::Unreachable as u8),
+                isolated: AtomicBool::new(false),
                 under_way: AtomicUsize::new(0),
                 changed: Notify::new(),
             })

@@ -8,6 +8,7 @@ pub(super) use errand::{Notify, Ship};
 use super::NetEnvironment;
 use super::door::{Condition, Doors, Gate};
 use super::notice;
+use super::wardens::Wardens;
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
@@ -30,8 +31,8 @@ use blastema_core::{
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::oneshot;
 use tracing::{debug, error, info, warn};
@@ -52,6 +53,7 @@ struct Wiring {
     faults: Option<Recipient<FaultDeclared>>,
     sessions: SessionPorts,
     doors: Arc<Doors>,
+    wardens: Wardens,
     dead_letters: DeadLetterOffice,
 }
 
@@ -79,6 +81,8 @@ pub(super) struct Gateway {
     next: u64,
     /// Messages without a reply, and events, that did not arrive.
     lost: u64,
+    /// Messages of isolated nodes.
+    kept_out: u64,
     /// The node ends; the sessions follow once nothing waits here.
     leaving: bool,
     /// As of which revision of the registry the peers know our names.
@@ -111,11 +115,17 @@ impl Gateway {
         environment: &NetEnvironment,
         sessions: SessionPorts,
         doors: Arc<Doors>,
+        told: Arc<OnceLock<Wardens>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
-        let NetEnvironment { registry, topics, recoverer, nodes, faults, dead_letters, .. } =
-            environment.clone();
-        move |_| Gateway {
-            wiring: Wiring {
+        let NetEnvironment {
+            node, registry, topics, recoverer, nodes, faults, dead_letters, ..
+        } = environment.clone();
+        move |context| {
+            let keeping = context.address().recipient();
+            let wardens = Wardens::new(node, doors.clone(), registry.clone(), keeping);
+            // A gateway is made once.
+            let _ = told.set(wardens.clone());
+            Gateway::wired(Wiring {
                 registry,
                 topics,
                 recoverer,
@@ -123,8 +133,15 @@ impl Gateway {
                 faults,
                 sessions,
                 doors,
+                wardens,
                 dead_letters,
-            },
+            })
+        }
+    }
+
+    fn wired(wiring: Wiring) -> Self {
+        Gateway {
+            wiring,
             exchange: Exchange::default(),
             naming: Naming::default(),
             peers: BTreeMap::new(),
@@ -134,6 +151,7 @@ impl Gateway {
             notices: BTreeMap::new(),
             next: 0,
             lost: 0,
+            kept_out: 0,
             leaving: false,
             revision: None,
         }

@@ -25,6 +25,7 @@ mod router;
 mod sessions;
 #[cfg(test)]
 mod tests;
+mod wardens;
 
 pub(crate) use carrier::Interface;
 
@@ -36,7 +37,7 @@ use actix::prelude::*;
 use actix_rt::ArbiterHandle;
 use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
-use blastema_contract::naming::{NodeRow, ReadNames};
+use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::{AreYouAlive, FaultDeclared};
 use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
@@ -46,7 +47,7 @@ use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::{LinkNumber, NodeId};
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use std::collections::BTreeSet;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 /// One medium of this node, and its neighbours there.
@@ -147,6 +148,7 @@ pub(crate) struct NetHandle {
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
     doors: Arc<door::Doors>,
+    wardens: Arc<OnceLock<wardens::Wardens>>,
     carrier: Arc<carrier::CarrierWatch>,
 }
 
@@ -165,10 +167,10 @@ pub(crate) fn start(
     let make = { router::Router::maker(life.clone(), environment.nodes.clone()) };
     let router = guardian.start(named("router"), place, make);
 
-    let to_router = (router.clone().recipient(), life.clone());
+    let to_router = (router.clone().recipient(), life.clone(), environment.faults.clone());
     let sessions = guardian.start(named("sessions"), place, move |_| {
-        let (router, (node, incarnation)) = to_router;
-        sessions::Sessions::new(node, incarnation, router)
+        let (router, (node, incarnation), faults) = to_router;
+        sessions::Sessions::new(node, incarnation, router, faults)
     });
     router.do_send(AddSessions {
         segments: sessions.clone().recipient(),
@@ -182,7 +184,8 @@ pub(crate) fn start(
         leave: sessions.clone().recipient(),
         begin_anew: sessions.clone().recipient(),
     };
-    let make = gateway::Gateway::maker(&environment, to_sessions, doors.clone());
+    let wardens = Arc::new(OnceLock::new());
+    let make = gateway::Gateway::maker(&environment, to_sessions, doors.clone(), wardens.clone());
     let gateway = guardian.start(named("gateway"), place, make);
     doors.lead_to(gateway.clone().recipient());
     sessions.do_send(AddGateway(gateway.clone().recipient()));
@@ -216,7 +219,17 @@ pub(crate) fn start(
     });
     let networks = networks.collect();
     let carrier = Arc::new(carrier::CarrierWatch::start(watched));
-    Ok(NetHandle { gateway, sessions, router, networks, guardian, arbiter, doors, carrier })
+    Ok(NetHandle {
+        gateway,
+        sessions,
+        router,
+        networks,
+        guardian,
+        arbiter,
+        doors,
+        wardens,
+        carrier,
+    })
 }
 
 fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
@@ -281,6 +294,18 @@ impl NetHandle {
     /// Every node that a session is open with, and its objects.
     pub(crate) async fn read_names(&self) -> Vec<NodeRow> {
         self.gateway.send(ReadNames).await.unwrap_or_default()
+    }
+
+    /// Keeps a node out everywhere, or lets it in again.
+    pub(crate) fn isolate(&self, node: &NodeName, isolated: bool) {
+        if let Some(wardens) = self.wardens.get() {
+            wardens.decide(node, isolated);
+        }
+    }
+
+    /// Finds objects of other nodes.
+    pub(crate) fn finder(&self) -> Recipient<FindObject> {
+        self.gateway.clone().recipient()
     }
 
     /// Takes [`PanicOnPurpose`], for the demonstration and tests.

@@ -4,18 +4,24 @@ use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
+use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::{PanicOnPurpose, PathReported, SegmentArrived, SendSegment};
 use blastema_contract::session::{
     AddGateway, BeginAnew, Leave, ReadSessions, Say, SayNewest, SessionReported, SessionRow,
 };
-use blastema_core::net::{Crowd, NodeId, Session, SessionConfig, SessionOutput};
-use blastema_core::{Incarnation, NodeName, Why};
-use std::collections::BTreeMap;
+use blastema_core::net::complaints::Complaints;
+use blastema_core::net::segment::Stream;
+use blastema_core::net::{Crowd, NodeId, Refusals, Session, SessionConfig, SessionOutput};
+use blastema_core::{FaultKind, Incarnation, NodeName, Why};
+use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use tracing::{error, info};
+use std::time::Duration;
+use tracing::{error, info, warn};
 
 /// The most peers that are remembered. Twice what a router knows at a time: robots change.
 const PEERS_MAX: usize = 512;
+/// How often it is looked at what was refused.
+const LOOK: Duration = Duration::from_secs(1);
 /// A session that is built anew counts on from there: more than any life of a session needs.
 const NUMBERS_PER_LIFE: u32 = 1 << 16;
 
@@ -28,6 +34,10 @@ pub(super) struct Sessions {
     peers: BTreeMap<NodeId, Peer>,
     router: Recipient<SendSegment>,
     gateway: Option<Recipient<SessionReported>>,
+    faults: Option<Recipient<FaultDeclared>>,
+    complaints: Complaints<Option<NodeId>>,
+    /// What came from nodes that no route leads to.
+    strangers: Refusals,
 }
 
 struct Peer {
@@ -36,6 +46,8 @@ struct Peer {
     path: Option<(Incarnation, usize)>,
     /// Sessions are numbered above this.
     number: u32,
+    /// Which streams hold all that they should.
+    full: BTreeSet<Stream>,
 }
 
 impl Sessions {
@@ -43,6 +55,7 @@ impl Sessions {
         node: NodeName,
         incarnation: Incarnation,
         router: Recipient<SendSegment>,
+        faults: Option<Recipient<FaultDeclared>>,
     ) -> Self {
         Sessions {
             node,
@@ -52,6 +65,9 @@ impl Sessions {
             peers: BTreeMap::new(),
             router,
             gateway: None,
+            faults,
+            complaints: Complaints::default(),
+            strangers: Refusals::default(),
         }
     }
 
@@ -69,7 +85,7 @@ impl Sessions {
             if self.peers.len() >= PEERS_MAX {
                 self.forget_one();
             }
-            self.peers.insert(id, Peer { node, path: None, number: 0 });
+            self.peers.insert(id, Peer { node, path: None, number: 0, full: BTreeSet::new() });
             self.build(id);
         }
         id
@@ -81,6 +97,7 @@ impl Sessions {
         if let Some(id) = gone {
             self.peers.remove(&id);
             self.crowd.remove(id);
+            self.complaints.forget(&Some(id));
             self.report(SessionReported::Ended { peer: id, why: Why::Stopped });
         }
     }
@@ -102,6 +119,27 @@ impl Sessions {
         }
     }
 
+    /// Whoever sends for seconds what must be refused is named.
+    fn look_at_refusals(&mut self) {
+        let peers = self.crowd.iter().map(|(id, session)| (Some(id), session.refusals()));
+        let looks: Vec<_> = peers.chain([(None, self.strangers)]).collect();
+        for (peer, refusals) in looks {
+            let Some(since) = self.complaints.handle_look(peer, refusals) else { continue };
+            let name = peer.and_then(|id| self.peers.get(&id)).map(|peer| peer.node.to_string());
+            let name = name.unwrap_or_else(|| "nodes that no route leads to".to_owned());
+            let detail = format!("what comes from {name} is refused all the time: {since}");
+            warn!("{detail}");
+            if let Some(faults) = &self.faults {
+                faults.do_send(FaultDeclared {
+                    object: super::named("sessions"),
+                    incarnation: crate::guardian::alive().incarnation,
+                    kind: FaultKind::CheckFailed,
+                    detail,
+                });
+            }
+        }
+    }
+
     fn unreachable(&self, peer: NodeId) -> Why {
         let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
         Why::Unreachable { node }
@@ -112,12 +150,17 @@ answers_the_monitor!(Sessions);
 
 impl Actor for Sessions {
     type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        context.run_interval(LOOK, |sessions, _| sessions.look_at_refusals());
+    }
 }
 
 impl Supervised for Sessions {
     /// The session that was being served is built anew; the others have not noticed.
     fn restarting(&mut self, context: &mut Context<Self>) {
         self.wake = Wake::default();
+        self.started(context);
         if let Some(id) = self.crowd.last()
             && let Some(mut broken) = self.crowd.remove(id)
         {
@@ -131,6 +174,7 @@ impl Supervised for Sessions {
             self.report(SessionReported::Ended { peer: id, why });
             if let Some(peer) = self.peers.get_mut(&id) {
                 peer.number = peer.number.max(broken.number()).saturating_add(NUMBERS_PER_LIFE);
+                peer.full.clear();
             }
             self.build(id);
             let path = self.peers.get(&id).and_then(|peer| peer.path);
@@ -177,8 +221,19 @@ impl Body for Sessions {
                 info!(%peer, %incarnation, %why, "session ended");
                 self.report(SessionReported::Ended { peer, why });
             }
-            SessionOutput::Full { .. } => self.report(SessionReported::Full { peer }),
-            SessionOutput::Room { .. } => self.report(SessionReported::Room { peer }),
+            SessionOutput::Full { stream } => {
+                if let Some(known) = self.peers.get_mut(&peer) {
+                    known.full.insert(stream);
+                }
+                self.report(SessionReported::Full { peer });
+            }
+            SessionOutput::Room { stream } => {
+                // Senders know one door for all streams: it opens when none is full.
+                let known = self.peers.get_mut(&peer);
+                if known.is_none_or(|known| known.full.remove(&stream) && known.full.is_empty()) {
+                    self.report(SessionReported::Room { peer });
+                }
+            }
             SessionOutput::Incompatible { theirs } => {
                 error!(%peer, theirs, "the peer's sessions speak another version: update one node");
             }
@@ -247,7 +302,10 @@ impl Handler<SegmentArrived> for Sessions {
     fn handle(&mut self, message: SegmentArrived, context: &mut Context<Self>) {
         let SegmentArrived { source, segment } = message;
         // A peer that the router has not told of yet repeats itself.
-        let Some(session) = self.crowd.get_mut(source) else { return };
+        let Some(session) = self.crowd.get_mut(source) else {
+            self.strangers.unexpected += 1;
+            return;
+        };
         session.handle_segment(segment, platform::now());
         self.drive(context);
     }

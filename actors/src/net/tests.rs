@@ -3,6 +3,7 @@
 
 mod calls;
 mod delivery;
+mod hostile;
 mod versions;
 
 use super::{LinkSpec, NetEnvironment, NetHandle, NetworkSpec, start};

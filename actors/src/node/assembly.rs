@@ -14,9 +14,11 @@ use crate::chain::strategy::{ToolBox, Tools};
 use crate::guardian::Guardian;
 use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
 use crate::host::environment::{HostEnvironment, Reports};
+use crate::host::spec::SpecError;
 use crate::host::watch::{self as lookout, WatchGuard};
 use crate::net::{self, NetEnvironment, NetHandle};
 use crate::registry::Registry;
+use crate::service::{Carried, ReplicaBody};
 use crate::{panics, platform};
 use actix::prelude::*;
 use blastema_contract::detector::{ReadRecord, Subscribe};
@@ -372,6 +374,20 @@ fn check_dependencies(node: &NodeName, harvest: &Harvest) -> Result<(), StartErr
     Ok(())
 }
 
+/// The nodes of a service are others than each other, and this is one of them.
+fn check_service(carried: &Carried) -> Result<(), StartError> {
+    let Carried { name, config, .. } = carried;
+    let different: BTreeSet<_> = config.members.iter().collect();
+    let reason = if !different.contains(&config.own) {
+        format!("{} is none of its nodes: add it, or leave the service out here", config.own)
+    } else if different.len() < config.members.len() {
+        "a node stands twice among its nodes: name each once".to_owned()
+    } else {
+        return Ok(());
+    };
+    Err(StartError::Service { name: name.clone(), reason })
+}
+
 pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
     let node = NodeName::new(&builder.name)?;
@@ -420,6 +436,21 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     check_dependencies(&node, &harvest)?;
 
     let mut enrolments: Vec<Enrol> = Vec::new();
+    if let Some(networks) = &networks {
+        environment.services.find_by(networks.handle.finder());
+    }
+    for carried in builder.services {
+        let carried = carried?;
+        check_service(&carried)?;
+        let name = carried.body.clone();
+        environment.services.enter(carried.name.clone(), carried.config.members.clone());
+        let place = networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
+        let place = place.or(chain.arbiter.as_ref());
+        let (registry, services) = (&environment.registry, &environment.services);
+        let body = ReplicaBody::start(carried, registry, services, &guardian, place);
+        let body = body.map_err(SpecError::from)?;
+        enrolments.push(middleware(name, Some(body)));
+    }
     let leases = environment.actuators.start(named("leases"), &guardian, chain.arbiter.as_ref());
     enrolments.push(middleware(named("leases"), Some(leases)));
     for (name, inquiries) in chain.inquiries.iter().cloned() {

@@ -6,6 +6,7 @@ use super::tree::SupervisorSpec;
 use crate::chain::strategy::{RecoveryStrategy, SafeOutputs, StrategyTable};
 use crate::component::Component;
 use crate::host::spec::{ChildSpec, SpecError};
+use crate::service::{Carried, ServiceSpec, Stateful};
 use blastema_core::detection::EnrolError;
 use blastema_core::recovery::{Plan, PlanError, Restart, Strategy};
 use blastema_core::{Fault, FaultKind, NameError, ObjectName};
@@ -52,6 +53,14 @@ pub enum StartError {
     /// The networks cannot be used together.
     #[error("{0}")]
     Network(String),
+    /// A service has a mistake in its nodes.
+    #[error("service {name}: {reason}")]
+    Service {
+        /// The service.
+        name: ObjectName,
+        /// What is wrong, and what to write.
+        reason: String,
+    },
     /// The operating system has no thread left.
     #[error("a thread could not be started: {0}")]
     Thread(#[from] io::Error),
@@ -86,6 +95,7 @@ pub struct NodeBuilder {
     pub(super) placement: Placement,
     pub(super) grace: Duration,
     pub(super) networks: Vec<Network>,
+    pub(super) services: Vec<Result<Carried, NameError>>,
 }
 
 impl fmt::Debug for NodeBuilder {
@@ -108,6 +118,7 @@ impl NodeBuilder {
             // Twenty beats: a handler that was merely slow has come back by then.
             grace: Duration::from_millis(200),
             networks: Vec::new(),
+            services: Vec::new(),
         }
     }
 
@@ -146,6 +157,14 @@ impl NodeBuilder {
     pub fn network(mut self, network: Network) -> Self {
         self.networks.push(network);
         self
+    }
+
+    /// Carries a service together with other nodes, which are given the same spec. The component stands
+    /// under the root supervisor as `<name>/replica`.
+    pub fn service<C: Stateful>(mut self, spec: ServiceSpec<C>) -> Self {
+        let (component, carried) = spec.carried(&self.name);
+        self.services.push(carried);
+        self.child(component)
     }
 
     /// What is done about which fault. The default has an answer to every built-in kind.

@@ -31,6 +31,7 @@ use crate::host::spec::{ChildSpec, SpecError};
 use crate::lease::{self, Commander};
 use crate::reference::ActorRef;
 use crate::sender::Sender;
+use crate::service::{Role, ServiceRef};
 use crate::topic::Publisher;
 use crate::variable::{self, VariableRef};
 use actix::Recipient;
@@ -44,7 +45,9 @@ use blastema_contract::session::SessionRow;
 use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
 use blastema_core::detection::{Record, Row};
 use blastema_core::net::Route;
-use blastema_core::{Contract, Event, Incarnation, NodeName, ObjectName, Variable, Why};
+use blastema_core::{
+    Contract, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable, Why,
+};
 use keeper::Shutdown;
 use std::any::Any;
 use std::collections::BTreeMap;
@@ -159,6 +162,47 @@ impl Node {
     /// [`Why::Unknown`] where no object here has the name, or it owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
         variable::find(&self.0.environment.registry, object)
+    }
+
+    /// Isolates a node that cannot be recovered: from now on what it sends is refused by every node, and
+    /// nothing is sent there ([`Why::Isolated`]). A node that is away is told when it is back. Nothing
+    /// happens without a network.
+    ///
+    /// # Errors
+    /// The name does not parse.
+    pub fn isolate(&self, node: &str) -> Result<(), NameError> {
+        self.set_isolated(node, true)
+    }
+
+    /// Lets an isolated node in again, everywhere. All sessions of every node begin anew for that.
+    ///
+    /// # Errors
+    /// The name does not parse.
+    pub fn admit(&self, node: &str) -> Result<(), NameError> {
+        self.set_isolated(node, false)
+    }
+
+    fn set_isolated(&self, node: &str, isolated: bool) -> Result<(), NameError> {
+        let node = NodeName::new(node)?;
+        if let Some(networks) = &self.0.networks {
+            networks.handle.isolate(&node, isolated);
+        }
+        Ok(())
+    }
+
+    /// Asks the service of this name, whichever node serves it. Found are services that this node
+    /// carries, and those of nodes that a session is open with.
+    ///
+    /// # Errors
+    /// The name does not parse. Whether there is such a service is found out when it is asked.
+    pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
+        let HostEnvironment { registry, services, .. } = &self.0.environment;
+        ServiceRef::new(registry, services, name)
+    }
+
+    /// Whether this node serves, or stands by for, a service that it carries.
+    pub fn service_role(&self, name: &str) -> Option<Role> {
+        self.0.environment.services.role(&ObjectName::new(name).ok()?)
     }
 
     /// Commands the actuator of this name, here or on another node, under the name `own`. The lease is

@@ -12,7 +12,7 @@ use blastema_core::{NodeName, ObjectName};
 use blastema_transports::frame_medium::FrameMedium;
 use blastema_transports::{
     Endpoint, EndpointError, Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig,
-    SerialLine, Tcp, TcpConfig, Udp, UdpConfig, Unix,
+    SerialLine, SlcanBus, Tcp, TcpConfig, Udp, UdpConfig, Unix,
 };
 use std::fmt;
 use std::net::SocketAddr;
@@ -156,7 +156,7 @@ pub struct Link {
     neighbour: String,
     remote: Remote,
     cost: Option<u16>,
-    hello_interval: Duration,
+    hello_interval: Option<Duration>,
 }
 
 /// Where a neighbour is.
@@ -188,7 +188,7 @@ impl Link {
 
     fn at(neighbour: &str, remote: Remote) -> Self {
         let neighbour = neighbour.to_owned();
-        Link { name: None, neighbour, remote, cost: None, hello_interval: HELLO_INTERVAL }
+        Link { name: None, neighbour, remote, cost: None, hello_interval: None }
     }
 
     /// How people call it. Unless this says otherwise, it has the network's name where it is the only
@@ -210,7 +210,7 @@ impl Link {
     /// hellos take no more than a twentieth of it. Shorter finds a dead link sooner and costs more; the
     /// neighbour finds this end dead after three and a half of them.
     pub fn hello_every(mut self, interval: Duration) -> Self {
-        self.hello_interval = interval;
+        self.hello_interval = Some(interval);
         self
     }
 }
@@ -265,6 +265,14 @@ pub(super) struct Laid {
 /// A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so long
 /// looks dead to its neighbours; on a computer that is never overloaded, less is fine.
 const HELLO_INTERVAL: Duration = Duration::from_millis(50);
+/// What a hello takes on a CAN bus, in bits: eight frames, and the receiver's word on how to go on.
+const HELLO_BITS: u32 = 1_200;
+/// How fast an interface of the system is taken to be, in bits a second: it does not say.
+const CAN_RATE_HZ: u32 = 500_000;
+/// The longest that a link accepts of its neighbour is 15 s.
+const HELLO_LONGEST: Duration = Duration::from_secs(10);
+/// Hellos may take so much of a slow line: one part in ten.
+const HELLO_SHARE: u32 = 10;
 
 impl Medium {
     /// The address of a neighbour as this medium has it.
@@ -278,6 +286,21 @@ impl Medium {
             }
             (Remote::Written(text), Medium::Own(_)) if text.is_empty() => Ok(MediumAddress::Line),
             (Remote::Written(text), Medium::Own(_)) => Ok(MediumAddress::Own(text.as_str().into())),
+        }
+    }
+
+    /// How often a hello is sent unless the link says otherwise, on a network with so many links.
+    fn hello_interval(&self, links: usize) -> Duration {
+        // A bus is shared: each of its nodes says hello to each other.
+        let on_bus = |rate_hz: u32| {
+            let hellos = u32::try_from(links * (links + 1)).unwrap_or(u32::MAX);
+            let one = Duration::from_secs(1) * HELLO_BITS / rate_hz.max(1);
+            HELLO_INTERVAL.max(one.saturating_mul(hellos) * HELLO_SHARE).min(HELLO_LONGEST)
+        };
+        match self {
+            Medium::At(Endpoint::Can(_)) => on_bus(CAN_RATE_HZ),
+            Medium::At(Endpoint::Slcan(config)) => on_bus(config.bitrate),
+            _ => HELLO_INTERVAL,
         }
     }
 
@@ -304,6 +327,19 @@ impl Medium {
             Medium::At(Endpoint::Serial(config)) => {
                 let make = move |_: &mut Context<FrameTransport>| {
                     FrameTransport::new(SerialLine::new(config))
+                };
+                Transport::from(guardian.start(object, arbiter, make))
+            }
+            #[cfg(target_os = "linux")]
+            Medium::At(Endpoint::Can(config)) => {
+                let make = move |_: &mut Context<FrameTransport>| {
+                    FrameTransport::new(blastema_transports::CanBus::new(config, platform::now))
+                };
+                Transport::from(guardian.start(object, arbiter, make))
+            }
+            Medium::At(Endpoint::Slcan(config)) => {
+                let make = move |_: &mut Context<FrameTransport>| {
+                    FrameTransport::new(SlcanBus::new(config, platform::now))
                 };
                 Transport::from(guardian.start(object, arbiter, make))
             }
@@ -341,6 +377,7 @@ impl Network {
         let object = ObjectName::new(&format!("transport/{name}"))?;
         let mut neighbours = Vec::new();
         let mut specs = Vec::new();
+        let usual_interval = medium.hello_interval(links.len());
         let alone = links.len() == 1;
         for Link { name: own, neighbour, remote, cost, hello_interval } in links {
             let node = NodeName::new(&neighbour)?;
@@ -349,6 +386,7 @@ impl Network {
             let remote = medium
                 .remote(remote)
                 .map_err(|error| StartError::Endpoint { network: name.clone(), error })?;
+            let hello_interval = hello_interval.unwrap_or(usual_interval);
             neighbours.push(node.clone());
             let neighbour = Some(node);
             specs.push(LinkSpec { name: link, remote, neighbour, cost, hello_interval });

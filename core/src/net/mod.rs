@@ -39,9 +39,11 @@ mod wire;
 
 pub mod advertisement;
 pub mod claims;
+pub mod complaints;
 pub mod crowd;
 pub mod exchange;
 pub mod frame;
+pub mod isolation;
 pub mod link;
 pub mod message;
 pub mod naming;

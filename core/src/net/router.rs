@@ -515,9 +515,7 @@ impl Router {
             let (mtu, incarnation) = (topology::segment_limit(route.mtu), route.incarnation);
             let output = match before.remove(id) {
                 Some(old) if old.incarnation == incarnation => {
-                    // Dearer, it has lost something further on, and with it what was on its way there.
-                    let dearer = route.cost > old.cost;
-                    if old.chosen == route.chosen && old.mtu == route.mtu && !dearer {
+                    if !old.must_repeat_over(route) {
                         continue;
                     }
                     RouterOutput::PathChanged { node: *id, mtu }

@@ -50,6 +50,12 @@ pub(crate) fn segment_limit(mtu: u16) -> usize {
 }
 
 impl Route {
+    /// Whether what is under way here is to be repeated over its successor: it goes another way, in
+    /// other pieces, or has become dearer, that is, has lost something further on.
+    pub(crate) fn must_repeat_over(&self, next: &Route) -> bool {
+        self.chosen != next.chosen || self.mtu != next.mtu || self.cost < next.cost
+    }
+
     /// The next hop or the alternate, whichever is better off now, the next hop if both are alike; never
     /// to `from`.
     pub(crate) fn choose(

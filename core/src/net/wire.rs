@@ -1,6 +1,7 @@
 //! Reading and writing bytes that come from, or go to, outside.
 
 use bytes::{Buf, BufMut, Bytes, BytesMut};
+use std::fmt;
 
 /// Why bytes from outside were refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -68,6 +69,20 @@ impl Refusals {
         }
     }
 
+    /// What has come since `before`. A counter that began anew counts in full.
+    pub fn since(&self, before: &Refusals) -> Refusals {
+        let since = |now: u64, before: u64| now.checked_sub(before).unwrap_or(now);
+        Refusals {
+            foreign: since(self.foreign, before.foreign),
+            version: since(self.version, before.version),
+            truncated: since(self.truncated, before.truncated),
+            too_large: since(self.too_large, before.too_large),
+            malformed: since(self.malformed, before.malformed),
+            stale: since(self.stale, before.stale),
+            unexpected: since(self.unexpected, before.unexpected),
+        }
+    }
+
     /// All of them.
     pub fn total(&self) -> u64 {
         self.foreign
@@ -77,6 +92,24 @@ impl Refusals {
             + self.malformed
             + self.stale
             + self.unexpected
+    }
+}
+
+impl fmt::Display for Refusals {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let counts = [
+            (self.foreign, "foreign"),
+            (self.version, "of another version"),
+            (self.truncated, "truncated"),
+            (self.too_large, "too large"),
+            (self.malformed, "malformed"),
+            (self.stale, "stale"),
+            (self.unexpected, "unexpected"),
+        ];
+        let mut counts = counts.into_iter().filter(|(count, _)| *count > 0);
+        let Some((count, what)) = counts.next() else { return f.write_str("none") };
+        write!(f, "{count} {what}")?;
+        counts.try_for_each(|(count, what)| write!(f, ", {count} {what}"))
     }
 }
 

@@ -27,6 +27,8 @@ pub(super) enum Message {
     Promise { epoch: u64, number: u64, position: Position, in_step: bool },
     /// The sender acts under no such epoch: this one holds.
     Outdated { epoch: u64 },
+    /// The sender has voted in this epoch already: claim a greater one.
+    Voted { epoch: u64 },
     /// A standby wants to be primary.
     Claim { epoch: u64, position: Position },
     /// It may.

@@ -288,6 +288,8 @@ impl Replica {
                 Acting::Primary(_) => {}
                 Acting::Standby(_) => self.claimed = self.claimed.max(epoch),
             },
+            // That somebody has claimed in vain deposes nobody.
+            Message::Voted { epoch } => self.claimed = self.claimed.max(epoch),
             Message::Claim { epoch, position } => self.hear_claim(from, epoch, position, now),
             Message::Vote { epoch } => self.hear_vote(from, epoch, now),
             Message::Entry { epoch, position, served, body } => {
@@ -344,7 +346,15 @@ impl Replica {
         // What it did and nobody has is void; who asks again gets it from whoever follows.
         self.jobs.retain(|job| !matches!(job, Job::Serve { .. } | Job::Save));
         for caller in past.callers() {
-            self.answer(caller, ServiceOutcome::Elsewhere(primary.clone()));
+            let outcome = match self.config.kind {
+                // Nobody else knows of it.
+                StandbyKind::Cold => {
+                    let reason = "the primary stopped while it served".into();
+                    ServiceOutcome::Served(Err(Why::OutcomeUnknown { reason }))
+                }
+                _ => ServiceOutcome::Elsewhere(primary.clone()),
+            };
+            self.answer(caller, outcome);
         }
         self.outputs.push_back(ReplicaOutput::Became(Role::Standby { primary }));
     }

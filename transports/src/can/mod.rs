@@ -18,8 +18,10 @@ use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
 use std::future::Future;
 use std::io;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
+use tokio::io::{Interest, Ready};
 use tokio::net::UnixDatagram;
 use tokio::time::Sleep;
 
@@ -52,14 +54,21 @@ impl CanBus {
         let format =
             if config.fd { Format::Fd { fast: config.bit_rate_switch } } else { Format::Classic };
         let node = config.node.clone();
-        CanNode::over(CanSocket { config, socket: None, pause: None }, node, format, now)
+        CanNode::over(
+            CanSocket { config, socket: None, failing: None, pause: None },
+            node,
+            format,
+            now,
+        )
     }
 }
 
 /// A raw socket on a CAN interface.
 pub struct CanSocket {
     config: CanConfig,
-    socket: Option<UnixDatagram>,
+    socket: Option<Arc<UnixDatagram>>,
+    /// Ready when the kernel has something to say of the interface: reading is not woken by it.
+    failing: Option<Pin<Box<dyn Future<Output = io::Result<Ready>> + Send>>>,
     /// The interface's queue is full: the next attempt.
     pause: Option<Pin<Box<Sleep>>>,
 }
@@ -87,6 +96,27 @@ impl CanSocket {
         UnixDatagram::from_std(socket.as_raw_socket().try_clone()?.into())
     }
 
+    /// Ready when the interface goes down, or is removed.
+    fn poll_failure(&mut self, task: &mut Context<'_>) -> Poll<io::Error> {
+        loop {
+            let Some(socket) = self.socket.clone() else { return Poll::Ready(closed()) };
+            let failing = self.failing.get_or_insert_with(|| {
+                Box::pin(async move { socket.ready(Interest::ERROR).await })
+            });
+            let failed = ready!(failing.as_mut().poll(task));
+            self.failing = None;
+            let Some(socket) = &self.socket else { return Poll::Ready(closed()) };
+            match failed.and_then(|_| socket.take_error()) {
+                Ok(Some(error)) | Err(error) => return Poll::Ready(error),
+                // Somebody was told already. What is ready is so until an attempt says otherwise.
+                Ok(None) => {
+                    let nothing = || Err::<(), _>(io::ErrorKind::WouldBlock.into());
+                    let _ = socket.try_io(Interest::ERROR, nothing);
+                }
+            }
+        }
+    }
+
     fn explain(&self, error: io::Error) -> io::Error {
         use rustix::io::Errno;
         let interface = &self.config.interface;
@@ -108,7 +138,8 @@ impl CanPort for CanSocket {
     }
 
     fn open(&mut self, _: Instant) -> io::Result<()> {
-        self.socket = Some(self.connect().map_err(|error| self.explain(error))?);
+        let socket = self.connect().map_err(|error| self.explain(error))?;
+        self.socket = Some(Arc::new(socket));
         Ok(())
     }
 
@@ -143,6 +174,9 @@ impl CanPort for CanSocket {
         task: &mut Context<'_>,
         _: Instant,
     ) -> Poll<io::Result<Option<CanFrame>>> {
+        if let Poll::Ready(error) = self.poll_failure(task) {
+            return Poll::Ready(Err(self.explain(error)));
+        }
         let Some(socket) = &self.socket else { return Poll::Ready(Err(closed())) };
         let mut bytes = [0; layout::FD];
         loop {
@@ -156,7 +190,7 @@ impl CanPort for CanSocket {
     }
 
     fn close(&mut self) {
-        self.socket = None;
+        (self.socket, self.failing) = (None, None);
         self.pause = None;
     }
 }

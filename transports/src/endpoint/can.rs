@@ -7,8 +7,8 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CanNodeConfig {
-    /// Our number on the bus, 0 to 254. No two nodes may have the same; peers are given by theirs. A
-    /// link to 255 speaks to all.
+    /// Our number on the bus, 0 to 254. No two nodes may have the same; peers are given by theirs.
+    /// What is sent to 255 goes to all.
     pub address: u8,
     /// Identifiers of 11 bits, for buses and adapters that know no others: addresses 0 to 30 then. All
     /// nodes of the bus must do alike.

@@ -3,14 +3,16 @@
 use super::errand::{Answered, Interested, Noticed, Notify, Published, Ship};
 use super::{Gateway, LEAVE_PATIENCE, topic};
 use crate::net::door::Condition;
+use crate::net::wardens::KeptOut;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
 use blastema_contract::router::PanicOnPurpose;
-use blastema_contract::session::{Leave, SessionReported};
+use blastema_contract::session::{BeginAnew, Leave, SessionReported};
 use blastema_core::net::exchange::Call;
 use blastema_core::{ObjectAddress, ObjectName, Why};
 use std::sync::atomic::Ordering::Relaxed;
+use tracing::debug;
 
 impl Handler<SessionReported> for Gateway {
     type Result = ();
@@ -45,9 +47,18 @@ impl Handler<SessionReported> for Gateway {
                     self.exchange.handle_own_names(Some(peer), &announcement, now);
                 }
                 gate.set(Condition::Open);
+                if let Some(peer) = self.peers.get(&peer) {
+                    self.wiring.wardens.opened(peer.node.clone());
+                }
             }
             SessionReported::Message { peer, message } => {
-                self.exchange.handle_message(peer, message, platform::now());
+                let gate = self.peers.get(&peer).map(|peer| &peer.gate);
+                if gate.is_some_and(|gate| gate.is_isolated()) {
+                    self.kept_out += 1;
+                    debug!(%peer, kept_out = self.kept_out, "an isolated node speaks");
+                } else {
+                    self.exchange.handle_message(peer, message, platform::now());
+                }
             }
             SessionReported::Returned { peer, message, why, sent } => {
                 let why = self.because(peer, why);
@@ -62,9 +73,30 @@ impl Handler<SessionReported> for Gateway {
                 let why = self.because(peer, why);
                 self.exchange.handle_ended(peer, &why);
                 self.naming.handle_ended(peer);
+                if let Some(peer) = self.peers.get(&peer) {
+                    self.wiring.wardens.ended(&peer.node);
+                }
             }
             SessionReported::Full { peer } => self.set(peer, Condition::Full),
             SessionReported::Room { peer } => self.set(peer, Condition::Open),
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<KeptOut> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: KeptOut, context: &mut Context<Self>) {
+        let KeptOut { node, isolated } = message;
+        let (peer, _) = self.meet(&node);
+        if isolated {
+            // What is under way with it is resolved, and what it has here goes.
+            self.exchange.handle_ended(peer, &Why::Isolated);
+            self.naming.handle_ended(peer);
+        } else {
+            // What it said meanwhile was not heard: only a new session makes both agree again.
+            self.wiring.sessions.begin_anew.do_send(BeginAnew);
         }
         self.drive(context);
     }

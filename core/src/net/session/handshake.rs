@@ -44,10 +44,29 @@ impl Session {
             self.refusals.stale += 1;
             return;
         }
+        // The router speaks for lives: one that it does not know is forged, or will be told in a moment.
+        if self.known.is_some_and(|known| open.incarnation > known) {
+            self.refusals.unexpected += 1;
+            return;
+        }
         let theirs = Peer { incarnation: open.incarnation, number: open.number, tag: open.tag };
-        if key > self.newest {
-            self.newest = key;
-            self.end_with_old_peer(open.incarnation);
+        match self.state {
+            State::Open { peer } | State::Closing { peer, .. } => {
+                if open.incarnation > peer.incarnation {
+                    self.end_with_old_peer(open.incarnation);
+                } else if open.number > peer.number {
+                    // Perhaps it is forged: whoever is at the other end of the present session knows its
+                    // tag, or says that it does not any more.
+                    self.refusals.unexpected += 1;
+                    self.acknowledge();
+                    return;
+                }
+            }
+            // A new tag: the old peer may have been told the present one.
+            State::Opening { peer: Some(peer), .. } if (peer.incarnation, peer.number) < key => {
+                self.open(None);
+            }
+            _ => {}
         }
         match self.state {
             State::Idle if self.path.is_some() => self.open(Some(theirs)),
@@ -95,6 +114,7 @@ impl Session {
 
     pub(super) fn begin(&mut self, peer: Peer) {
         self.state = State::Open { peer };
+        self.newest = self.newest.max((peer.incarnation, peer.number));
         self.heard();
         self.outputs.push_back(SessionOutput::Opened { incarnation: peer.incarnation });
     }

@@ -14,6 +14,8 @@
 //! * Within a session each message of the ordered streams is delivered exactly once and in order.
 //!   When a session ends, every message that was not acknowledged is handed back with the reason: it
 //!   was delivered at most once, perhaps not at all.
+//! * What claims to come from the peer is held against what the router knows of its life, and a newer
+//!   session of the same life is believed when the present one's other end has forgotten it.
 //! * A change of path, told by the router, repeats at once what is not acknowledged.
 //!
 //! What it does not do: wait for the application. What has arrived in order is output at once; whoever
@@ -62,6 +64,8 @@ pub struct Session {
     tag: u32,
     /// The newest session of the peer's that we know of.
     newest: (Incarnation, u32),
+    /// The peer's life that the router knows.
+    known: Option<Incarnation>,
     /// The largest segment that the path carries; `None` while there is no path.
     path: Option<usize>,
     streams: [StreamState; 3],
@@ -145,6 +149,7 @@ impl Session {
             number: config.number,
             tag: 0,
             newest: (Incarnation(0), 0),
+            known: None,
             path: None,
             streams,
             trips,
@@ -313,6 +318,7 @@ impl Session {
     /// The router has heard of this life of the peer: sessions with earlier ones are over.
     pub fn handle_incarnation(&mut self, incarnation: Incarnation, now: Instant) {
         self.now = now;
+        self.known = self.known.max(Some(incarnation));
         if self.newest < (incarnation, 0) {
             self.newest = (incarnation, 0);
             self.end_with_old_peer(incarnation);

@@ -87,6 +87,10 @@ pub struct SessionCounters {
     pub overtaken: u64,
     /// Messages that were never finished.
     pub unfinished: u64,
+    /// Packets that came back undelivered; what is reliable of them was sent again.
+    pub returned: u64,
+    /// Why the last of them did.
+    pub last_return: Option<Undelivered>,
     /// Copies on the redundant stream that were dropped, for the first had arrived.
     pub replicas: u64,
     /// Parts of that stream of which no copy came in time; they were repeated.
@@ -94,8 +98,4 @@ pub struct SessionCounters {
     /// Parts of that stream of which fewer copies came than of others around: some way does not carry,
     /// and nobody has noticed by the delivery.
     pub alone: u64,
-    /// Packets that came back undelivered; what is reliable of them was sent again.
-    pub returned: u64,
-    /// Why the last of them did.
-    pub last_return: Option<Undelivered>,
 }

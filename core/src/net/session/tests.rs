@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::NodeName;
-use crate::net::segment::Open;
+use crate::net::segment::{Ack, Open};
 
 const MS: Duration = Duration::from_millis(1);
 
@@ -532,4 +532,109 @@ fn a_session_at_rest_is_silent() {
     pair.run(10_000);
 
     assert_eq!(pair.sent.len(), before);
+}
+
+#[test]
+fn control_goes_before_data_that_waits_and_before_data_that_nobody_acknowledges() {
+    let mut pair = Pair::open();
+    for _ in 0..2000 {
+        pair.send(0, Bytes::from(vec![7; 1000]));
+    }
+    pair.ends[0].handle_send(Stream::Control, text("now"), at(pair.now)).unwrap();
+    pair.run(3);
+
+    let told = pair.take(1);
+    let place = told.iter().position(|output| {
+        matches!(output, SessionOutput::Message { stream: Stream::Control, .. })
+    });
+    assert_eq!(place, Some(0), "of {}", told.len());
+
+    // A full window of data is lost; control does not wait until that is noticed.
+    pair.lose = Box::new(|end, segment| {
+        end == 0 && matches!(segment, Segment::Data(data) if data.stream == Stream::Data)
+    });
+    pair.run(1);
+    pair.ends[0].handle_send(Stream::Control, text("again"), at(pair.now)).unwrap();
+    pair.run(3);
+    let told = pair.take(1);
+    let control = SessionOutput::Message { stream: Stream::Control, message: text("again") };
+    assert!(told.contains(&control), "{told:?}");
+}
+
+#[test]
+fn what_goes_every_way_does_not_wait_for_data_and_is_acknowledged_by_itself() {
+    let mut pair = Pair::open();
+    pair.lose = Box::new(|_, segment| match segment {
+        Segment::Data(data) => data.stream == Stream::Data,
+        Segment::Acknowledge { redundant, .. } => redundant.is_none(),
+        _ => false,
+    });
+    for _ in 0..200 {
+        pair.send(0, Bytes::from(vec![7; 1000]));
+    }
+    pair.run(5);
+
+    for _ in 0..100 {
+        pair.ends[0].handle_send(Stream::Redundant, text("x"), at(pair.now)).unwrap();
+        pair.run(1);
+        assert_eq!(pair.take(1).len(), 1, "at {}", pair.now);
+    }
+
+    pair.run(5);
+    let again = pair.sent.iter().filter(|(_, segment)| {
+        matches!(segment, Segment::Data(data) if data.stream == Stream::Redundant && data.again)
+    });
+    assert_eq!(again.count(), 0);
+    assert_eq!(pair.ends[0].streams[Stream::Redundant as usize].outbound.flying(), 0);
+}
+
+#[test]
+fn a_forged_session_does_not_end_the_present_one_and_a_true_one_does() {
+    let mut pair = Pair::open();
+    for end in 0..2 {
+        pair.ends[end].handle_incarnation(Incarnation(1), at(pair.now));
+    }
+    let forged = |incarnation, number| {
+        let incarnation = Incarnation(incarnation);
+        let open = Open { version: VERSION, tag: 99, echo: 0, incarnation, number };
+        Segment::Open(open).encode()
+    };
+    for segment in [forged(1, u32::MAX), forged(u64::MAX, 1), forged(2, 1)] {
+        pair.ends[0].handle_segment(segment, at(pair.now));
+        pair.run(50);
+    }
+    pair.send(0, text("a"));
+    pair.run(50);
+    assert_eq!(pair.take(0), []);
+    assert_eq!(pair.take(1), [message(text("a"))]);
+    assert_eq!(pair.ends[0].refusals().unexpected, 3);
+
+    // The other machine is built anew within its life.
+    let config = SessionConfig { number: 1000, ..config("right", 1, "left") };
+    pair.ends[1] = Session::new(config, at(pair.now));
+    pair.ends[1].handle_path(1389, at(pair.now));
+    pair.run(50);
+    assert!(matches!(
+        pair.take(0)[..],
+        [SessionOutput::Ended { .. }, SessionOutput::Opened { .. }]
+    ));
+    assert_eq!(pair.take(1), [opened(1)]);
+}
+
+#[test]
+fn a_peer_that_promises_an_absurd_window_is_sent_no_more_than_ours() {
+    let mut pair = Pair::open();
+    pair.lose = Box::new(|end, _| end == 1);
+    for _ in 0..600 {
+        pair.ends[0].handle_send(Stream::Redundant, text("x"), at(pair.now)).unwrap();
+        pair.drain();
+    }
+    let tag = pair.ends[0].tag;
+    let ack = Ack { next: 1, window: u32::MAX, ranges: vec![] };
+    let greedy = Segment::Acknowledge { tag, control: None, data: None, redundant: Some(ack) };
+    pair.ends[0].handle_segment(greedy.encode(), at(pair.now));
+    pair.drain();
+
+    let flying = pair.ends[0].streams[Stream::Redundant as usize].outbound.flying();
+    assert_eq!(flying, 256);
 }

@@ -11,12 +11,6 @@ use crate::net::segment::{Ack, DATA_HEADER, Data, Segment, Stream};
 const BY_URGENCY: [Stream; 3] = [Stream::Control, Stream::Redundant, Stream::Data];
 
 impl Session {
-    /// Parts on their way of the streams that share this lane.
-    pub(super) fn flying(&self, of: usize) -> usize {
-        let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == of);
-        streams.map(|stream| self.streams[stream as usize].outbound.flying()).sum()
-    }
-
     /// Something of ours came back: it is repeated once the routers have had time to find another way,
     /// and never faster than silence would be taken for loss.
     pub fn handle_undelivered(&mut self, reason: Undelivered, now: Instant) {
@@ -24,9 +18,13 @@ impl Session {
         self.counters.returned += 1;
         self.counters.last_return = Some(reason);
         let soon = now + self.config.retransmit_min;
-        for lane in &mut self.retransmit_at {
-            *lane = lane.map(|at| at.min(soon));
-        }
+        self.retransmit_at = self.retransmit_at.map(|lane| lane.map(|at| at.min(soon)));
+    }
+
+    /// Parts on their way of the streams that share this lane.
+    pub(super) fn flying(&self, of: usize) -> usize {
+        let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == of);
+        streams.map(|stream| self.streams[stream as usize].outbound.flying()).sum()
     }
 
     /// Sends the next part that may be sent: control first, and what was lost before what is new.
@@ -37,12 +35,17 @@ impl Session {
         // Room for an acknowledgement of a few ranges; one with more travels alone.
         let room = mtu.saturating_sub(DATA_HEADER + 32).clamp(64, self.config.part_max);
         for stream in BY_URGENCY {
-            // What goes every way keeps its time whatever one of the ways is like; the peer's window
-            // bounds it.
-            if congested && stream != Stream::Redundant {
+            let state = &mut self.streams[stream as usize];
+            let held = match stream {
+                // Some of it may always be on its way, whatever data is before it.
+                Stream::Control => congested && state.outbound.flying() >= Self::CONGESTION_MIN,
+                Stream::Data => congested,
+                // It keeps its time whatever one of the ways is like; the peer's window bounds it.
+                Stream::Redundant => false,
+            };
+            if held {
                 continue;
             }
-            let state = &mut self.streams[stream as usize];
             if let Some((sequence, part)) =
                 state.outbound.transmit(room, self.orders[lane(stream)], self.now)
             {

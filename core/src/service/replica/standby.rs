@@ -137,7 +137,7 @@ impl Replica {
         }
         let voted = self.epoch.max(self.claimed);
         if epoch <= voted {
-            return self.send(from, &Message::Outdated { epoch: voted });
+            return self.send(from, &Message::Voted { epoch: voted });
         }
         let Acting::Standby(standby) = &mut self.role else { return };
         if position < self.position {

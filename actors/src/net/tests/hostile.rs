@@ -1,0 +1,109 @@
+//! A peer that is broken or hostile: it is counted and named, and others are not hindered.
+
+use super::*;
+use blastema_contract::router::SegmentArrived;
+use blastema_core::net::NodeId;
+use blastema_core::net::segment::{Ack, Open, Segment};
+use bytes::Bytes;
+
+/// Three nodes, each with a cable to both others.
+async fn three() -> (Robot, [Module; 3]) {
+    let mut robot = Robot::default();
+    let left = robot.module("left", 1, &[("a", &["right"]), ("b", &["middle"])]).await;
+    let right = robot.module("right", 1, &[("a", &["left"]), ("c", &["middle"])]).await;
+    let middle = robot.module("middle", 1, &[("b", &["left"]), ("c", &["right"])]).await;
+    advance(500 * MS).await;
+    (robot, [left, right, middle])
+}
+
+/// Somebody says all this to `module` again and again, in the name of `source`, while it is asked by a
+/// friend and answers. Answers what was declared.
+async fn under_fire(
+    (victim, friend): (&Module, &Module),
+    source: &str,
+    words: &[Segment],
+) -> Vec<FaultDeclared> {
+    let source = NodeId::of(&NodeName::new(source).unwrap());
+    let words: Vec<Bytes> = words.iter().map(Segment::encode).collect();
+    let sender = friend.sender::<Add>("left:acc");
+    for n in 1..=50 {
+        for segment in words.iter().cycle().take(20) {
+            let segment = segment.clone();
+            victim.net.sessions.do_send(SegmentArrived { source, segment });
+        }
+        assert_eq!(sender.ask_within(Add(1), 100 * MS).await.unwrap(), n);
+        advance(100 * MS).await;
+    }
+    victim.declared.drain()
+}
+
+fn stale(tag: u32) -> Vec<Segment> {
+    let ack =
+        || Some(Ack { next: u64::MAX >> 1, window: u32::MAX, ranges: vec![(1 << 63, 1 << 63)] });
+    let open = |incarnation, number| {
+        let incarnation = Incarnation(incarnation);
+        Segment::Open(Open { version: 1, tag, echo: 0, incarnation, number })
+    };
+    vec![
+        Segment::Acknowledge { tag, control: ack(), data: ack(), redundant: None },
+        Segment::Reset { tag },
+        Segment::Close { tag },
+        // Sessions of a past life, of one to come, and of more sessions than there ever were.
+        open(0, 7),
+        open(1000, 1),
+        open(1, u32::MAX),
+    ]
+}
+
+#[test]
+fn forged_and_replayed_sessions_are_refused_counted_and_named_and_the_forged_one_goes_on() {
+    paused(async {
+        let (_robot, [left, right, middle]) = three().await;
+        let before = right.sender::<Note>("left:acc");
+        before.tell(Note(1)).unwrap();
+        advance(10 * MS).await;
+
+        let declared = under_fire((&left, &middle), "right", &stale(99)).await;
+
+        assert_eq!(declared.len(), 1, "{declared:?}");
+        assert_eq!(declared[0].kind, FaultKind::CheckFailed);
+        assert_eq!(declared[0].object.as_str(), "net/sessions");
+        assert!(declared[0].detail.contains("from right"), "{}", declared[0].detail);
+        // The session that they were forged for has not noticed.
+        before.tell(Note(2)).unwrap();
+        right.sender::<Add>("left:acc").ask(Add(0)).await.unwrap();
+        left.sender::<Add>("right:acc").ask(Add(0)).await.unwrap();
+        assert_eq!(left.log.take(), [1, 2]);
+        let lost = left.host.dead_letters.total() + right.host.dead_letters.total();
+        assert_eq!(lost, 0);
+    });
+}
+
+#[test]
+fn who_speaks_for_a_node_that_nobody_knows_is_counted_and_told() {
+    paused(async {
+        let (_robot, [left, _right, middle]) = three().await;
+
+        let declared = under_fire((&left, &middle), "nobody", &stale(99)).await;
+
+        assert_eq!(declared.len(), 1, "{declared:?}");
+        let detail = &declared[0].detail;
+        assert!(detail.contains("no route leads to") && detail.contains("unexpected"), "{detail}");
+        assert_eq!(left.net.read_sessions().await.len(), 2, "nothing is kept for it");
+    });
+}
+
+#[test]
+fn what_is_refused_in_passing_is_no_fault() {
+    paused(async {
+        let (_robot, [left, _right, _middle]) = three().await;
+        let source = NodeId::of(&NodeName::new("right").unwrap());
+        for _ in 0..200 {
+            let segment = Segment::Reset { tag: 99 }.encode();
+            left.net.sessions.do_send(SegmentArrived { source, segment });
+        }
+        advance(10_000 * MS).await;
+
+        assert_eq!(left.declared.drain(), []);
+    });
+}

@@ -1,0 +1,399 @@
+//! One replica of a service: the body of the machine in the core.
+
+use super::roster::Roster;
+use super::words::{
+    Answered, AskService, LoadState, ReplicaSays, RoleChanged, SaveState, Serving, Task, WhoServes,
+};
+use crate::death_watch::{Down, Ending, Mourner};
+use crate::desk::Desk;
+use crate::drive::{Body, Wake};
+use crate::guardian::{Guardian, answers_the_monitor};
+use crate::host::life::LifeToken;
+use crate::platform;
+use crate::registry::{NameTaken, Port, Postmark, Registry, ReplyTo};
+use crate::reply::Answer;
+use crate::sender::Sender;
+use actix::prelude::*;
+use blastema_contract::reports::AreYouAlive;
+use blastema_core::service::{
+    MESSAGE_MAX, Replica, ReplicaConfig, ReplicaOutput, Role, ServiceOutcome, StandbyKind,
+};
+use blastema_core::{Contract, MessageId, NodeName, ObjectName, PeerIdentity, Why, codec};
+use bytes::Bytes;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+use tracing::{info, warn};
+
+/// How soon a component that could not take a state over is given it again.
+const LOAD_AGAIN: Duration = Duration::from_millis(5);
+/// The most bytes of one task: the caller's limit, which is checked there as well.
+const TASK_MAX: usize = 2 * 1024 * 1024;
+
+/// A service as a node carries it.
+#[derive(Clone)]
+pub(crate) struct Carried {
+    pub(crate) name: ObjectName,
+    /// The component's name.
+    pub(crate) component: ObjectName,
+    /// The replica's own.
+    pub(crate) body: ObjectName,
+    pub(crate) config: ReplicaConfig,
+    pub(crate) initial: Bytes,
+    /// Services without which it does not take over.
+    pub(crate) depends_on: Vec<ObjectName>,
+}
+
+/// Nobody mourns a service: its component has lives of its own.
+struct Undying;
+
+impl crate::death_watch::Mortal for Undying {
+    fn watch(&self, _: Mourner) {}
+}
+
+/// The body.
+pub(crate) struct ReplicaBody {
+    carried: Carried,
+    machine: Replica,
+    wake: Wake,
+    registry: Registry,
+    roster: Roster,
+    callers: BTreeMap<u64, Answer<AskService>>,
+    next: u64,
+    others: BTreeMap<NodeName, Sender<ReplicaSays>>,
+}
+
+impl ReplicaBody {
+    /// Starts the replica, and gives the service its name here.
+    pub(crate) fn start(
+        carried: Carried,
+        registry: &Registry,
+        roster: &Roster,
+        guardian: &Guardian,
+        arbiter: Option<&ArbiterHandle>,
+    ) -> Result<Recipient<AreYouAlive>, NameTaken> {
+        let (kept, known, names) = (carried.clone(), roster.clone(), registry.clone());
+        let make = move |_: &mut Context<Self>| {
+            let (config, initial) = (kept.config.clone(), kept.initial.clone());
+            ReplicaBody {
+                machine: Replica::new(config, initial, platform::now()),
+                carried: kept,
+                wake: Wake::default(),
+                registry: names,
+                roster: known,
+                callers: BTreeMap::new(),
+                next: 0,
+                others: BTreeMap::new(),
+            }
+        };
+        let body = guardian.start(carried.body.clone(), arbiter, make);
+        let mut ports = BTreeMap::new();
+        let (said, asked) = (body.clone().recipient::<Heard>(), body.clone().recipient::<Asked>());
+        let says = Desk::<ReplicaSays>(Arc::new(move |says, answer| {
+            said.do_send(Heard(says));
+            answer.give(());
+        }));
+        let serve = Desk::<AskService>(Arc::new(move |ask, answer| {
+            asked.do_send(Asked(ask, answer));
+        }));
+        let (name, status) = (carried.name.clone(), roster.clone());
+        let keeps = carried.config.kind != StandbyKind::Cold;
+        let own = carried.config.own.clone();
+        let who = Desk::<WhoServes>(Arc::new(move |_, answer| {
+            let primary = status.primary(&name, &own).map(|node| node.to_string());
+            answer.give(Serving { primary, keeps });
+        }));
+        ports.insert(ReplicaSays::NAME, Port::of_desk(says));
+        ports.insert(AskService::NAME, Port::of_desk(serve));
+        ports.insert(WhoServes::NAME, Port::of_desk(who));
+        registry.claim(&carried.name, ports, Arc::new(Undying))?;
+        let told = body.clone().recipient::<Died>();
+        let tell = move |down: Down| {
+            if !matches!(down.ending, Ending::NotAlive | Ending::Unknown) {
+                told.do_send(Died);
+            }
+        };
+        let life = Arc::new(LifeToken::default());
+        let mourner = Mourner { who: carried.name.clone(), life, tell: Box::new(tell) };
+        registry.watch(carried.component.clone(), mourner);
+        Ok(body.recipient())
+    }
+
+    /// Hands something to the component; the answer comes back to this body.
+    fn hand_over(
+        &self,
+        (contract, bytes): (&str, &[u8]),
+        then: impl FnOnce(Result<Bytes, Why>) -> Done + Send + 'static,
+        context: &mut Context<Self>,
+    ) {
+        let body = context.address();
+        let reply_to: ReplyTo = Box::new(move |result| body.do_send(then(result)));
+        match self.registry.doorway(&self.carried.component, contract) {
+            // What came of it is told to the closure in every case.
+            Ok((_, doorway)) => {
+                let _ = doorway.deliver(bytes, Postmark::default(), Some(reply_to));
+            }
+            Err(why) => reply_to(Err(why)),
+        }
+    }
+
+    fn execute(&mut self, request: &[u8], save: bool, context: &mut Context<Self>) {
+        let refused = |why: Why, context: &mut Context<Self>| {
+            context.address().do_send(Done::Executed { result: Err(why), save: false });
+        };
+        let undecodable =
+            |error: codec::DecodeError| Why::Undecodable { reason: error.to_string() };
+        let read = codec::decode_bounded::<Task, TASK_MAX>(request).map_err(undecodable);
+        let read = read.and_then(|Task { identity, payload }| {
+            let theirs = PeerIdentity::decode(&identity).map_err(undecodable)?;
+            let (ours, _) = self.registry.doorway(&self.carried.component, &theirs.name)?;
+            match ours.check(&theirs) {
+                Ok(()) => Ok((theirs.name, payload)),
+                Err(difference) => Err(Why::ContractDiffers { difference: difference.to_string() }),
+            }
+        });
+        match read {
+            Ok((contract, payload)) => {
+                let then = move |result| Done::Executed { result, save };
+                self.hand_over((&contract, &payload), then, context);
+            }
+            Err(why) => refused(why, context),
+        }
+    }
+
+    fn load(&mut self, state: Bytes, context: &mut Context<Self>) {
+        let mut bytes = Vec::new();
+        let message = LoadState { state: state.to_vec() };
+        if codec::encode(&message, &mut bytes).is_err() {
+            warn!(service = %self.carried.name, "a state is too large to be loaded");
+            return self.machine.handle_loaded();
+        }
+        let then = move |result: Result<Bytes, Why>| {
+            let loaded = result.and_then(|reply| {
+                codec::decode_reply::<LoadState>(&reply)
+                    .map_err(|error| Why::Undecodable { reason: error.to_string() })
+            });
+            match loaded {
+                Ok(_) => Done::Loaded,
+                Err(_) => Done::NotLoaded { state },
+            }
+        };
+        self.hand_over((LoadState::NAME, &bytes), then, context);
+    }
+
+    fn save(&mut self, after: Option<Result<Bytes, Why>>, context: &mut Context<Self>) {
+        let mut bytes = Vec::new();
+        // A message without fields always fits.
+        let _ = codec::encode(&SaveState, &mut bytes);
+        let then = move |result: Result<Bytes, Why>| {
+            let state = result
+                .ok()
+                .and_then(|reply| codec::decode_reply::<SaveState>(&reply).ok().map(Bytes::from));
+            match after {
+                Some(result) => Done::Both { result, state },
+                None => Done::Saved { state },
+            }
+        };
+        self.hand_over((SaveState::NAME, &bytes), then, context);
+    }
+
+    fn tell(&mut self, to: &NodeName, message: Bytes) {
+        if message.len() > MESSAGE_MAX {
+            return warn!(service = %self.carried.name, "a state is too large to be shipped");
+        }
+        if !self.others.contains_key(to) {
+            let name = format!("{to}:{}", self.carried.name);
+            let Ok(sender) = self.registry.sender::<ReplicaSays>(&name) else { return };
+            self.others.insert(to.clone(), sender);
+        }
+        if let Some(other) = self.others.get(to) {
+            let from = self.carried.config.own.to_string();
+            // One that cannot be reached now will be told again.
+            let _ = other.tell(ReplicaSays { from, message: message.into() });
+        }
+    }
+
+    fn became(&mut self, role: &Role, context: &mut Context<Self>) {
+        let name = &self.carried.name;
+        let epoch = match role {
+            Role::Primary { epoch } => {
+                info!(service = %name, epoch, "this node serves");
+                Some(*epoch)
+            }
+            Role::Standby { primary } => {
+                let primary = primary.as_ref().map_or("nobody", NodeName::as_str);
+                info!(service = %name, primary, "this node stands by");
+                None
+            }
+        };
+        self.roster.note(name, role.clone());
+        let mut bytes = Vec::new();
+        // A number always fits.
+        let _ = codec::encode(&RoleChanged { epoch }, &mut bytes);
+        self.hand_over((RoleChanged::NAME, &bytes), |_| Done::Told, context);
+    }
+
+    /// After every input: are the others there that this service needs?
+    fn go_on(&mut self, context: &mut Context<Self>) {
+        let ready = self.roster.all_served(&self.carried.depends_on);
+        self.machine.handle_ready(ready);
+        self.drive(context);
+    }
+}
+
+impl Body for ReplicaBody {
+    type Machine = Replica;
+
+    fn machine(&mut self) -> &mut Replica {
+        &mut self.machine
+    }
+
+    fn wake(&mut self) -> &mut Wake {
+        &mut self.wake
+    }
+
+    fn carry_out(&mut self, output: ReplicaOutput, context: &mut Context<Self>) {
+        match output {
+            ReplicaOutput::Send { to, message } => self.tell(&to, message),
+            ReplicaOutput::Became(role) => self.became(&role, context),
+            ReplicaOutput::Execute { request, save } => self.execute(&request, save, context),
+            ReplicaOutput::Save => self.save(None, context),
+            ReplicaOutput::Load { state } => self.load(state, context),
+            ReplicaOutput::Answer { caller, outcome } => {
+                if let Some(answer) = self.callers.remove(&caller) {
+                    answer.give(match outcome {
+                        ServiceOutcome::Served(Ok(reply)) => Answered::Done(reply.into()),
+                        ServiceOutcome::Served(Err(why)) => {
+                            Answered::Failed { why: super::encode_why(&why) }
+                        }
+                        ServiceOutcome::Refused(why) => {
+                            Answered::Refused { why: super::encode_why(&why) }
+                        }
+                        ServiceOutcome::Elsewhere(primary) => {
+                            let primary = primary.map(|node| node.to_string());
+                            Answered::Elsewhere { primary }
+                        }
+                    });
+                }
+            }
+        }
+        let ready = self.roster.all_served(&self.carried.depends_on);
+        self.machine.handle_ready(ready);
+    }
+}
+
+answers_the_monitor!(ReplicaBody);
+
+impl Actor for ReplicaBody {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        if !self.carried.depends_on.is_empty() {
+            // What others become is not told, but looked at.
+            let interval = self.carried.config.hello_interval;
+            context.run_interval(interval, |body, context| body.go_on(context));
+        }
+        self.go_on(context);
+    }
+}
+
+impl Supervised for ReplicaBody {
+    /// It has forgotten what it knew, and comes into step like one whose process began anew.
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        let (config, initial) = (self.carried.config.clone(), self.carried.initial.clone());
+        self.machine = Replica::new(config, initial, platform::now());
+        self.wake = Wake::default();
+        self.callers.clear();
+        let nobody = Role::Standby { primary: None };
+        self.became(&nobody, context);
+        self.started(context);
+    }
+}
+
+/// Another replica says something.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Heard(ReplicaSays);
+
+impl Handler<Heard> for ReplicaBody {
+    type Result = ();
+
+    fn handle(&mut self, Heard(says): Heard, context: &mut Context<Self>) {
+        if let Ok(from) = NodeName::new(&says.from) {
+            self.machine.handle_message(&from, &says.message, platform::now());
+            self.go_on(context);
+        }
+    }
+}
+
+/// Somebody asks for the service.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Asked(AskService, Answer<AskService>);
+
+impl Handler<Asked> for ReplicaBody {
+    type Result = ();
+
+    fn handle(&mut self, Asked(ask, answer): Asked, context: &mut Context<Self>) {
+        let AskService { sender, sequence, task } = ask;
+        let mut request = Vec::new();
+        if codec::encode_bounded(&task, TASK_MAX, &mut request).is_err() {
+            let why = super::encode_why(&Why::TooLarge { limit: TASK_MAX });
+            return answer.give(Answered::Refused { why });
+        }
+        self.next += 1;
+        self.callers.insert(self.next, answer);
+        let id = MessageId { sender, sequence };
+        self.machine.handle_request(self.next, id, request.into(), platform::now());
+        self.go_on(context);
+    }
+}
+
+/// A life of the component has ended.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Died;
+
+impl Handler<Died> for ReplicaBody {
+    type Result = ();
+
+    fn handle(&mut self, _: Died, context: &mut Context<Self>) {
+        self.machine.handle_component_died(platform::now());
+        self.go_on(context);
+    }
+}
+
+/// The component has done something.
+#[derive(Message)]
+#[rtype(result = "()")]
+enum Done {
+    Executed { result: Result<Bytes, Why>, save: bool },
+    Both { result: Result<Bytes, Why>, state: Option<Bytes> },
+    Saved { state: Option<Bytes> },
+    Loaded,
+    NotLoaded { state: Bytes },
+    Told,
+}
+
+impl Handler<Done> for ReplicaBody {
+    type Result = ();
+
+    fn handle(&mut self, done: Done, context: &mut Context<Self>) {
+        let now = platform::now();
+        match done {
+            Done::Executed { result: Ok(reply), save: true } => {
+                return self.save(Some(Ok(reply)), context);
+            }
+            Done::Executed { result, .. } => self.machine.handle_executed(result, None, now),
+            Done::Both { result, state } => self.machine.handle_executed(result, state, now),
+            Done::Saved { state } => self.machine.handle_saved(state, now),
+            Done::Loaded => self.machine.handle_loaded(),
+            Done::NotLoaded { state } => {
+                context.run_later(LOAD_AGAIN, move |body, context| body.load(state, context));
+                return;
+            }
+            Done::Told => return,
+        }
+        self.go_on(context);
+    }
+}

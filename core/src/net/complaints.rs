@@ -1,0 +1,84 @@
+//! Tells persistent refusals from passing ones.
+//!
+//! Something is always refused: a packet that was late, a peer that has just begun anew. What goes on
+//! for seconds is a broken peer or a hostile one, and somebody should look.
+
+use super::wire::Refusals;
+use std::collections::BTreeMap;
+
+/// Refusals from one look to the next that are no passing matter.
+const MANY: u64 = 50;
+/// So many looks in a row.
+const LOOKS: u32 = 3;
+
+/// What was refused of whom, as seen at regular looks.
+#[derive(Clone, Debug)]
+pub struct Complaints<K> {
+    /// As many as are looked at.
+    seen: BTreeMap<K, Seen>,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Seen {
+    refusals: Refusals,
+    /// How many looks in a row found many.
+    looks: u32,
+}
+
+impl<K> Default for Complaints<K> {
+    fn default() -> Self {
+        Complaints { seen: BTreeMap::new() }
+    }
+}
+
+impl<K: Ord> Complaints<K> {
+    /// What was refused of `who` up to now. Answers once, when it goes on for too long, what was refused
+    /// since the last look; and again only after it has ceased.
+    pub fn handle_look(&mut self, who: K, refusals: Refusals) -> Option<Refusals> {
+        let seen = self.seen.entry(who).or_default();
+        let since = refusals.since(&std::mem::replace(&mut seen.refusals, refusals));
+        seen.looks = if since.total() >= MANY { seen.looks.saturating_add(1) } else { 0 };
+        (seen.looks == LOOKS).then_some(since)
+    }
+
+    /// Nobody looks at `who` any more.
+    pub fn forget(&mut self, who: &K) {
+        self.seen.remove(who);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_goes_on_is_told_once_and_what_passes_never() {
+        let mut complaints = Complaints::default();
+        let mut total = Refusals::default();
+        let mut look = |malformed: u64| {
+            total.malformed += malformed;
+            complaints.handle_look("peer", total).map(|since| since.malformed)
+        };
+
+        let told: Vec<_> =
+            [1000, 49, 50, 50, 0, 60, 70, 80, 90, 0, 50, 50, 50].map(&mut look).into();
+
+        let mut wanted = vec![None; 13];
+        wanted[7] = Some(80);
+        wanted[12] = Some(50);
+        assert_eq!(told, wanted);
+    }
+
+    #[test]
+    fn each_is_judged_by_its_own() {
+        let mut complaints = Complaints::default();
+        for n in 1..=3 {
+            let many = Refusals { stale: n * 100, ..Refusals::default() };
+            let few = Refusals { stale: n, ..Refusals::default() };
+            assert_eq!(complaints.handle_look(1, many).is_some(), n == 3);
+            assert_eq!(complaints.handle_look(2, few), None);
+        }
+        complaints.forget(&1);
+        assert_eq!(complaints.seen.len(), 1);
+    }
+}

@@ -1,0 +1,100 @@
+//! A node that is isolated: refused by everybody, also by those who were away; in virtual time.
+
+use crate::puppet::{Deed, Do, Strings, ask};
+use blastema::prelude::*;
+use blastema::{Direction, Link, MemoryMedium, Network, NodeBuilder};
+use blastema_testkit::TestNode;
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+const NODES: [&str; 3] = ["module1", "module2", "module3"];
+
+/// Every node has a link of its own to every other.
+fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
+    let mut network = Network::memory("ethernet", medium, own);
+    for far in NODES.iter().filter(|far| **far != own) {
+        network = network.link(Link::in_memory(far, far));
+    }
+    Node::builder(own).network(network.with_faults(7))
+}
+
+struct Robot {
+    nodes: Vec<TestNode>,
+}
+
+impl Robot {
+    /// With a puppet on each node: `puppet1` on `module1`, and so on.
+    async fn start(strings: &Strings) -> Self {
+        let medium = MemoryMedium::default();
+        let mut nodes = vec![];
+        for (own, puppet) in NODES.iter().zip(["puppet1", "puppet2", "puppet3"]) {
+            let puppet = strings.spec(puppet);
+            nodes.push(TestNode::start(node(own, &medium).child(puppet)).await);
+        }
+        nodes[0].advance(2000 * MS).await;
+        Robot { nodes }
+    }
+
+    /// The node of this number asks the puppet of the other.
+    async fn asks(&self, from: usize, to: usize) -> Result<u64, Why> {
+        let name = format!("module{to}:puppet{to}");
+        ask(&self.nodes[from - 1], &name, Deed::Nothing).await.map_err(|error| error.why)
+    }
+}
+
+#[blastema_testkit::test]
+async fn an_isolated_node_is_refused_by_everybody_until_it_is_admitted() {
+    let strings = Strings::default();
+    let robot = Robot::start(&strings).await;
+    assert_eq!(robot.asks(3, 2).await, Ok(1));
+
+    robot.nodes[0].isolate("module3").unwrap();
+    robot.nodes[0].advance(100 * MS).await;
+
+    for other in [1, 2] {
+        assert_eq!(robot.asks(other, 3).await, Err(Why::Isolated));
+        let refused = robot.asks(3, other).await;
+        assert!(refused.is_err(), "{refused:?}");
+    }
+    ask(&robot.nodes[2], "puppet3", Deed::Publish(7)).await.unwrap();
+    robot.nodes[0].advance(100 * MS).await;
+    assert_eq!(strings.lines("news 7"), ["puppet3#1 news 7"], "only its own node hears it");
+    assert_eq!(robot.asks(1, 2).await, Ok(1), "the others are well");
+
+    robot.nodes[1].admit("module3").unwrap();
+    robot.nodes[0].advance(3000 * MS).await;
+    assert_eq!(robot.asks(3, 2).await, Ok(1));
+    assert_eq!(robot.asks(1, 3).await, Ok(1));
+}
+
+#[blastema_testkit::test]
+async fn what_was_under_way_with_an_isolated_node_is_resolved() {
+    let strings = Strings::default();
+    let robot = Robot::start(&strings).await;
+    let puppet = robot.nodes[0].sender::<Do>("module3:puppet3").unwrap();
+    let asking = puppet.ask_within(Do(Deed::Await(60_000)), 100_000 * MS);
+    let isolate = async {
+        robot.nodes[0].advance(100 * MS).await;
+        robot.nodes[1].isolate("module3").unwrap();
+        robot.nodes[0].advance(100 * MS).await;
+    };
+    let (asked, ()) = tokio::join!(asking, isolate);
+    let why = asked.expect_err("nobody listens there any more").why;
+    assert!(matches!(why, Why::Isolated | Why::OutcomeUnknown { .. }), "{why}");
+}
+
+#[blastema_testkit::test]
+async fn a_node_that_was_away_is_told_who_is_isolated_when_it_is_back() {
+    let strings = Strings::default();
+    let robot = Robot::start(&strings).await;
+    let cable = robot.nodes[1].cable("ethernet").unwrap();
+    cable.cut(Direction::Both, false);
+    robot.nodes[0].advance(5000 * MS).await;
+    robot.nodes[0].isolate("module3").unwrap();
+    robot.nodes[0].advance(100 * MS).await;
+    cable.restore();
+    robot.nodes[0].advance(5000 * MS).await;
+
+    assert_eq!(robot.asks(1, 2).await, Ok(1));
+    assert_eq!(robot.asks(2, 3).await, Err(Why::Isolated));
+}

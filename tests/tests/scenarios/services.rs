@@ -1,0 +1,265 @@
+//! Services with standbys on other nodes, in virtual time.
+
+use blastema::prelude::*;
+use blastema::{
+    Direction, Link, MemoryMedium, Network, NodeBuilder, OnPartition, Role, ServiceSpec,
+    StandbyKind, StartError, Stateful,
+};
+use blastema_testkit::{TestNode, now};
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+const MEMBERS: [&str; 3] = ["module1", "module2", "module3"];
+
+/// Adds so many, and answers the sum.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "counter/add", reply = u64)]
+struct Add(u64);
+
+#[derive(Default)]
+struct Counter {
+    sum: u64,
+    serves: bool,
+}
+
+impl Component for Counter {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Add>();
+    }
+}
+
+impl Handle<Add> for Counter {
+    async fn handle(&mut self, add: Add, _: &mut Context<Self>) -> u64 {
+        assert!(add.0 < 1000, "that is too much");
+        self.sum += add.0;
+        self.sum
+    }
+}
+
+impl Stateful for Counter {
+    fn save(&self) -> Vec<u8> {
+        self.sum.to_le_bytes().into()
+    }
+
+    fn load(&mut self, state: &[u8]) -> Result<(), Failure> {
+        let bytes = state.try_into().map_err(|_| Failure::from("a sum has eight bytes"))?;
+        self.sum = u64::from_le_bytes(bytes);
+        Ok(())
+    }
+
+    fn role_changed(&mut self, epoch: Option<u64>, _: &mut Context<Self>) {
+        self.serves = epoch.is_some();
+    }
+}
+
+fn counter(kind: StandbyKind) -> ServiceSpec<Counter> {
+    ServiceSpec::new("counter", MEMBERS, Counter::default).standby(kind).hello_every(10 * MS)
+}
+
+/// Every node has a link of its own to every other.
+fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
+    let mut network = Network::memory("ethernet", medium, own);
+    for far in ["module0"].iter().chain(&MEMBERS).filter(|far| **far != own) {
+        network = network.link(Link::in_memory(far, far).hello_every(10 * MS));
+    }
+    Node::builder(own).network(network.with_faults(7))
+}
+
+struct Robot {
+    medium: MemoryMedium,
+    /// One that carries nothing, and asks.
+    asker: TestNode,
+    members: Vec<TestNode>,
+}
+
+impl Robot {
+    async fn start(kind: StandbyKind) -> Self {
+        Robot::start_with(|node| node.service(counter(kind))).await
+    }
+
+    async fn start_with(carry: impl Fn(NodeBuilder) -> NodeBuilder) -> Self {
+        let medium = MemoryMedium::default();
+        let asker = TestNode::start(node("module0", &medium)).await;
+        let mut members = vec![];
+        for own in MEMBERS {
+            members.push(TestNode::start(carry(node(own, &medium))).await);
+        }
+        asker.advance(2000 * MS).await;
+        Robot { medium, asker, members }
+    }
+
+    fn serving(&self) -> Vec<&str> {
+        let serves =
+            |node: &&TestNode| matches!(node.service_role("counter"), Some(Role::Primary { .. }));
+        self.members.iter().filter(serves).map(|node| node.name().as_str()).collect()
+    }
+
+    fn primary(&self) -> usize {
+        let serving = self.serving();
+        assert_eq!(serving.len(), 1, "{serving:?}");
+        MEMBERS.iter().position(|member| *member == serving[0]).expect("it is a member")
+    }
+
+    async fn add(&self, number: u64) -> Result<u64, Why> {
+        let counter = self.asker.service::<Add>("counter").expect("it is a name");
+        counter.ask(Add(number)).await.map_err(|error| error.why)
+    }
+
+    fn cut(&self, member: usize) {
+        self.members[member].cable("ethernet").expect("a cable").cut(Direction::Both, false);
+    }
+
+    fn mend(&self, member: usize) {
+        self.members[member].cable("ethernet").expect("a cable").restore();
+    }
+}
+
+#[blastema_testkit::test]
+async fn whoever_asks_a_service_need_not_know_who_serves() {
+    let robot = Robot::start(StandbyKind::Warm).await;
+    assert_eq!(robot.serving().len(), 1);
+
+    assert_eq!(robot.add(3).await, Ok(3));
+    for member in &robot.members {
+        let counter = member.service::<Add>("counter").unwrap();
+        counter.ask(Add(1)).await.unwrap();
+    }
+    assert_eq!(robot.add(0).await, Ok(6));
+    let nobody = robot.asker.service::<Add>("weather").unwrap();
+    let nobody = nobody.ask_within(Add(1), 100 * MS).await.unwrap_err();
+    assert_eq!(nobody.why, Why::DeadlinePassed);
+}
+
+#[blastema_testkit::test]
+async fn a_standby_answers_soon_after_the_primarys_cable_is_cut_and_forgets_nothing() {
+    for (kind, within) in [(StandbyKind::Warm, 100 * MS), (StandbyKind::Hot, 50 * MS)] {
+        let robot = Robot::start(kind).await;
+        for sum in 1..=10 {
+            assert_eq!(robot.add(1).await, Ok(sum));
+        }
+
+        let first = robot.primary();
+        robot.cut(first);
+        let cut_at = now();
+        assert_eq!(robot.add(1).await, Ok(11), "{kind:?}");
+        assert!(now() - cut_at <= within, "{kind:?}: {:?}", now() - cut_at);
+        robot.asker.advance(100 * MS).await;
+        assert_eq!(robot.serving().len(), 1, "the old one has stopped by itself");
+        let follower = robot.primary();
+
+        robot.mend(first);
+        robot.asker.advance(3000 * MS).await;
+        assert_eq!(robot.primary(), follower, "the service is not taken back");
+        assert_eq!(robot.add(1).await, Ok(12));
+        robot.cut(follower);
+        assert_eq!(robot.add(1).await, Ok(13), "those that are left are in step");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_node_that_begins_anew_comes_into_step_and_can_take_over() {
+    let mut robot = Robot::start(StandbyKind::Hot).await;
+    assert_eq!(robot.add(5).await, Ok(5));
+    robot.members[0].shutdown().await;
+    assert_eq!(robot.add(1).await, Ok(6));
+    let again = node("module1", &robot.medium).service(counter(StandbyKind::Hot));
+    robot.members[0] = TestNode::start(again).await;
+    robot.asker.advance(3000 * MS).await;
+
+    let follower = robot.primary();
+    assert_ne!(follower, 0);
+    let third = 3 - follower;
+    robot.cut(third);
+    robot.asker.advance(500 * MS).await;
+    assert_eq!(robot.add(1).await, Ok(7));
+    robot.mend(third);
+    robot.asker.advance(3000 * MS).await;
+    robot.cut(follower);
+    assert_eq!(robot.add(1).await, Ok(8));
+}
+
+#[blastema_testkit::test]
+async fn what_fails_is_told_once_and_the_state_outlives_the_component() {
+    for kind in [StandbyKind::Warm, StandbyKind::Hot] {
+        let robot = Robot::start(kind).await;
+        assert_eq!(robot.add(5).await, Ok(5));
+
+        let died = robot.add(1000).await;
+        assert!(matches!(died, Err(Why::PeerDied { .. })), "{kind:?}: {died:?}");
+        robot.asker.advance(1000 * MS).await;
+        assert_eq!(robot.add(1).await, Ok(6), "{kind:?}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn with_cold_standbys_the_next_begins_afresh() {
+    let robot = Robot::start(StandbyKind::Cold).await;
+    assert_eq!(robot.add(5).await, Ok(5));
+    robot.cut(robot.primary());
+    robot.asker.advance(500 * MS).await;
+    assert_eq!(robot.add(1).await, Ok(1));
+}
+
+#[blastema_testkit::test]
+async fn half_a_robot_serves_only_if_it_was_told_to() {
+    for (on_partition, expected) in [(OnPartition::Stop, 0), (OnPartition::Continue, 2)] {
+        let both = ["module1", "module2"];
+        let spec = move || {
+            let spec = ServiceSpec::new("counter", both, Counter::default);
+            spec.on_partition(on_partition).hello_every(10 * MS)
+        };
+        let medium = MemoryMedium::default();
+        let one = TestNode::start(node("module1", &medium).service(spec())).await;
+        let other = TestNode::start(node("module2", &medium).service(spec())).await;
+        one.advance(2000 * MS).await;
+        let serving = |node: &TestNode| {
+            u32::from(matches!(node.service_role("counter"), Some(Role::Primary { .. })))
+        };
+        assert_eq!(serving(&one) + serving(&other), 1);
+
+        one.cable("ethernet").unwrap().cut(Direction::Both, false);
+        one.advance(500 * MS).await;
+        assert_eq!(serving(&one) + serving(&other), expected, "{on_partition:?}");
+
+        one.cable("ethernet").unwrap().restore();
+        one.advance(3000 * MS).await;
+        assert_eq!(serving(&one) + serving(&other), 1, "{on_partition:?}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_service_follows_those_that_it_depends_on() {
+    let medium = MemoryMedium::default();
+    let mut members = vec![];
+    for own in MEMBERS {
+        let map = ServiceSpec::new("map", MEMBERS, Counter::default);
+        // Its standbys take their time.
+        let map = map.hello_every(100 * MS);
+        let counter = counter(StandbyKind::Warm).depends_on(["map"]);
+        members.push(TestNode::start(node(own, &medium).service(counter).service(map)).await);
+    }
+
+    let mut order = vec![];
+    for _ in 0..3000 {
+        members[0].advance(MS).await;
+        for name in ["map", "counter"] {
+            let serves =
+                |node: &TestNode| matches!(node.service_role(name), Some(Role::Primary { .. }));
+            if members.iter().any(serves) && !order.contains(&name) {
+                order.push(name);
+            }
+        }
+    }
+    assert_eq!(order, ["map", "counter"]);
+}
+
+#[blastema_testkit::test]
+async fn a_service_that_is_described_wrongly_is_refused_at_the_start() {
+    let elsewhere = ServiceSpec::new("counter", ["module8", "module9"], Counter::default);
+    let refused = TestNode::try_start(Node::builder("module1").service(elsewhere)).await;
+    assert!(matches!(refused, Err(StartError::Service { .. })));
+    let twice = ServiceSpec::new("counter", ["module1", "module1"], Counter::default);
+    let refused = TestNode::try_start(Node::builder("module1").service(twice)).await;
+    let Err(StartError::Service { reason, .. }) = refused else { panic!("it stands there twice") };
+    assert!(reason.contains("twice"), "{reason}");
+}
