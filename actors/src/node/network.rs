@@ -265,8 +265,6 @@ pub(super) struct Laid {
 /// A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so long
 /// looks dead to its neighbours; on a computer that is never overloaded, less is fine.
 const HELLO_INTERVAL: Duration = Duration::from_millis(50);
-/// What a hello takes on a serial line, in bytes, with names of the usual length.
-const HELLO_LENGTH: usize = 64;
 /// What a hello takes on a CAN bus, in bits: eight frames, and the receiver's word on how to go on.
 const HELLO_BITS: u32 = 1_200;
 /// How fast an interface of the system is taken to be, in bits a second: it does not say.
@@ -302,9 +300,6 @@ impl Medium {
         match self {
             Medium::At(Endpoint::Can(_)) => on_bus(CAN_RATE_HZ),
             Medium::At(Endpoint::Slcan(config)) => on_bus(config.bitrate),
-            Medium::At(Endpoint::Serial(config)) => {
-                HELLO_INTERVAL.max(config.time_of(HELLO_LENGTH) * HELLO_SHARE)
-            }
             _ => HELLO_INTERVAL,
         }
     }

@@ -159,7 +159,7 @@ impl fmt::Display for EndpointError {
         let shown = |text: &str| text.replace(char::is_control, "\u{FFFD}");
         let before = self.text[..self.at.start].chars().count();
         let width = self.part().chars().count().max(1);
-        writeln!(f, "{}", self.problem)?;
+        writeln!(f, "{}", shown(&self.problem.to_string()))?;
         writeln!(f, "  {}", shown(&self.text))?;
         write!(f, "  {:before$}{}", "", "^".repeat(width))
     }

@@ -246,6 +246,14 @@ fn the_caret_stands_under_the_wrong_part_whatever_letters_stand_before() {
 }
 
 #[test]
+fn an_error_has_three_lines_even_where_the_wrong_part_has_several() {
+    let error = "serial:///dev/ttyUSB0?ba\nd=9600".parse::<Endpoint>().unwrap_err();
+
+    assert_eq!(error.part(), "ba\nd");
+    assert_eq!(error.to_string().lines().count(), 3, "{error}");
+}
+
+#[test]
 fn no_text_makes_the_parser_panic() {
     use blastema_core::random::Random;
     let pieces = [
