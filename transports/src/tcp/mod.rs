@@ -1,4 +1,4 @@
-//! Connections over IP: frames in a TCP stream for each peer ([`stream`](crate::stream)).
+//! Connections over IP: frames in a TCP stream for each peer (the module `stream`).
 //!
 //! A peer cannot claim another host's address: the address is where the connection comes from, only the
 //! port is claimed. (So there must be no address translation on the way.)

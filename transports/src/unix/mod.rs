@@ -1,5 +1,5 @@
 //! Unix-domain sockets, between processes of one machine: frames in a stream for each peer
-//! ([`stream`](crate::stream)).
+//! (the module `stream`).
 //!
 //! * **A peer** is known by the path of its socket, which all must spell alike.
 //! * **Who may speak** is decided by the permissions of the socket file and of its folder. Whoever may
