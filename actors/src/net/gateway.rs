@@ -19,7 +19,7 @@ use blastema_contract::Confirmed;
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::FaultDeclared;
-use blastema_contract::session::{BeginAnew, Leave, Say, SayNewest};
+use blastema_contract::session::{BeginAnew, Credit, Leave, Say, SayNewest};
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
@@ -31,7 +31,6 @@ use blastema_core::{
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::oneshot;
@@ -41,8 +40,6 @@ use tracing::{debug, error, info, warn};
 const NAMES_INTERVAL: Duration = Duration::from_millis(200);
 /// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
 const LEAVE_PATIENCE: Duration = Duration::from_millis(500);
-/// Events of one subscription that may wait in the gateway's mailbox; beyond, they are dropped.
-const EVENTS_MAX: usize = 1024;
 
 /// What the gateway must know after a panic.
 struct Wiring {
@@ -83,6 +80,8 @@ pub(super) struct Gateway {
     lost: u64,
     /// Messages of isolated nodes.
     kept_out: u64,
+    /// Room that what is being served takes, until it is passed on.
+    credit: Option<Credit>,
     /// The node ends; the sessions follow once nothing waits here.
     leaving: bool,
     /// As of which revision of the registry the peers know our names.
@@ -107,7 +106,6 @@ struct Forwarded {
     unverified: Option<Vec<PeerIdentity>>,
     /// Under which number they go, and how.
     by: (u32, Delivery),
-    waiting: Arc<AtomicUsize>,
 }
 
 impl Gateway {
@@ -152,6 +150,7 @@ impl Gateway {
             next: 0,
             lost: 0,
             kept_out: 0,
+            credit: None,
             leaving: false,
             revision: None,
         }
@@ -183,14 +182,17 @@ impl Gateway {
         }
     }
 
-    fn say(&self, peer: NodeId, stream: Stream, message: Bytes) {
+    fn say(&mut self, peer: NodeId, stream: Stream, message: Bytes) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
-        self.wiring.sessions.say.do_send(Say { peer, session, stream, message });
+        let credit = self.credit.take();
+        self.wiring.sessions.say.do_send(Say { peer, session, stream, message, credit });
     }
 
-    fn say_newest(&self, peer: NodeId, channel: u32, message: Bytes) {
+    fn say_newest(&mut self, peer: NodeId, channel: u32, message: Bytes) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
-        self.wiring.sessions.say_newest.do_send(SayNewest { peer, session, channel, message });
+        let credit = self.credit.take();
+        let say = SayNewest { peer, session, channel, message, credit };
+        self.wiring.sessions.say_newest.do_send(say);
     }
 
     fn leave(&mut self) {
@@ -342,21 +344,18 @@ impl Gateway {
         };
         let Some(known) = self.peers.get(&peer) else { return };
         let (gate, gateway) = (known.gate.clone(), context.address());
-        let waiting = Arc::new(AtomicUsize::new(0));
-        let under_way = waiting.clone();
         let forward: Forward = Arc::new(move |event: &Bytes| {
             // Publishing never waits: what a peer cannot take now is not sent.
             // Of which only the newest counts, nothing waits behind what does.
             let open = if newest { gate.has_session() } else { gate.is_open() };
-            if open && under_way.load(Relaxed) < EVENTS_MAX {
-                under_way.fetch_add(1, Relaxed);
+            if let (true, Some(credit)) = (open, gate.lend_to_event(event.len())) {
                 let (event, sent) = (event.clone(), platform::now());
-                gateway.do_send(Published { peer, subscription, event, sent });
+                gateway.do_send(Published { peer, subscription, event, sent, credit });
             }
         });
         self.end_forward((peer, subscription));
         let id = self.wiring.topics.forward(&key, forward);
-        let forwarded = Forwarded { id, key, unverified, by, waiting };
+        let forwarded = Forwarded { id, key, unverified, by };
         self.forwards.insert((peer, subscription), forwarded);
     }
 
@@ -535,6 +534,7 @@ impl Supervised for Gateway {
         forwards.into_iter().for_each(|key| self.end_forward(key));
         self.doorways.clear();
         self.notices.clear();
+        self.credit = None;
         self.exchange = self.exchange.reborn();
         self.naming = Naming::default();
         self.revision = None;

@@ -184,7 +184,7 @@ impl Handler<Arrived> for Router {
             Load::Routing(bytes) => self.machine.handle_routing(link, bytes, now),
             Load::Packet(packet) => self.machine.handle_packet(link, packet, now),
         }
-        self.drive(context);
+        self.drive_soon(context);
     }
 }
 
@@ -197,7 +197,7 @@ impl Handler<SendSegment> for Router {
             true => self.machine.handle_copies(peer, class, &segment),
             false => self.machine.handle_segment(peer, class, segment),
         }
-        self.drive(context);
+        self.drive_soon(context);
     }
 }
 

@@ -253,6 +253,8 @@ impl Handler<PathReported> for Sessions {
     type Result = ();
 
     fn handle(&mut self, message: PathReported, context: &mut Context<Self>) {
+        // What was said and heard before goes first.
+        self.drive(context);
         let now = platform::now();
         match message {
             PathReported::Reachable { node, incarnation, mtu } => {
@@ -307,7 +309,7 @@ impl Handler<SegmentArrived> for Sessions {
             return;
         };
         session.handle_segment(segment, platform::now());
-        self.drive(context);
+        self.drive_soon(context);
     }
 }
 
@@ -315,13 +317,15 @@ impl Handler<Say> for Sessions {
     type Result = ();
 
     fn handle(&mut self, say: Say, context: &mut Context<Self>) {
-        let Say { peer, session, stream, message } = say;
+        let Say { peer, session, stream, message, credit } = say;
+        // The session has it from here on.
+        drop(credit);
         let sent = match self.present(peer, session) {
             Some(session) => session.handle_send(stream, message, platform::now()),
             None => Err((self.unreachable(peer), message)),
         };
         self.give_back(peer, sent);
-        self.drive(context);
+        self.drive_soon(context);
     }
 }
 
@@ -329,13 +333,14 @@ impl Handler<SayNewest> for Sessions {
     type Result = ();
 
     fn handle(&mut self, say: SayNewest, context: &mut Context<Self>) {
-        let SayNewest { peer, session, channel, message } = say;
+        let SayNewest { peer, session, channel, message, credit } = say;
+        drop(credit);
         let sent = match self.present(peer, session) {
             Some(session) => session.handle_send_newest(channel, message, platform::now()),
             None => Err((self.unreachable(peer), message)),
         };
         self.give_back(peer, sent);
-        self.drive(context);
+        self.drive_soon(context);
     }
 }
 

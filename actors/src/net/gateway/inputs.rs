@@ -11,7 +11,6 @@ use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::{BeginAnew, Leave, SessionReported};
 use blastema_core::net::exchange::Call;
 use blastema_core::{ObjectAddress, ObjectName, Why};
-use std::sync::atomic::Ordering::Relaxed;
 use tracing::debug;
 
 impl Handler<SessionReported> for Gateway {
@@ -106,8 +105,8 @@ impl Handler<Ship> for Gateway {
     type Result = ();
 
     fn handle(&mut self, message: Ship, context: &mut Context<Self>) {
-        let Ship { to, contract, id, sent, until, payload, reply_to, gate } = message;
-        gate.taken();
+        let Ship { to, contract, id, sent, until, payload, reply_to, credit } = message;
+        self.credit = Some(credit);
         let reply_as = reply_to.map(|reply_to| {
             let number = self.number();
             self.replies.insert(number, (to.node.clone(), reply_to));
@@ -117,6 +116,7 @@ impl Handler<Ship> for Gateway {
         let call = Call { node, object, contract, id, sent, until, payload, reply_as };
         self.exchange.handle_call(call);
         self.drive(context);
+        self.credit = None;
     }
 }
 
@@ -134,10 +134,8 @@ impl Handler<Published> for Gateway {
     type Result = ();
 
     fn handle(&mut self, message: Published, context: &mut Context<Self>) {
-        let Published { peer, subscription, event, sent } = message;
-        if let Some(forwarded) = self.forwards.get(&(peer, subscription)) {
-            forwarded.waiting.fetch_sub(1, Relaxed);
-        }
+        let Published { peer, subscription, event, sent, credit } = message;
+        self.credit = Some(credit);
         match self.verify((peer, subscription)) {
             Ok(by) => self.exchange.handle_event(peer, by, event, sent),
             Err(why @ Why::ContractDiffers { .. }) => {
@@ -148,6 +146,7 @@ impl Handler<Published> for Gateway {
             Err(_) => self.lost += 1,
         }
         self.drive(context);
+        self.credit = None;
     }
 }
 
