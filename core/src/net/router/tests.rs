@@ -1,7 +1,9 @@
 //! A router among neighbours that the test speaks for.
 
 use super::*;
+use crate::net::advertisement::Edge;
 use crate::net::link::Neighbour;
+use crate::net::packet::{Class, Packet, Payload, Undelivered};
 
 const FIRST: LinkNumber = LinkNumber(0);
 const SECOND: LinkNumber = LinkNumber(1);
