@@ -20,7 +20,7 @@ use super::topology::{self, Adjacent, Route, Topology};
 use super::wire::Refusals;
 use crate::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 /// A link of this node, by its place in the node's configuration.
@@ -33,6 +33,10 @@ pub struct Router {
     config: RouterConfig,
     id: NodeId,
     links: BTreeMap<LinkNumber, Adjacent>,
+    /// Nodes that are isolated, as many as there are verdicts.
+    kept_out: BTreeSet<NodeId>,
+    /// Links to them. They carry, and are not used.
+    barred: BTreeMap<LinkNumber, LinkStatus>,
     known: BTreeMap<NodeId, Known>,
     own: Advertisement,
     routes: BTreeMap<NodeId, Route>,
@@ -73,6 +77,8 @@ impl Router {
             config,
             id,
             links: BTreeMap::new(),
+            kept_out: BTreeSet::new(),
+            barred: BTreeMap::new(),
             known: BTreeMap::new(),
             own,
             routes: BTreeMap::new(),
@@ -114,6 +120,12 @@ impl Router {
         self.routes.get(&node)
     }
 
+    /// Whether a link's hellos have said that this life of a node is at its other end.
+    pub fn is_neighbour(&self, node: &NodeName, incarnation: Incarnation) -> bool {
+        let mut heard = self.links.values().map(|link| &link.neighbour);
+        heard.any(|heard| heard.node == *node && heard.incarnation == incarnation)
+    }
+
     /// Every node that can be reached, with the route to it.
     pub fn routes(&self) -> impl Iterator<Item = (NodeId, &Route)> {
         self.routes.iter().map(|(node, route)| (*node, route))
@@ -128,6 +140,16 @@ impl Router {
         if known.is_some_and(|known| *known != neighbour.node) {
             let known = known.cloned();
             self.tell_collision(known, neighbour.node);
+            return;
+        }
+        self.barred.remove(&link);
+        if self.kept_out.contains(&id) {
+            if self.links.remove(&link).is_some() {
+                self.announce_links();
+            }
+            if health != Health::Down {
+                self.barred.insert(link, LinkStatus { neighbour, health, cost, mtu });
+            }
             return;
         }
         if health == Health::Down || mtu < MTU_MIN {
@@ -159,9 +181,48 @@ impl Router {
         }
     }
 
+    /// A node is isolated: nothing is taken from it or sent there, no packet of it is passed on, and
+    /// no way leads over it. Or it is let in again.
+    pub fn handle_isolation(&mut self, node: &NodeName, isolated: bool, now: Instant) {
+        self.now = now;
+        let id = NodeId::of(node);
+        let changed = if isolated { self.kept_out.insert(id) } else { self.kept_out.remove(&id) };
+        if !changed || id == self.id {
+            return;
+        }
+        self.outdate();
+        if !isolated {
+            for (link, status) in std::mem::take(&mut self.barred) {
+                self.handle_link(link, status, now);
+            }
+            return;
+        }
+        let (barred, links) = std::mem::take(&mut self.links)
+            .into_iter()
+            .partition(|(_, adjacent)| adjacent.id == id);
+        self.links = links;
+        let barred: BTreeMap<LinkNumber, Adjacent> = barred;
+        if barred.is_empty() {
+            return;
+        }
+        self.choose_anew();
+        self.announce_links();
+        for (link, Adjacent { neighbour, cost, mtu, health, .. }) in barred {
+            let status = LinkStatus { neighbour, health, cost, mtu: mtu.into() };
+            self.barred.insert(link, status);
+            // The last that it is told: it learns at once that nobody is behind its links.
+            let bytes = Routing::Announce(vec![self.own.clone()]).encode();
+            self.outputs.push_back(RouterOutput::Routing { link, bytes });
+        }
+    }
+
     /// A neighbour's router said something.
     pub fn handle_routing(&mut self, link: LinkNumber, bytes: Bytes, now: Instant) {
         self.now = now;
+        if self.barred.contains_key(&link) {
+            self.refusals.isolated += 1;
+            return;
+        }
         if !self.links.contains_key(&link) {
             self.refusals.unexpected += 1;
             return;
@@ -183,7 +244,8 @@ impl Router {
     fn compute(&mut self) {
         self.compute_at = None;
         self.computed_at = self.now;
-        let known = self.known.iter().map(|(id, known)| (*id, &known.advertisement));
+        let known = self.known.iter().filter(|(id, _)| !self.kept_out.contains(id));
+        let known = known.map(|(id, known)| (*id, &known.advertisement));
         let topology = Topology::new(self.id, &self.links, known);
         let mut before = std::mem::replace(&mut self.routes, topology.routes());
         for (id, route) in &self.routes {

@@ -16,7 +16,9 @@ impl Router {
             Ok(packet) => packet,
             Err(error) => return self.refusals.count(&error),
         };
-        if packet.source == self.id {
+        if self.barred.contains_key(&link) || self.kept_out.contains(&packet.source) {
+            self.refusals.isolated += 1;
+        } else if packet.source == self.id {
             // It went in a circle, or somebody uses our name.
             self.refusals.unexpected += 1;
         } else if packet.destination != self.id {
@@ -24,7 +26,9 @@ impl Router {
         } else {
             self.outputs.push_back(match packet.payload {
                 Payload::Segment(segment) => {
-                    RouterOutput::Segment { source: packet.source, segment }
+                    let source = packet.source;
+                    let direct = self.links.get(&link).is_some_and(|link| link.id == source);
+                    RouterOutput::Segment { source, segment, direct }
                 }
                 Payload::Return { destination, reason } => {
                     RouterOutput::Undelivered { destination, reason }
