@@ -11,6 +11,7 @@ use crate::letter::arrived_posting_time;
 use crate::reply::{Answer, Reply};
 use crate::sender::{Inlet, RequestError, SendError, Sender};
 use blastema_contract::reports::FaultDeclared;
+use blastema_core::net::NodeId;
 use blastema_core::{
     Contract, ContractIdentity, FaultKind, Former, Incarnation, Instant, MessageId, NodeName,
     ObjectAddress, ObjectName, PeerIdentity, Why, codec,
@@ -35,6 +36,8 @@ pub(crate) struct Postmark {
     pub(crate) age: Duration,
     /// A request is not to be begun after this.
     pub(crate) until: Option<Instant>,
+    /// Which node's session it came over; `None` where it comes from this node.
+    pub(crate) peer: Option<NodeId>,
 }
 
 /// A request for an object of another node, beside its contents.
@@ -115,6 +118,11 @@ impl Port {
             doorway: Arc::new(desk),
         }
     }
+
+    /// The same, where it matters which node says it: what comes from others goes by `doorway`.
+    pub(crate) fn of_peers<M: Contract>(desk: Desk<M>, doorway: Arc<dyn Doorway>) -> Self {
+        Port { doorway, ..Port::of_desk(desk) }
+    }
 }
 
 struct LocalDoor<C: Handle<M>, M: Contract> {
@@ -127,7 +135,7 @@ impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
     fn hand_over(
         &self,
         message: M,
-        Postmark { id, age, until }: Postmark,
+        Postmark { id, age, until, .. }: Postmark,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), Why> {
         match reply_to {

@@ -8,7 +8,7 @@ pub(super) use errand::{Notify, Ship};
 use super::NetEnvironment;
 use super::door::{Condition, Doors, Gate};
 use super::notice;
-use super::wardens::Wardens;
+use super::wardens::{Told, Wardens};
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
@@ -20,13 +20,17 @@ use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::FaultDeclared;
 use blastema_contract::session::{BeginAnew, Credit, Leave, Say, SayNewest};
+use blastema_contract::router::KeepOut;
+use blastema_contract::session::{BeginAnew, Leave, Say, SayNewest};
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
+use blastema_core::net::isolation::Isolation;
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
 use blastema_core::{
-    ContractIdentity, Delivery, FaultKind, Incarnation, NodeName, ObjectName, PeerIdentity, Why,
+    ContractIdentity, Delivery, FaultKind, Incarnation, NodeName, ObjectName, PeerIdentity, Place,
+    Why,
 };
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
@@ -113,14 +117,31 @@ impl Gateway {
         environment: &NetEnvironment,
         sessions: SessionPorts,
         doors: Arc<Doors>,
+        router: Recipient<KeepOut>,
         told: Arc<OnceLock<Wardens>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let NetEnvironment {
-            node, registry, topics, recoverer, nodes, faults, dead_letters, ..
+            node,
+            incarnation,
+            judges,
+            registry,
+            topics,
+            recoverer,
+            nodes,
+            faults,
+            dead_letters,
+            ..
         } = environment.clone();
         move |context| {
-            let keeping = context.address().recipient();
-            let wardens = Wardens::new(node, doors.clone(), registry.clone(), keeping);
+            let machine = Isolation::new(node, incarnation, judges);
+            let told_of = Told {
+                doors: doors.clone(),
+                registry: registry.clone(),
+                gateway: context.address().recipient(),
+                router,
+                monitor: nodes.clone(),
+            };
+            let wardens = Wardens::new(machine, told_of);
             // A gateway is made once.
             let _ = told.set(wardens.clone());
             Gateway::wired(Wiring {
@@ -221,7 +242,8 @@ impl Gateway {
             ExchangeOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
                     call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
-                self.serve((peer, binding), &payload, Postmark { id, age, until }, reply_to);
+                let postmark = Postmark { id, age, until, peer: Some(peer) };
+                self.serve((peer, binding), &payload, postmark, reply_to);
             }
             ExchangeOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
@@ -312,7 +334,9 @@ impl Gateway {
         match (self.doorways.get(&binding), reply_to) {
             (Some(doorway), reply_to) => {
                 // The object's own dead letters tell of what it did not take.
-                let _ = doorway.deliver(payload, postmark, reply_to);
+                if let Err(Why::Undecodable { .. }) = doorway.deliver(payload, postmark, reply_to) {
+                    self.offends(binding.0, "it breaks a contract that it has agreed to");
+                }
             }
             (None, Some(reply_to)) => reply_to(Err(Why::Unknown { name: "binding".into() })),
             (None, None) => self.lost += 1,
@@ -389,6 +413,15 @@ impl Gateway {
         self.declare(FaultKind::ContractMismatch, format!("with node {node}: {difference}"));
     }
 
+    /// What a peer has done does harm; several times are a fault of that node.
+    fn offends(&self, peer: NodeId, what: &str) {
+        if let (Some(nodes), Some(peer)) = (&self.wiring.nodes, self.peers.get(&peer)) {
+            let (node, incarnation) = (peer.node.clone(), peer.incarnation);
+            let condition = NodeCondition::Offends { what: what.to_owned() };
+            nodes.do_send(NodeReported { node, incarnation, condition });
+        }
+    }
+
     /// A fault of the traffic with other nodes, at the gateway.
     fn declare(&self, kind: FaultKind, detail: String) {
         if let Some(faults) = &self.wiring.faults {
@@ -410,6 +443,17 @@ impl Gateway {
             Ok(fault) => fault,
             Err(error) => return warn!(%peer, %error, "a fault that cannot be read"),
         };
+        // A node is believed about its own objects and links. What it thinks of other nodes, or of ours,
+        // is no reason to do anything here: everybody sees that for itself.
+        let theirs = match &fault.place {
+            Place::Object(address) => NodeId::of(&address.node) == peer,
+            Place::Link { node, .. } => NodeId::of(node) == peer,
+            Place::Node(_) => false,
+        };
+        if !theirs {
+            self.exchange.handle_noticed(peer, epoch, number);
+            return;
+        }
         let Some(recoverer) = &self.wiring.recoverer else { return };
         let (taken, gateway) = (recoverer.send(Recover { fault }), context.address());
         actix_rt::spawn(async move {
@@ -541,7 +585,7 @@ impl Supervised for Gateway {
         self.peers.keys().for_each(|peer| self.set(*peer, Condition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();
         peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer, true));
-        self.wiring.sessions.begin_anew.do_send(BeginAnew);
+        self.wiring.sessions.begin_anew.do_send(BeginAnew { peer: None });
         self.started(context);
     }
 }

@@ -26,11 +26,12 @@ use blastema_contract::monitor::{Dismiss, Enrol, ReadTable};
 use blastema_contract::notifier::AddPort;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::strategy::{Reroute, RestNode};
+use blastema_contract::strategy::{IsolateNode, Reroute, RestNode};
 use blastema_contract::transport::Close;
 use blastema_core::detection::{
     DetectorLimits, EnrolError, Enrolment, MonitorLimits, NotifierLimits, ObjectKind, Port, Watch,
 };
+use blastema_core::net::isolation::Judges;
 use blastema_core::recovery::{self, RecovererLimits, Restart};
 use blastema_core::scanner::ScannerConfig;
 use blastema_core::{
@@ -55,7 +56,7 @@ pub(super) struct Chain {
     recoverer: Recipient<Recover>,
     /// Looks at arbiters and components; it ends when it is dropped.
     lookout: Mutex<Option<WatchGuard>>,
-    router: Arc<OnceLock<Recipient<Reroute>>>,
+    router: Arc<OnceLock<(Recipient<Reroute>, Recipient<IsolateNode>)>>,
 }
 
 impl Chain {
@@ -181,7 +182,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
     });
 
     let (directory, registry) = (Directory::default(), Registry::default());
-    let router: Arc<OnceLock<Recipient<Reroute>>> = Arc::default();
+    let router = Arc::<OnceLock<_>>::default();
     let tools = Tools::new(ToolBox {
         node: node.clone(),
         directory: directory.clone(),
@@ -271,7 +272,7 @@ impl Networks {
 
 /// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
 fn make_networks(
-    networks: Vec<Network>,
+    (networks, judges): (Vec<Network>, Judges),
     placement: Placement,
     (node, incarnation): (&NodeName, Incarnation),
     parts: &Parts,
@@ -306,13 +307,14 @@ fn make_networks(
         links: Some(monitor.clone().recipient()),
         nodes: Some(monitor.clone().recipient()),
         faults: Some(monitor.clone().recipient()),
+        judges,
     };
     let handle = net::start(net_environment, specs)
         .map_err(|error| StartError::Network(error.to_string()))?;
     let own = handle.inquiries().into_iter();
     enrolments.extend(own.map(|(name, inquiries)| middleware(name, Some(inquiries))));
     // The recipient is set once, here.
-    let _ = chain.router.set(handle.reroute());
+    let _ = chain.router.set((handle.reroute(), handle.isolation()));
     for neighbour in neighbours {
         let recover = handle.recoverer_of(&neighbour);
         let port = Port::Remote(neighbour);
@@ -388,10 +390,20 @@ fn check_service(carried: &Carried) -> Result<(), StartError> {
     Err(StartError::Service { name: name.clone(), reason })
 }
 
+/// Whose word isolates a node.
+fn judges(wardens: &[String]) -> Result<Judges, NameError> {
+    if wardens.is_empty() {
+        return Ok(Judges::Majority);
+    }
+    let wardens = wardens.iter().map(|name| NodeName::new(name));
+    Ok(Judges::Wardens(wardens.collect::<Result<_, _>>()?))
+}
+
 pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
     let node = NodeName::new(&builder.name)?;
     let incarnation = platform::node_incarnation();
+    let judges = judges(&builder.wardens)?;
     let parts = make_chain(&builder, &node)?;
 
     let arbiters = match builder.placement {
@@ -412,7 +424,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     let (networks, network_enrolments) = if builder.networks.is_empty() {
         (None, Vec::new())
     } else {
-        let (networks, placement) = (builder.networks, builder.placement);
+        let (networks, placement) = ((builder.networks, judges), builder.placement);
         let who = (&node, incarnation);
         let (networks, enrolments) = make_networks(networks, placement, who, &parts, &environment)?;
         undone.own.extend(networks.arbiter.clone());

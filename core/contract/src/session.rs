@@ -147,10 +147,14 @@ pub enum SessionReported {
 #[rtype(result = "()")]
 pub struct AddGateway(pub Recipient<SessionReported>);
 
-/// The gateway begins anew: every session is to end and begin again, so that both ends agree.
+/// The gateway begins anew, with everybody or with one peer: the session is to end and begin again, so
+/// that both ends agree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct BeginAnew;
+pub struct BeginAnew {
+    /// With whom; `None` for all.
+    pub peer: Option<NodeId>,
+}
 
 /// This node ends in order: what was sent is to be delivered, then every session ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]

@@ -9,7 +9,9 @@ use actix::prelude::*;
 use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::{BeginAnew, Leave, SessionReported};
+use blastema_contract::strategy::IsolateNode;
 use blastema_core::net::exchange::Call;
+use blastema_core::recovery::{Done, Failed};
 use blastema_core::{ObjectAddress, ObjectName, Why};
 use tracing::debug;
 
@@ -95,9 +97,20 @@ impl Handler<KeptOut> for Gateway {
             self.naming.handle_ended(peer);
         } else {
             // What it said meanwhile was not heard: only a new session makes both agree again.
-            self.wiring.sessions.begin_anew.do_send(BeginAnew);
+            self.wiring.sessions.begin_anew.do_send(BeginAnew { peer: Some(peer) });
         }
         self.drive(context);
+    }
+}
+
+/// A recovery strategy has decided so.
+impl Handler<IsolateNode> for Gateway {
+    type Result = Result<Done, Failed>;
+
+    fn handle(&mut self, message: IsolateNode, _: &mut Context<Self>) -> Self::Result {
+        let IsolateNode { node, isolated, cause } = message;
+        self.wiring.wardens.carry_decision_out(&node, isolated, &cause);
+        Ok(Done::default())
     }
 }
 
