@@ -220,13 +220,25 @@ impl ReplicaBody {
                 info!(service = %name, epoch, "this node serves");
                 Some(*epoch)
             }
-            Role::Standby { primary } => {
+            Role::Standby { primary, in_step } => {
                 let primary = primary.as_ref().map_or("nobody", NodeName::as_str);
-                info!(service = %name, primary, "this node stands by");
+                info!(service = %name, primary, in_step, "this node stands by");
                 None
             }
         };
+        let before = self.roster.role(name);
         self.roster.note(name, role.clone());
+        if matches!(before, Some(Role::Primary { .. })) || epoch.is_some() {
+            self.tell_role(context);
+        }
+    }
+
+    /// The component is to know whether it serves.
+    fn tell_role(&self, context: &mut Context<Self>) {
+        let epoch = match self.roster.role(&self.carried.name) {
+            Some(Role::Primary { epoch }) => Some(epoch),
+            _ => None,
+        };
         let mut bytes = Vec::new();
         // A number always fits.
         let _ = codec::encode(&RoleChanged { epoch }, &mut bytes);
@@ -304,7 +316,7 @@ impl Supervised for ReplicaBody {
         self.machine = Replica::new(config, initial, platform::now());
         self.wake = Wake::default();
         self.callers.clear();
-        let nobody = Role::Standby { primary: None };
+        let nobody = Role::Standby { primary: None, in_step: false };
         self.became(&nobody, context);
         self.started(context);
     }
@@ -359,6 +371,8 @@ impl Handler<Died> for ReplicaBody {
 
     fn handle(&mut self, _: Died, context: &mut Context<Self>) {
         self.machine.handle_component_died(platform::now());
+        // Its next life knows nothing.
+        self.tell_role(context);
         self.go_on(context);
     }
 }

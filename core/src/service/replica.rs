@@ -34,6 +34,8 @@ pub enum Role {
     Standby {
         /// For this node, where one is known to serve.
         primary: Option<NodeName>,
+        /// It has everything that the primary has answered, as far as its kind keeps that.
+        in_step: bool,
     },
 }
 
@@ -58,7 +60,7 @@ pub enum ReplicaOutput {
         /// What.
         message: Bytes,
     },
-    /// The role has changed.
+    /// The role has changed, or whether this standby is in step.
     Became(Role),
     /// Let the component serve this, and say what came of it by [`Replica::handle_executed`], with its
     /// state afterwards where that is wanted.
@@ -112,6 +114,8 @@ pub struct Replica {
     state: Option<Bytes>,
     table: VecDeque<Served>,
     role: Acting,
+    /// As what it was last told of.
+    told: Role,
     jobs: VecDeque<Job>,
     /// The component is busy with this.
     working: Option<Job>,
@@ -141,6 +145,7 @@ impl Replica {
             state: None,
             table: VecDeque::new(),
             role: Acting::Standby(standby),
+            told: Role::Standby { primary: None, in_step: false },
             jobs: VecDeque::new(),
             working: None,
             ready: true,
@@ -153,7 +158,7 @@ impl Replica {
     pub fn role(&self) -> Role {
         match &self.role {
             Acting::Primary(primary) => Role::Primary { epoch: primary.epoch },
-            Acting::Standby(standby) => Role::Standby { primary: standby.primary.clone() },
+            Acting::Standby(standby) => standby.role(self.epoch, self.config.kind),
         }
     }
 
@@ -236,7 +241,10 @@ impl Replica {
             }
             (Acting::Primary(_), StandbyKind::Hot) => self.handle_damage(now),
             // It has to be told everything anew.
-            (Acting::Standby(standby), StandbyKind::Hot) => standby.fall_behind(),
+            (Acting::Standby(standby), StandbyKind::Hot) => {
+                standby.fall_behind();
+                self.tell_role();
+            }
             (Acting::Standby(_), _) => {}
         }
     }
@@ -356,7 +364,16 @@ impl Replica {
             };
             self.answer(caller, outcome);
         }
-        self.outputs.push_back(ReplicaOutput::Became(Role::Standby { primary }));
+        self.tell_role();
+    }
+
+    /// Says what this replica has become, where that is something else.
+    fn tell_role(&mut self) {
+        let role = self.role();
+        if role != self.told {
+            self.told = role.clone();
+            self.outputs.push_back(ReplicaOutput::Became(role));
+        }
     }
 
     fn answer(&mut self, caller: u64, outcome: ServiceOutcome) {

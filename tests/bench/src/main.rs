@@ -1,6 +1,6 @@
 //! Benchmarks of the middleware beside what it is built on, as ratios within one run.
 //!
-//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [monitored] [failover]`;
+//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [monitored] [failover] [takeover]`;
 //! without arguments, all of them. `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
@@ -11,10 +11,12 @@ mod messages;
 mod monitored;
 mod remote;
 mod restart;
+mod takeover;
 
 use std::process::ExitCode;
 
-const PARTS: [&str; 6] = ["messages", "restart", "fanout", "remote", "monitored", "failover"];
+const PARTS: [&str; 7] =
+    ["messages", "restart", "fanout", "remote", "monitored", "failover", "takeover"];
 
 fn main() -> ExitCode {
     let mut arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -46,6 +48,9 @@ fn main() -> ExitCode {
     if wanted("failover") {
         blastema::run(failover::run());
     }
+    if wanted("takeover") {
+        blastema::run(takeover::run());
+    }
     ExitCode::SUCCESS
 }
 
@@ -53,6 +58,7 @@ fn main() -> ExitCode {
 fn child(arguments: &[String]) -> ExitCode {
     match arguments.first().map(String::as_str) {
         Some("remote") => remote::child(&arguments[1..]),
+        Some("takeover") => takeover::child(&arguments[1..]),
         Some("monitored") => monitored::child(&arguments[1..]),
         _ => return ExitCode::from(2),
     }

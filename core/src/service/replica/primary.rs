@@ -90,7 +90,7 @@ impl Replica {
     pub(super) fn take_over(&mut self, epoch: u64, asked: Instant, now: Instant) {
         self.role = Acting::Primary(Primary::new(epoch, asked));
         self.see(epoch);
-        self.outputs.push_back(ReplicaOutput::Became(Role::Primary { epoch }));
+        self.tell_role();
         match self.config.kind {
             StandbyKind::Cold => {
                 self.table.clear();

@@ -53,6 +53,14 @@ impl Standby {
         Standby::waiting(config, None, now)
     }
 
+    /// As what it stands by, while this epoch is the greatest that is known.
+    pub(super) fn role(&self, epoch: u64, kind: StandbyKind) -> Role {
+        let primary = self.primary.clone();
+        // A cold one has nothing to know.
+        let knows = kind == StandbyKind::Cold || self.in_step == Some(epoch);
+        Role::Standby { in_step: knows && primary.is_some(), primary }
+    }
+
     /// What this replica has is not what the primary has.
     pub(super) fn fall_behind(&mut self) {
         self.in_step = None;
@@ -88,7 +96,6 @@ impl Replica {
         }
         self.see(epoch);
         let Acting::Standby(standby) = &mut self.role else { return };
-        let known = standby.primary.as_ref() == Some(from);
         standby.primary = Some(from.clone());
         (standby.claiming, standby.asked) = (None, None);
         standby.promised_until = now + self.config.lease() + self.config.margin();
@@ -96,10 +103,7 @@ impl Replica {
         let in_step = standby.in_step == Some(epoch) || self.config.kind == StandbyKind::Cold;
         let position = self.position;
         self.send(from, &Message::Promise { epoch, number, position, in_step });
-        if !known {
-            let primary = Some(from.clone());
-            self.outputs.push_back(ReplicaOutput::Became(Role::Standby { primary }));
-        }
+        self.tell_role();
     }
 
     /// Nobody serves: this replica offers to.
@@ -110,9 +114,8 @@ impl Replica {
         if !self.ready {
             return;
         }
-        if standby.primary.take().is_some() {
-            self.outputs.push_back(ReplicaOutput::Became(Role::Standby { primary: None }));
-        }
+        standby.primary = None;
+        self.tell_role();
         let epoch = self.epoch.max(self.claimed) + 1;
         self.claimed = epoch;
         let Acting::Standby(standby) = &mut self.role else { return };
@@ -207,7 +210,8 @@ impl Replica {
             return;
         }
         if position.number != self.position.number + 1 {
-            return standby.fall_behind();
+            standby.fall_behind();
+            return self.tell_role();
         }
         self.position = position;
         self.note(served);
@@ -233,6 +237,7 @@ impl Replica {
             return;
         }
         standby.in_step = Some(epoch);
+        self.see(epoch);
         self.position = position;
         self.table = table.into_iter().take(TABLE_MAX).collect();
         // What is being served since before is in none of this.
@@ -248,6 +253,7 @@ impl Replica {
         }
         self.work();
         self.confirm(from, epoch);
+        self.tell_role();
     }
 
     /// Tells the primary how far we have come; this is no promise.

@@ -266,7 +266,7 @@ fn the_first_of_the_members_serves_and_all_others_know_it() {
     assert_eq!(robot.primaries(), [0]);
     for member in 1..3 {
         let role = robot.members[member].as_ref().unwrap().replica.role();
-        assert_eq!(role, Role::Standby { primary: Some(node(0)) });
+        assert_eq!(role, Role::Standby { primary: Some(node(0)), in_step: true });
     }
 
     for sum in 1..=20 {
