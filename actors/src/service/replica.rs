@@ -20,7 +20,7 @@ use blastema_core::service::{
 };
 use blastema_core::{Contract, MessageId, NodeName, ObjectName, PeerIdentity, Why, codec};
 use bytes::Bytes;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::{info, warn};
@@ -29,6 +29,10 @@ use tracing::{info, warn};
 const LOAD_AGAIN: Duration = Duration::from_millis(5);
 /// The most bytes of one task: the caller's limit, which is checked there as well.
 const TASK_MAX: usize = 2 * 1024 * 1024;
+
+/// Questions that may wait for somebody to serve: a few of each of many callers. Further ones are answered
+/// with what is known.
+const WONDERING_MAX: usize = 1024;
 
 /// A service as a node carries it.
 #[derive(Clone)]
@@ -59,6 +63,8 @@ pub(crate) struct ReplicaBody {
     registry: Registry,
     roster: Roster,
     callers: BTreeMap<u64, Answer<AskService>>,
+    /// Who wants to know who serves, while nobody does.
+    wondering: VecDeque<Wondered>,
     next: u64,
     others: BTreeMap<NodeName, Sender<ReplicaSays>>,
 }
@@ -82,6 +88,7 @@ impl ReplicaBody {
                 registry: names,
                 roster: known,
                 callers: BTreeMap::new(),
+                wondering: VecDeque::new(),
                 next: 0,
                 others: BTreeMap::new(),
             }
@@ -96,12 +103,9 @@ impl ReplicaBody {
         let serve = Desk::<AskService>(Arc::new(move |ask, answer| {
             asked.do_send(Asked(ask, answer));
         }));
-        let (name, status) = (carried.name.clone(), roster.clone());
-        let keeps = carried.config.kind != StandbyKind::Cold;
-        let own = carried.config.own.clone();
-        let who = Desk::<WhoServes>(Arc::new(move |_, answer| {
-            let primary = status.primary(&name, &own).map(|node| node.to_string());
-            answer.give(Serving { primary, keeps });
+        let wondered = body.clone().recipient::<Wondered>();
+        let who = Desk::<WhoServes>(Arc::new(move |question, answer| {
+            wondered.do_send(Wondered(question, answer));
         }));
         ports.insert(ReplicaSays::NAME, Port::of_desk(says));
         ports.insert(AskService::NAME, Port::of_desk(serve));
@@ -228,9 +232,30 @@ impl ReplicaBody {
         };
         let before = self.roster.role(name);
         self.roster.note(name, role.clone());
+        for question in std::mem::take(&mut self.wondering) {
+            self.tell_who_serves(question);
+        }
         if matches!(before, Some(Role::Primary { .. })) || epoch.is_some() {
             self.tell_role(context);
         }
+    }
+
+    /// Answers at once where somebody serves, else as soon as anybody does.
+    fn tell_who_serves(&mut self, Wondered(question, answer): Wondered) {
+        let config = &self.carried.config;
+        let primary = self.roster.primary(&self.carried.name, &config.own);
+        let primary = primary.map(|node| node.to_string());
+        let known = primary.is_some() && primary != question.besides;
+        if !known && self.wondering.len() >= WONDERING_MAX {
+            // Those whose deadline has passed.
+            self.wondering.retain(|Wondered(_, answer)| answer.is_wanted());
+        }
+        if !known && self.wondering.len() < WONDERING_MAX {
+            return self.wondering.push_back(Wondered(question, answer));
+        }
+        let keeps = config.kind != StandbyKind::Cold;
+        let members = config.members.iter().map(NodeName::to_string).collect();
+        answer.give(Serving { primary, keeps, members });
     }
 
     /// The component is to know whether it serves.
@@ -316,6 +341,7 @@ impl Supervised for ReplicaBody {
         self.machine = Replica::new(config, initial, platform::now());
         self.wake = Wake::default();
         self.callers.clear();
+        self.wondering.clear();
         let nobody = Role::Standby { primary: None, in_step: false };
         self.became(&nobody, context);
         self.started(context);
@@ -358,6 +384,19 @@ impl Handler<Asked> for ReplicaBody {
         let id = MessageId { sender, sequence };
         self.machine.handle_request(self.next, id, request.into(), platform::now());
         self.go_on(context);
+    }
+}
+
+/// Somebody wants to know who serves.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Wondered(WhoServes, Answer<WhoServes>);
+
+impl Handler<Wondered> for ReplicaBody {
+    type Result = ();
+
+    fn handle(&mut self, wondered: Wondered, _: &mut Context<Self>) {
+        self.tell_who_serves(wondered);
     }
 }
 
