@@ -287,7 +287,9 @@ impl Replica {
         };
         self.handle_timeout(now);
         match message {
-            Message::Hello { epoch, number } => self.hear_hello(from, epoch, number, now),
+            Message::Hello { epoch, number, position } => {
+                self.hear_hello(from, epoch, (number, position), now);
+            }
             Message::Promise { epoch, number, position, in_step } => {
                 self.hear_promise(from, epoch, number, (position, in_step), now);
             }
@@ -299,7 +301,7 @@ impl Replica {
             // That somebody has claimed in vain deposes nobody.
             Message::Voted { epoch } => self.claimed = self.claimed.max(epoch),
             Message::Claim { epoch, position } => self.hear_claim(from, epoch, position, now),
-            Message::Vote { epoch } => self.hear_vote(from, epoch, now),
+            Message::Vote { epoch, in_step } => self.hear_vote(from, epoch, in_step, now),
             Message::Entry { epoch, position, served, body } => {
                 self.hear_entry(from, epoch, position, served, body);
             }

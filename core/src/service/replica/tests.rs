@@ -302,6 +302,30 @@ fn a_request_in_flight_completes_once_when_the_primary_is_killed() {
 }
 
 #[test]
+fn whoever_takes_over_answers_after_one_round_trip_where_the_others_have_what_it_has() {
+    for kind in [StandbyKind::Warm, StandbyKind::Hot] {
+        let mut robot = Robot::new(4, 3, kind, OnPartition::Stop);
+        robot.advance_ms(100);
+        for _ in 0..5 {
+            robot.ask();
+            robot.advance_ms(5);
+        }
+        robot.kill(0);
+        while robot.primaries().is_empty() {
+            robot.advance(Duration::from_micros(100));
+        }
+        let caller = robot.ask();
+        robot.advance_ms(20);
+
+        // Two ways of at most 1.7 ms, and the component's 0.3 ms, twice for a state to be loaded.
+        assert!(robot.waited(caller) <= Duration::from_millis(5), "{:?}", robot.waited(caller));
+        let follower = robot.primaries()[0];
+        let standby = robot.members[3 - follower].as_ref().unwrap().replica.role();
+        assert_eq!(standby, Role::Standby { primary: Some(node(follower)), in_step: true });
+    }
+}
+
+#[test]
 fn the_return_of_a_node_does_not_take_the_service_back() {
     for kind in [StandbyKind::Cold, StandbyKind::Warm, StandbyKind::Hot] {
         let mut robot = Robot::new(3, 3, kind, OnPartition::Stop);
