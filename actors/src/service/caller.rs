@@ -1,57 +1,31 @@
 //! Whoever asks a service, and follows it from node to node.
 
+use super::finder::{Finder, Found, PROBE};
 use super::read_why;
 use super::roster::Roster;
-use super::words::{Answered, AskService, Task, WhoServes};
+use super::words::{Answered, AskService, Task};
 use crate::registry::Registry;
 use crate::sender::{RequestError, next_id};
 use blastema_core::{ContractIdentity, NameError, NodeName, ObjectName, Request, Why, codec};
-use futures_util::StreamExt;
-use futures_util::stream::FuturesUnordered;
 use std::fmt;
 use std::marker::PhantomData;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-
-/// How long a caller waits before it asks other nodes who serves, and before it tries again.
-const PROBE: Duration = Duration::from_millis(5);
-/// How long they are asked at a time: they answer as soon as they know. Shorter notices sooner that
-/// another node can be reached; longer costs fewer messages while nobody serves.
-const HELD: Duration = Duration::from_millis(100);
 
 /// Asks a service, whichever node serves it now. Clones share what they know of it.
 pub struct ServiceRef<M: Request> {
-    name: ObjectName,
-    registry: Registry,
-    roster: Roster,
-    known: Arc<Mutex<Known>>,
+    finder: Finder,
     asks: PhantomData<fn(M)>,
-}
-
-/// What was learnt of a service by asking it.
-#[derive(Default)]
-struct Known {
-    /// Who answered last.
-    primary: Option<NodeName>,
-    /// Who carries it, as one of them said.
-    members: Vec<NodeName>,
 }
 
 impl<M: Request> Clone for ServiceRef<M> {
     fn clone(&self) -> Self {
-        ServiceRef {
-            name: self.name.clone(),
-            registry: self.registry.clone(),
-            roster: self.roster.clone(),
-            known: self.known.clone(),
-            asks: PhantomData,
-        }
+        ServiceRef { finder: self.finder.clone(), asks: PhantomData }
     }
 }
 
 impl<M: Request> fmt::Debug for ServiceRef<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} of service {}", M::NAME, self.name)
+        write!(f, "{} of service {}", M::NAME, self.finder.name)
     }
 }
 
@@ -64,30 +38,15 @@ enum Turn {
     Moved(Found),
 }
 
-/// Who serves, and whether whoever follows keeps what was served.
-struct Found {
-    primary: NodeName,
-    keeps: bool,
-}
-
 impl<M: Request> ServiceRef<M> {
     pub(crate) fn new(registry: &Registry, roster: &Roster, name: &str) -> Result<Self, NameError> {
-        Ok(ServiceRef {
-            name: ObjectName::new(name)?,
-            registry: registry.clone(),
-            roster: roster.clone(),
-            known: Arc::default(),
-            asks: PhantomData,
-        })
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+        let finder = Finder::new(ObjectName::new(name)?, registry, roster);
+        Ok(ServiceRef { finder, asks: PhantomData })
     }
 
     /// The node that answered last.
     pub fn primary(&self) -> Option<NodeName> {
-        self.lock().primary.clone()
+        self.finder.primary()
     }
 
     /// Asks, and waits for the reply for five seconds at most: long enough for a standby to take over.
@@ -133,7 +92,7 @@ impl<M: Request> ServiceRef<M> {
         loop {
             let node = match primary.take() {
                 Some(node) => node,
-                None => match self.find(failed.take().as_ref()).await {
+                None => match self.finder.find(failed.take().as_ref()).await {
                     Some(Found { keeps: false, .. }) if uncertain.is_some() && !M::IDEMPOTENT => {
                         return Err(Why::OutcomeUnknown { reason: uncertain.unwrap_or_default() });
                     }
@@ -146,7 +105,7 @@ impl<M: Request> ServiceRef<M> {
             };
             match self.try_at(&node, &ask).await {
                 Turn::Answered(Answered::Done(reply)) => {
-                    self.lock().primary = Some(node);
+                    self.finder.note(node);
                     return Ok(reply);
                 }
                 Turn::Answered(Answered::Failed { why }) => return Err(read_why(&why)),
@@ -164,7 +123,7 @@ impl<M: Request> ServiceRef<M> {
                     }
                 }
                 Turn::Moved(Found { primary, keeps: false }) if !M::IDEMPOTENT => {
-                    self.lock().primary = Some(primary);
+                    self.finder.note(primary);
                     let reason = "the primary has changed, and its standbys are cold".into();
                     return Err(Why::OutcomeUnknown { reason });
                 }
@@ -182,8 +141,8 @@ impl<M: Request> ServiceRef<M> {
 
     /// Asks one node, and after a while the others whether it still serves.
     async fn try_at(&self, node: &NodeName, ask: &AskService) -> Turn {
-        let address = format!("{node}:{}", self.name);
-        let sender = match self.registry.sender::<AskService>(&address) {
+        let address = format!("{node}:{}", self.finder.name);
+        let sender = match self.finder.registry.sender::<AskService>(&address) {
             Ok(sender) => sender,
             Err(why) => return Turn::Failed(why),
         };
@@ -192,7 +151,7 @@ impl<M: Request> ServiceRef<M> {
         let moved = async {
             loop {
                 tokio::time::sleep(PROBE).await;
-                if let Some(found) = self.find(Some(node)).await {
+                if let Some(found) = self.finder.find(Some(node)).await {
                     return found;
                 }
             }
@@ -205,43 +164,5 @@ impl<M: Request> ServiceRef<M> {
             },
             found = moved => Turn::Moved(found),
         }
-    }
-
-    /// Asks all who carry the service who serves; `besides` is no answer, and is not asked.
-    async fn find(&self, besides: Option<&NodeName>) -> Option<Found> {
-        let members = self.members().await;
-        let others = members.iter().filter(|member| Some(*member) != besides);
-        let mut told: FuturesUnordered<_> =
-            others.map(|member| self.who_serves(member, besides)).collect();
-        while let Some(found) = told.next().await {
-            if found.is_some() {
-                return found;
-            }
-        }
-        None
-    }
-
-    /// Who serves, as soon as that node knows of anybody.
-    async fn who_serves(&self, node: &NodeName, besides: Option<&NodeName>) -> Option<Found> {
-        let sender = self.registry.sender::<WhoServes>(&format!("{node}:{}", self.name)).ok()?;
-        let question = WhoServes { besides: besides.map(NodeName::to_string) };
-        let serving = sender.ask_within(question, HELD).await.ok()?;
-        let members: Result<Vec<_>, _> = serving.members.iter().map(|n| NodeName::new(n)).collect();
-        if let Ok(members) = members {
-            self.lock().members = members;
-        }
-        let primary = NodeName::new(&serving.primary?).ok()?;
-        (Some(&primary) != besides).then_some(Found { primary, keeps: serving.keeps })
-    }
-
-    /// The nodes that carry the service, as far as is known: each tells its names when it is met, and any
-    /// of them knows the others.
-    async fn members(&self) -> Vec<NodeName> {
-        let mut members = self.roster.members(&self.name).await;
-        let known = self.lock();
-        members.extend(known.members.iter().cloned());
-        members.sort();
-        members.dedup();
-        members
     }
 }

@@ -11,6 +11,7 @@
 //! the service's name, and the component under `<name>/replica`.
 
 mod caller;
+mod finder;
 mod replica;
 mod roster;
 mod words;
@@ -152,7 +153,8 @@ impl<C: Stateful> ServiceSpec<C> {
         self
     }
 
-    /// Services that this one cannot do without: it takes over only after they have been.
+    /// Services that this one cannot do without, whichever nodes carry them: a node begins to serve, or
+    /// takes over, only while each of them is served.
     pub fn depends_on<'a>(mut self, services: impl IntoIterator<Item = &'a str>) -> Self {
         self.depends_on.extend(services.into_iter().map(str::to_owned));
         self
@@ -174,6 +176,7 @@ impl<C: Stateful> ServiceSpec<C> {
                 members: members?,
                 kind,
                 on_partition,
+                depends: !depends_on.is_empty(),
                 hello_interval,
             };
             let depends_on: Result<Vec<_>, _> = parse(depends_on);

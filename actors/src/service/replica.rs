@@ -1,5 +1,6 @@
 //! One replica of a service: the body of the machine in the core.
 
+use super::finder::Finder;
 use super::roster::Roster;
 use super::words::{
     Answered, AskService, LoadState, ReplicaSays, RoleChanged, SaveState, Serving, Task, WhoServes,
@@ -65,6 +66,7 @@ pub(crate) struct ReplicaBody {
     callers: BTreeMap<u64, Answer<AskService>>,
     /// Who wants to know who serves, while nobody does.
     wondering: VecDeque<Wondered>,
+    inquiry: Option<SpawnHandle>,
     next: u64,
     others: BTreeMap<NodeName, Sender<ReplicaSays>>,
 }
@@ -89,6 +91,7 @@ impl ReplicaBody {
                 roster: known,
                 callers: BTreeMap::new(),
                 wondering: VecDeque::new(),
+                inquiry: None,
                 next: 0,
                 others: BTreeMap::new(),
             }
@@ -270,11 +273,23 @@ impl ReplicaBody {
         self.hand_over((RoleChanged::NAME, &bytes), |_| Done::Told, context);
     }
 
-    /// After every input: are the others there that this service needs?
-    fn go_on(&mut self, context: &mut Context<Self>) {
-        let ready = self.roster.all_served(&self.carried.depends_on);
-        self.machine.handle_ready(ready);
-        self.drive(context);
+    /// Waits for the others that this service needs; there is one inquiry at a time.
+    fn inquire(&mut self, context: &mut Context<Self>) {
+        if let Some(before) = self.inquiry.take() {
+            context.cancel_future(before);
+        }
+        let finders = self.carried.depends_on.iter();
+        let finders: Vec<_> =
+            finders.map(|name| Finder::new(name.clone(), &self.registry, &self.roster)).collect();
+        let served = async move {
+            futures_util::future::join_all(finders.iter().map(Finder::served)).await;
+        };
+        let told = |(), body: &mut Self, context: &mut Context<Self>| {
+            body.inquiry = None;
+            body.machine.handle_ready(platform::now());
+            body.drive(context);
+        };
+        self.inquiry = Some(context.spawn(actix::fut::wrap_future::<_, Self>(served).map(told)));
     }
 }
 
@@ -296,6 +311,7 @@ impl Body for ReplicaBody {
             ReplicaOutput::Execute { request, save } => self.execute(&request, save, context),
             ReplicaOutput::Save => self.save(None, context),
             ReplicaOutput::Load { state } => self.load(state, context),
+            ReplicaOutput::Inquire => self.inquire(context),
             ReplicaOutput::Answer { caller, outcome } => {
                 if let Some(answer) = self.callers.remove(&caller) {
                     answer.give(match outcome {
@@ -314,8 +330,6 @@ impl Body for ReplicaBody {
                 }
             }
         }
-        let ready = self.roster.all_served(&self.carried.depends_on);
-        self.machine.handle_ready(ready);
     }
 }
 
@@ -325,12 +339,7 @@ impl Actor for ReplicaBody {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        if !self.carried.depends_on.is_empty() {
-            // What others become is not told, but looked at.
-            let interval = self.carried.config.hello_interval;
-            context.run_interval(interval, |body, context| body.go_on(context));
-        }
-        self.go_on(context);
+        self.drive(context);
     }
 }
 
@@ -342,6 +351,7 @@ impl Supervised for ReplicaBody {
         self.wake = Wake::default();
         self.callers.clear();
         self.wondering.clear();
+        self.inquiry = None;
         let nobody = Role::Standby { primary: None, in_step: false };
         self.became(&nobody, context);
         self.started(context);
@@ -359,7 +369,7 @@ impl Handler<Heard> for ReplicaBody {
     fn handle(&mut self, Heard(says): Heard, context: &mut Context<Self>) {
         if let Ok(from) = NodeName::new(&says.from) {
             self.machine.handle_message(&from, &says.message, platform::now());
-            self.go_on(context);
+            self.drive(context);
         }
     }
 }
@@ -383,7 +393,7 @@ impl Handler<Asked> for ReplicaBody {
         self.callers.insert(self.next, answer);
         let id = MessageId { sender, sequence };
         self.machine.handle_request(self.next, id, request.into(), platform::now());
-        self.go_on(context);
+        self.drive(context);
     }
 }
 
@@ -412,7 +422,7 @@ impl Handler<Died> for ReplicaBody {
         self.machine.handle_component_died(platform::now());
         // Its next life knows nothing.
         self.tell_role(context);
-        self.go_on(context);
+        self.drive(context);
     }
 }
 
@@ -447,6 +457,6 @@ impl Handler<Done> for ReplicaBody {
             }
             Done::Told => return,
         }
-        self.go_on(context);
+        self.drive(context);
     }
 }

@@ -58,16 +58,6 @@ impl Roster {
         }
     }
 
-    /// Somebody serves each of these, as far as this node carries them.
-    pub(crate) fn all_served(&self, names: &[ObjectName]) -> bool {
-        let services = self.lock();
-        let unserved = |name: &ObjectName| {
-            let role = services.get(name).map(|entry| &entry.role);
-            matches!(role, Some(Role::Standby { primary: None, .. }))
-        };
-        !names.iter().any(unserved)
-    }
-
     /// The nodes that carry the service: as declared here, or as others say.
     pub(crate) async fn members(&self, name: &ObjectName) -> Vec<NodeName> {
         if let Some(entry) = self.lock().get(name) {

@@ -77,6 +77,10 @@ pub enum ReplicaOutput {
         /// The state.
         state: Bytes,
     },
+    /// Find out whether the services that this one depends on are served now, by asking whoever serves
+    /// them, and say so by [`Replica::handle_ready`] once they are. A new inquiry takes the place of the
+    /// last one.
+    Inquire,
     /// Answer a caller.
     Answer {
         /// The number under which it asked.
@@ -119,8 +123,6 @@ pub struct Replica {
     jobs: VecDeque<Job>,
     /// The component is busy with this.
     working: Option<Job>,
-    /// Services that this one depends on are there.
-    ready: bool,
     refused: u64,
     outputs: VecDeque<ReplicaOutput>,
 }
@@ -148,7 +150,6 @@ impl Replica {
             told: Role::Standby { primary: None, in_step: false },
             jobs: VecDeque::new(),
             working: None,
-            ready: true,
             refused: 0,
             outputs: VecDeque::new(),
         }
@@ -167,9 +168,13 @@ impl Replica {
         self.refused
     }
 
-    /// The services that this one depends on are there, or not: without them it does not take over.
-    pub fn handle_ready(&mut self, ready: bool) {
-        self.ready = ready;
+    /// The services that this one depends on are served: it may take over, if it still wants to.
+    pub fn handle_ready(&mut self, now: Instant) {
+        let Acting::Standby(standby) = &mut self.role else { return };
+        if standby.inquiring {
+            standby.ready = true;
+            self.claim(now);
+        }
     }
 
     /// Somebody asks for the service.

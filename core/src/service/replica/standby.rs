@@ -17,6 +17,10 @@ pub(super) struct Standby {
     /// What it has is everything up to its position.
     whole: bool,
     claiming: Option<Claiming>,
+    /// It would claim, and has asked whether others are there.
+    pub(super) inquiring: bool,
+    /// They are; good for one claim.
+    pub(super) ready: bool,
     /// Somebody claims while our promise still lasts: it is answered when that is over.
     asked: Option<(NodeName, u64, Position)>,
 }
@@ -42,6 +46,8 @@ impl Standby {
             in_step: None,
             whole: false,
             claiming: None,
+            inquiring: false,
+            ready: false,
             asked: None,
         }
     }
@@ -117,7 +123,7 @@ impl Replica {
             standby.in_step = None;
         }
         standby.primary = Some(from.clone());
-        (standby.claiming, standby.asked) = (None, None);
+        (standby.claiming, standby.asked, standby.inquiring) = (None, None, false);
         standby.promised_until = now + self.config.lease() + self.config.margin();
         standby.claim_at = standby.promised_until + turn(&self.config, Some(from));
         let in_step = standby.in_step == Some(epoch) || self.config.kind == StandbyKind::Cold;
@@ -131,10 +137,14 @@ impl Replica {
         let again = self.config.hello_interval + turn(&self.config, None);
         let Acting::Standby(standby) = &mut self.role else { return };
         standby.claim_at = now + again;
-        if !self.ready {
-            return;
-        }
         standby.primary = None;
+        if self.config.depends && !std::mem::take(&mut standby.ready) {
+            if !std::mem::replace(&mut standby.inquiring, true) {
+                self.outputs.push_back(ReplicaOutput::Inquire);
+            }
+            return self.tell_role();
+        }
+        standby.inquiring = false;
         self.tell_role();
         let epoch = self.epoch.max(self.claimed) + 1;
         self.claimed = epoch;
