@@ -397,6 +397,22 @@ fn judges(wardens: &[String]) -> Result<Judges, NameError> {
     }
     let wardens = wardens.iter().map(|name| NodeName::new(name));
     Ok(Judges::Wardens(wardens.collect::<Result<_, _>>()?))
+/// Of services that wait for each other, none would ever serve.
+fn check_service_order(carried: &[Carried]) -> Result<(), StartError> {
+    let mut open: Vec<_> = carried.iter().collect();
+    loop {
+        let waits =
+            |service: &&Carried| open.iter().any(|other| service.depends_on.contains(&other.name));
+        let left: Vec<_> = open.iter().copied().filter(|service| waits(service)).collect();
+        match left.first() {
+            None => return Ok(()),
+            Some(Carried { name, .. }) if left.len() == open.len() => {
+                let reason = "it depends on itself, perhaps by way of others: leave out one of the dependencies";
+                return Err(StartError::Service { name: name.clone(), reason: reason.to_owned() });
+            }
+            Some(_) => open = left,
+        }
+    }
 }
 
 pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
@@ -451,9 +467,10 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     if let Some(networks) = &networks {
         environment.services.find_by(networks.handle.finder());
     }
-    for carried in builder.services {
-        let carried = carried?;
-        check_service(&carried)?;
+    let services: Vec<_> = builder.services.into_iter().collect::<Result<_, _>>()?;
+    services.iter().try_for_each(check_service)?;
+    check_service_order(&services)?;
+    for carried in services {
         let name = carried.body.clone();
         environment.services.enter(carried.name.clone(), carried.config.members.clone());
         let place = networks.as_ref().and_then(|networks| networks.arbiter.as_ref());

@@ -2,6 +2,7 @@
 //!
 //! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput] [monitored]
 //! [failover]`;
+//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [monitored] [failover] [takeover]`;
 //! without arguments, all of them. `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
@@ -14,11 +15,13 @@ mod process;
 mod remote;
 mod restart;
 mod throughput;
+mod takeover;
 
 use std::process::ExitCode;
 
 const PARTS: [&str; 7] =
     ["messages", "restart", "fanout", "remote", "throughput", "monitored", "failover"];
+    ["messages", "restart", "fanout", "remote", "monitored", "failover", "takeover"];
 
 fn main() -> ExitCode {
     let mut arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -53,6 +56,9 @@ fn main() -> ExitCode {
     if wanted("failover") {
         blastema::run(failover::run());
     }
+    if wanted("takeover") {
+        blastema::run(takeover::run());
+    }
     ExitCode::SUCCESS
 }
 
@@ -61,6 +67,7 @@ fn child(arguments: &[String]) -> ExitCode {
     match arguments.first().map(String::as_str) {
         Some("remote") => remote::child(&arguments[1..]),
         Some("throughput") => throughput::child(&arguments[1..]),
+        Some("takeover") => takeover::child(&arguments[1..]),
         Some("monitored") => monitored::child(&arguments[1..]),
         _ => return ExitCode::from(2),
     }
