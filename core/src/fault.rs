@@ -37,6 +37,8 @@ pub enum FaultKind {
     NodeLost,
     /// The same fault came back more often than its supervisor allows.
     RestartStorm,
+    /// Two have one name: two nodes, or two claimants that were out of each other's sight.
+    NameTaken,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -54,7 +56,7 @@ pub enum Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 14] = [
+    pub const BUILT_IN: [FaultKind; 15] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -69,9 +71,10 @@ impl FaultKind {
         FaultKind::LinkDegraded,
         FaultKind::NodeLost,
         FaultKind::RestartStorm,
+        FaultKind::NameTaken,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B14`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B15`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -89,6 +92,7 @@ impl FaultKind {
             FaultKind::LinkDegraded => "B12",
             FaultKind::NodeLost => "B13",
             FaultKind::RestartStorm => "B14",
+            FaultKind::NameTaken => "B15",
             FaultKind::Custom(code) => code,
         }
     }
@@ -110,6 +114,7 @@ impl FaultKind {
             FaultKind::LinkDegraded => "link degraded",
             FaultKind::NodeLost => "node lost",
             FaultKind::RestartStorm => "restart storm",
+            FaultKind::NameTaken => "name taken",
             FaultKind::Custom(code) => code,
         }
     }

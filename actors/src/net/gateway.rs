@@ -19,7 +19,7 @@ use blastema_contract::Confirmed;
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::FaultDeclared;
-use blastema_contract::session::{BeginAnew, Leave, Say, SayNewest};
+use blastema_contract::session::{BeginAnew, Leave, PeerSeen, Say, SayNewest};
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
@@ -55,6 +55,8 @@ struct Wiring {
     doors: Arc<Doors>,
     wardens: Wardens,
     dead_letters: DeadLetterOffice,
+    /// Who of this node talks to others like itself.
+    envoys: Vec<Recipient<PeerSeen>>,
 }
 
 /// What the gateway asks of the sessions.
@@ -118,7 +120,15 @@ impl Gateway {
         told: Arc<OnceLock<Wardens>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let NetEnvironment {
-            node, registry, topics, recoverer, nodes, faults, dead_letters, ..
+            node,
+            registry,
+            topics,
+            recoverer,
+            nodes,
+            faults,
+            dead_letters,
+            envoys,
+            ..
         } = environment.clone();
         move |context| {
             let keeping = context.address().recipient();
@@ -135,6 +145,7 @@ impl Gateway {
                 doors,
                 wardens,
                 dead_letters,
+                envoys,
             })
         }
     }
@@ -219,7 +230,8 @@ impl Gateway {
             ExchangeOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
                     call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
-                self.serve((peer, binding), &payload, Postmark { id, age, until }, reply_to);
+                let postmark = Postmark { id, age, until, from: Some(peer) };
+                self.serve((peer, binding), &payload, postmark, reply_to);
             }
             ExchangeOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
@@ -427,10 +439,15 @@ impl Gateway {
         known.gate.set(Condition::Left);
         let (node, incarnation) = (known.node.clone(), known.incarnation);
         info!(%node, %incarnation, "node leaves in order");
+        self.tell_envoys(&PeerSeen::Left { node: node.clone() });
         if let Some(nodes) = &self.wiring.nodes {
             let condition = NodeCondition::Left;
             nodes.do_send(NodeReported { node, incarnation, condition });
         }
+    }
+
+    fn tell_envoys(&self, seen: &PeerSeen) {
+        self.wiring.envoys.iter().for_each(|envoy| envoy.do_send(seen.clone()));
     }
 
     /// Why the session with a peer has ended, as its callers are told.

@@ -184,6 +184,7 @@ impl Robot {
             links: Some(links.recipient()),
             nodes: Some(nodes.recipient()),
             faults: Some(declared.recipient()),
+            envoys: Vec::new(),
         };
         let net = start(environment, specs).unwrap();
         let log = Log::default();
@@ -728,6 +729,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             links: None,
             nodes: None,
             faults: None,
+            envoys: Vec::new(),
         };
 
         let refused = start(environment, vec![spec]).err().unwrap();

@@ -116,6 +116,8 @@ impl Default for Plan {
             }
             // The supervisor has already decided to hand it to its parent.
             FaultKind::RestartStorm => observe.clone(),
+            // Whoever gave the names has to give others.
+            FaultKind::NameTaken => observe.clone(),
             // Without an alternative nothing helps but the link's, or the node's, return.
             FaultKind::LinkDown | FaultKind::LinkDegraded | FaultKind::NodeLost => reroute.clone(),
             _ => restart.clone(),
