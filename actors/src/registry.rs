@@ -3,6 +3,7 @@
 //! Local parties bind by type; the network binds through a [`Doorway`], which knows the contract but
 //! not the type behind it. Both compare the contract's identity first.
 
+use crate::claim::{Names, Roaming};
 use crate::component::Handle;
 use crate::death_watch::{Down, Ending, Mortal, Mourner};
 use crate::desk::Desk;
@@ -25,6 +26,9 @@ use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+/// Before a name that is claimed, in the place of a node: whichever holds it.
+pub(crate) const ANY_NODE: &str = "*";
+
 /// Gets the encoded reply, or the reason why there is none. Called once, on any thread.
 pub(crate) type ReplyTo = Box<dyn FnOnce(Result<Bytes, Why>) + Send>;
 
@@ -38,6 +42,8 @@ pub(crate) struct Postmark {
     pub(crate) until: Option<Instant>,
     /// Which node's session it came over; `None` where it comes from this node.
     pub(crate) peer: Option<NodeId>,
+    /// The node that it comes from, if it is another.
+    pub(crate) from: Option<NodeId>,
 }
 
 /// A request for an object of another node, beside its contents.
@@ -108,6 +114,11 @@ impl Port {
     /// The way from outside.
     pub(crate) fn into_doorway(self) -> Arc<dyn Doorway> {
         self.doorway
+    }
+
+    /// A contract that only other nodes use.
+    pub(crate) fn of_doorway<M: Contract>(doorway: Arc<dyn Doorway>) -> Self {
+        Port { identity: ContractIdentity::of::<M>(), sender: Box::new(()), doorway }
     }
 
     /// A contract that the node itself serves at the object's name.
@@ -299,6 +310,8 @@ struct Inner {
     revision: u64,
     node: Option<NodeName>,
     remote: Option<Arc<dyn RemoteDoors>>,
+    /// The names of the whole robot.
+    names: Option<Names>,
 }
 
 /// The names of one node. Clones share them.
@@ -315,6 +328,11 @@ impl Registry {
         let mut inner = self.lock();
         inner.node = Some(node);
         inner.remote = remote;
+    }
+
+    /// Names of the whole robot, such as `*:map`, are looked up there.
+    pub(crate) fn look_up_in(&self, names: Names) {
+        self.lock().names = Some(names);
     }
 
     /// Gives a name to an object.
@@ -360,6 +378,11 @@ impl Registry {
         let inner = self.lock();
         let object = match name.split_once(':') {
             None => ObjectName::new(name).map_err(|_| unknown())?,
+            Some((ANY_NODE, claimed)) => {
+                let name = ObjectName::new(claimed).map_err(|_| unknown())?;
+                let names = inner.names.clone().ok_or_else(unknown)?;
+                return Ok(Sender(Arc::new(Roaming::<M>::new(name, self.clone(), names))));
+            }
             Some(_) => {
                 let address: ObjectAddress = name.parse().map_err(|_| unknown())?;
                 if inner.node.as_ref() != Some(&address.node) {

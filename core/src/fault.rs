@@ -40,6 +40,8 @@ pub enum FaultKind {
     /// Another node does harm: what it sends must be refused, or it dies again and again. Or it was
     /// isolated by others.
     NodeFaulty,
+    /// Two have one name: two nodes, or two claimants that were out of each other's sight.
+    NameTaken,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -73,6 +75,7 @@ impl FaultKind {
         FaultKind::NodeLost,
         FaultKind::RestartStorm,
         FaultKind::NodeFaulty,
+        FaultKind::NameTaken,
     ];
 
     /// The code by which logs, tables and manuals know this kind: `B01` to `B15`, or the
@@ -94,6 +97,7 @@ impl FaultKind {
             FaultKind::NodeLost => "B13",
             FaultKind::RestartStorm => "B14",
             FaultKind::NodeFaulty => "B15",
+            FaultKind::NameTaken => "B15",
             FaultKind::Custom(code) => code,
         }
     }
@@ -116,6 +120,7 @@ impl FaultKind {
             FaultKind::NodeLost => "node lost",
             FaultKind::RestartStorm => "restart storm",
             FaultKind::NodeFaulty => "node faulty",
+            FaultKind::NameTaken => "name taken",
             FaultKind::Custom(code) => code,
         }
     }

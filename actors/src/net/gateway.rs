@@ -22,6 +22,7 @@ use blastema_contract::reports::FaultDeclared;
 use blastema_contract::session::{BeginAnew, Credit, Leave, Say, SayNewest};
 use blastema_contract::router::KeepOut;
 use blastema_contract::session::{BeginAnew, Leave, Say, SayNewest};
+use blastema_contract::session::{BeginAnew, Leave, PeerSeen, Say, SayNewest};
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
@@ -56,6 +57,8 @@ struct Wiring {
     doors: Arc<Doors>,
     wardens: Wardens,
     dead_letters: DeadLetterOffice,
+    /// Who of this node talks to others like itself.
+    envoys: Vec<Recipient<PeerSeen>>,
 }
 
 /// What the gateway asks of the sessions.
@@ -130,6 +133,7 @@ impl Gateway {
             nodes,
             faults,
             dead_letters,
+            envoys,
             ..
         } = environment.clone();
         move |context| {
@@ -154,6 +158,7 @@ impl Gateway {
                 doors,
                 wardens,
                 dead_letters,
+                envoys,
             })
         }
     }
@@ -243,6 +248,7 @@ impl Gateway {
                 let reply_to =
                     call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
                 let postmark = Postmark { id, age, until, peer: Some(peer) };
+                let postmark = Postmark { id, age, until, from: Some(peer) };
                 self.serve((peer, binding), &payload, postmark, reply_to);
             }
             ExchangeOutput::Resolve { reply_as, result } => {
@@ -470,10 +476,15 @@ impl Gateway {
         known.gate.set(Condition::Left);
         let (node, incarnation) = (known.node.clone(), known.incarnation);
         info!(%node, %incarnation, "node leaves in order");
+        self.tell_envoys(&PeerSeen::Left { node: node.clone() });
         if let Some(nodes) = &self.wiring.nodes {
             let condition = NodeCondition::Left;
             nodes.do_send(NodeReported { node, incarnation, condition });
         }
+    }
+
+    fn tell_envoys(&self, seen: &PeerSeen) {
+        self.wiring.envoys.iter().for_each(|envoy| envoy.do_send(seen.clone()));
     }
 
     /// Why the session with a peer has ended, as its callers are told.

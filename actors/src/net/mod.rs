@@ -17,8 +17,10 @@
 //! * the gateway: every request is resolved, every session begins anew.
 
 mod carrier;
+pub(crate) mod claims;
 mod door;
 mod gateway;
+mod letters;
 mod links;
 mod notice;
 mod router;
@@ -43,6 +45,8 @@ use blastema_contract::reports::{AreYouAlive, FaultDeclared};
 use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
 use blastema_contract::session::{AddGateway, Leave, ReadSessions, SessionRow};
 use blastema_contract::strategy::{IsolateNode, Reroute};
+use blastema_contract::session::{AddGateway, Leave, PeerSeen, ReadSessions, SessionRow};
+use blastema_contract::strategy::Reroute;
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::isolation::Judges;
 use blastema_core::net::{LinkNumber, NodeId};
@@ -120,6 +124,8 @@ pub(crate) struct NetEnvironment {
     pub(crate) judges: Judges,
     /// Is told of faults that are found in what other nodes send.
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
+    /// Are told whom they can talk to.
+    pub(crate) envoys: Vec<Recipient<PeerSeen>>,
 }
 
 /// Why a network cannot be started.

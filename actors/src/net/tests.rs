@@ -186,6 +186,7 @@ impl Robot {
             nodes: Some(nodes.recipient()),
             faults: Some(declared.recipient()),
             judges: Judges::Majority,
+            envoys: Vec::new(),
         };
         let net = start(environment, specs).unwrap();
         let log = Log::default();
@@ -731,6 +732,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             nodes: None,
             faults: None,
             judges: Judges::Majority,
+            envoys: Vec::new(),
         };
 
         let refused = start(environment, vec![spec]).err().unwrap();

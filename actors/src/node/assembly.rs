@@ -16,6 +16,7 @@ use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
 use crate::host::environment::{HostEnvironment, Reports};
 use crate::host::spec::SpecError;
 use crate::host::watch::{self as lookout, WatchGuard};
+use crate::net::claims::{ClaimsBody, ClaimsSetup};
 use crate::net::{self, NetEnvironment, NetHandle};
 use crate::registry::Registry;
 use crate::service::{Carried, ReplicaBody};
@@ -308,7 +309,18 @@ fn make_networks(
         nodes: Some(monitor.clone().recipient()),
         faults: Some(monitor.clone().recipient()),
         judges,
+        envoys: Vec::new(),
     };
+    let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();
+    let setup = claims_setup((node, incarnation), parts, environment);
+    let setup = ClaimsSetup {
+        settle: settling(slowest.unwrap_or_default()),
+        expected: neighbours.iter().cloned().collect(),
+        ..setup
+    };
+    let claims = ClaimsBody::start(setup, guardian, arbiter.as_ref());
+    enrolments.push(middleware(named("net/claims"), Some(claims.inquiries)));
+    let net_environment = NetEnvironment { envoys: vec![claims.peers], ..net_environment };
     let handle = net::start(net_environment, specs)
         .map_err(|error| StartError::Network(error.to_string()))?;
     let own = handle.inquiries().into_iter();
@@ -321,6 +333,29 @@ fn make_networks(
         chain.notifier.do_send(AddPort { port, recover, stand_down: None });
     }
     Ok((Networks { handle, cables, transports, arbiter }, enrolments))
+}
+
+/// Claims of a node that knows nobody.
+fn claims_setup(
+    (node, incarnation): (&NodeName, Incarnation),
+    parts: &Parts,
+    environment: &HostEnvironment,
+) -> ClaimsSetup {
+    ClaimsSetup {
+        node: node.clone(),
+        incarnation,
+        settle: Duration::ZERO,
+        expected: Vec::new(),
+        registry: environment.registry.clone(),
+        names: environment.names.clone(),
+        faults: Some(parts.monitor.clone().recipient()),
+    }
+}
+
+/// How long a node listens after its start before it grants itself a name, where hellos come so often:
+/// a link that failed once lately is up after nine of them, and the rest is for sessions on slow media.
+fn settling(hello_interval: Duration) -> Duration {
+    (hello_interval * 12 + Duration::from_millis(400)).min(Duration::from_secs(30))
 }
 
 /// A thread that hangs cannot be ended. When several have been given up, only a new process helps.
@@ -438,7 +473,10 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     let mut undone = Undone { arbiters: arbiters.clone(), own, kept: false };
     let environment = HostEnvironment { registry, ..HostEnvironment::new(arbiters, reports) };
     let (networks, network_enrolments) = if builder.networks.is_empty() {
-        (None, Vec::new())
+        let setup = claims_setup((&node, incarnation), &parts, &environment);
+        let arbiter = parts.chain.arbiter.as_ref();
+        let claims = ClaimsBody::start(setup, &parts.guardian, arbiter);
+        (None, vec![middleware(named("net/claims"), Some(claims.inquiries))])
     } else {
         let (networks, placement) = ((builder.networks, judges), builder.placement);
         let who = (&node, incarnation);

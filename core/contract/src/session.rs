@@ -180,3 +180,26 @@ pub struct SessionRow {
     /// What was refused so far.
     pub refusals: Refusals,
 }
+
+/// How another node stands, for those of the middleware that talk to each other across nodes.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub enum PeerSeen {
+    /// A session with it has begun: it can be talked to.
+    Opened {
+        /// Which.
+        node: NodeName,
+        /// In which of its lives.
+        incarnation: Incarnation,
+    },
+    /// The session has ended, or nothing that it says counts.
+    Ended {
+        /// Which.
+        node: NodeName,
+    },
+    /// It says that it ends in order.
+    Left {
+        /// Which.
+        node: NodeName,
+    },
+}

@@ -150,6 +150,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::Overload
         | FaultKind::ContractMismatch
         | FaultKind::LinkDegraded
+        | FaultKind::NameTaken
         | FaultKind::Custom(_) => false,
     }
 }

@@ -118,6 +118,8 @@ impl Default for Plan {
             FaultKind::RestartStorm => observe.clone(),
             // What it sends does harm: nobody must have to take it, and it cannot be recovered from here.
             FaultKind::NodeFaulty => Ladder::first(Measure::Isolate).then(Measure::Observe),
+            // Whoever gave the names has to give others.
+            FaultKind::NameTaken => observe.clone(),
             // Without an alternative nothing helps but the link's, or the node's, return.
             FaultKind::LinkDown | FaultKind::LinkDegraded | FaultKind::NodeLost => reroute.clone(),
             _ => restart.clone(),

@@ -10,6 +10,7 @@ use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::{BeginAnew, Leave, SessionReported};
 use blastema_contract::strategy::IsolateNode;
+use blastema_contract::session::{BeginAnew, Leave, PeerSeen, SessionReported};
 use blastema_core::net::exchange::Call;
 use blastema_core::recovery::{Done, Failed};
 use blastema_core::{ObjectAddress, ObjectName, Why};
@@ -50,6 +51,8 @@ impl Handler<SessionReported> for Gateway {
                 gate.set(Condition::Open);
                 if let Some(peer) = self.peers.get(&peer) {
                     self.wiring.wardens.opened(peer.node.clone());
+                    let node = peer.node.clone();
+                    self.tell_envoys(&PeerSeen::Opened { node, incarnation });
                 }
             }
             SessionReported::Message { peer, message } => {
@@ -76,6 +79,7 @@ impl Handler<SessionReported> for Gateway {
                 self.naming.handle_ended(peer);
                 if let Some(peer) = self.peers.get(&peer) {
                     self.wiring.wardens.ended(&peer.node);
+                    self.tell_envoys(&PeerSeen::Ended { node: peer.node.clone() });
                 }
             }
             SessionReported::Full { peer } => self.set(peer, Condition::Full),
@@ -95,6 +99,7 @@ impl Handler<KeptOut> for Gateway {
             // What is under way with it is resolved, and what it has here goes.
             self.exchange.handle_ended(peer, &Why::Isolated);
             self.naming.handle_ended(peer);
+            self.tell_envoys(&PeerSeen::Ended { node });
         } else {
             // What it said meanwhile was not heard: only a new session makes both agree again.
             self.wiring.sessions.begin_anew.do_send(BeginAnew { peer: Some(peer) });
