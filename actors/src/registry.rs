@@ -40,8 +40,6 @@ pub(crate) struct Postmark {
     pub(crate) age: Duration,
     /// A request is not to be begun after this.
     pub(crate) until: Option<Instant>,
-    /// Which node's session it came over; `None` where it comes from this node.
-    pub(crate) peer: Option<NodeId>,
     /// The node that it comes from, if it is another.
     pub(crate) from: Option<NodeId>,
 }

@@ -59,7 +59,7 @@ pub enum Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 15] = [
+    pub const BUILT_IN: [FaultKind; 16] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -78,7 +78,7 @@ impl FaultKind {
         FaultKind::NameTaken,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B15`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B16`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -97,7 +97,7 @@ impl FaultKind {
             FaultKind::NodeLost => "B13",
             FaultKind::RestartStorm => "B14",
             FaultKind::NodeFaulty => "B15",
-            FaultKind::NameTaken => "B15",
+            FaultKind::NameTaken => "B16",
             FaultKind::Custom(code) => code,
         }
     }

@@ -19,10 +19,8 @@ use blastema_contract::Confirmed;
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::FaultDeclared;
-use blastema_contract::session::{BeginAnew, Credit, Leave, Say, SayNewest};
 use blastema_contract::router::KeepOut;
-use blastema_contract::session::{BeginAnew, Leave, Say, SayNewest};
-use blastema_contract::session::{BeginAnew, Leave, PeerSeen, Say, SayNewest};
+use blastema_contract::session::{BeginAnew, Credit, Leave, PeerSeen, Say, SayNewest};
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
@@ -247,7 +245,6 @@ impl Gateway {
             ExchangeOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
                     call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
-                let postmark = Postmark { id, age, until, peer: Some(peer) };
                 let postmark = Postmark { id, age, until, from: Some(peer) };
                 self.serve((peer, binding), &payload, postmark, reply_to);
             }

@@ -138,7 +138,7 @@ impl Doorway for BallotBox {
     fn deliver(
         &self,
         message: &[u8],
-        Postmark { peer, .. }: Postmark,
+        Postmark { from: peer, .. }: Postmark,
         _: Option<ReplyTo>,
     ) -> Result<(), Why> {
         let votes = codec::decode::<Votes>(message)

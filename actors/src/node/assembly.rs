@@ -432,6 +432,8 @@ fn judges(wardens: &[String]) -> Result<Judges, NameError> {
     }
     let wardens = wardens.iter().map(|name| NodeName::new(name));
     Ok(Judges::Wardens(wardens.collect::<Result<_, _>>()?))
+}
+
 /// Of services that wait for each other, none would ever serve.
 fn check_service_order(carried: &[Carried]) -> Result<(), StartError> {
     let mut open: Vec<_> = carried.iter().collect();

@@ -1,9 +1,7 @@
 //! Benchmarks of the middleware beside what it is built on, as ratios within one run.
 //!
 //! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput] [monitored]
-//! [failover]`;
-//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [monitored] [failover] [takeover]`;
-//! without arguments, all of them. `ROUNDS=n` sets how often the rows of a table are run in turn.
+//! [failover] [takeover]`; without arguments, all of them. `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
 mod failover;
@@ -14,14 +12,13 @@ mod monitored;
 mod process;
 mod remote;
 mod restart;
-mod throughput;
 mod takeover;
+mod throughput;
 
 use std::process::ExitCode;
 
-const PARTS: [&str; 7] =
-    ["messages", "restart", "fanout", "remote", "throughput", "monitored", "failover"];
-    ["messages", "restart", "fanout", "remote", "monitored", "failover", "takeover"];
+const PARTS: [&str; 8] =
+    ["messages", "restart", "fanout", "remote", "throughput", "monitored", "failover", "takeover"];
 
 fn main() -> ExitCode {
     let mut arguments: Vec<String> = std::env::args().skip(1).collect();
