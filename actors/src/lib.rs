@@ -77,6 +77,7 @@
 #[cfg(test)]
 extern crate self as blastema;
 
+mod asking;
 mod chain;
 mod component;
 mod context;
@@ -124,7 +125,7 @@ pub use ports::{ListenPort, Ports};
 
 // Sending, and what becomes of messages.
 pub use blastema_core::dead_letters::DeadReason;
-pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
+pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, RetryRule, Why};
 pub use death_watch::{Down, Ending};
 pub use host::office::DeadLetterOffice;
 pub use lease::{ActuatorSpec, Commander};

@@ -17,7 +17,8 @@ use crate::sender::Sender;
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
 use blastema_core::service::{
-    MESSAGE_MAX, Replica, ReplicaConfig, ReplicaOutput, Role, ServiceOutcome, StandbyKind,
+    MESSAGE_MAX, Replica, ReplicaConfig, ReplicaOutput, Role, ServiceOutcome, ServiceRequest,
+    StandbyKind,
 };
 use blastema_core::{Contract, MessageId, NodeName, ObjectName, PeerIdentity, Why, codec};
 use bytes::Bytes;
@@ -390,9 +391,15 @@ impl Handler<Asked> for ReplicaBody {
             return answer.give(Answered::Refused { why });
         }
         self.next += 1;
+        let until = answer.until();
         self.callers.insert(self.next, answer);
-        let id = MessageId { sender, sequence };
-        self.machine.handle_request(self.next, id, request.into(), platform::now());
+        let asked = ServiceRequest {
+            caller: self.next,
+            id: MessageId { sender, sequence },
+            until,
+            request: request.into(),
+        };
+        self.machine.handle_request(asked, platform::now());
         self.drive(context);
     }
 }

@@ -25,7 +25,7 @@ mod message;
 mod replica;
 
 pub use replica::{
-    MESSAGE_MAX, QUEUE_MAX, Replica, ReplicaOutput, Role, ServiceOutcome, TABLE_MAX,
+    MESSAGE_MAX, QUEUE_MAX, Replica, ReplicaOutput, Role, ServiceOutcome, ServiceRequest, TABLE_MAX,
 };
 
 use crate::NodeName;

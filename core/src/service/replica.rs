@@ -39,6 +39,19 @@ pub enum Role {
     },
 }
 
+/// What somebody asks of a service.
+#[derive(Clone, Debug)]
+pub struct ServiceRequest {
+    /// Under which number it is answered.
+    pub caller: u64,
+    /// By what it is known, however often it comes.
+    pub id: MessageId,
+    /// It is not begun after this.
+    pub until: Option<Instant>,
+    /// What is to be done.
+    pub request: Bytes,
+}
+
 /// What came of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ServiceOutcome {
@@ -94,7 +107,7 @@ pub enum ReplicaOutput {
 #[derive(Clone, Debug)]
 enum Job {
     /// Serve a request, for the first time.
-    Serve { id: MessageId, request: Bytes },
+    Serve { id: MessageId, until: Option<Instant>, request: Bytes },
     /// Serve it again as the primary did.
     Replay { request: Bytes },
     /// Take over this state.
@@ -121,6 +134,8 @@ pub struct Replica {
     /// As what it was last told of.
     told: Role,
     jobs: VecDeque<Job>,
+    /// As of the last input that told it.
+    now: Instant,
     /// The component is busy with this.
     working: Option<Job>,
     refused: u64,
@@ -149,6 +164,7 @@ impl Replica {
             role: Acting::Standby(standby),
             told: Role::Standby { primary: None, in_step: false },
             jobs: VecDeque::new(),
+            now,
             working: None,
             refused: 0,
             outputs: VecDeque::new(),
@@ -178,7 +194,8 @@ impl Replica {
     }
 
     /// Somebody asks for the service.
-    pub fn handle_request(&mut self, caller: u64, id: MessageId, request: Bytes, now: Instant) {
+    pub fn handle_request(&mut self, asked: ServiceRequest, now: Instant) {
+        let ServiceRequest { caller, id, until, request } = asked;
         self.handle_timeout(now);
         let served = self.served(id).cloned();
         let primary = match &mut self.role {
@@ -202,7 +219,7 @@ impl Replica {
             }
             None => {
                 primary.waiting.insert(id, caller);
-                self.jobs.push_back(Job::Serve { id, request });
+                self.jobs.push_back(Job::Serve { id, until, request });
                 self.work();
             }
         }
@@ -215,8 +232,9 @@ impl Replica {
         state: Option<Bytes>,
         now: Instant,
     ) {
+        self.now = now;
         match self.working.take() {
-            Some(Job::Serve { id, request }) => match (&mut self.role, result) {
+            Some(Job::Serve { id, request, .. }) => match (&mut self.role, result) {
                 // It was begun while this replica served: it counts, should it serve again.
                 (Acting::Standby(_), result) => self.note_late(id, result, state),
                 // It did not get that far: the same request may come again.
@@ -336,7 +354,7 @@ impl Replica {
         if self.working.is_some() {
             return;
         }
-        let Some(job) = self.jobs.pop_front() else { return };
+        let Some(job) = self.next_job() else { return };
         self.outputs.push_back(match &job {
             Job::Serve { request, .. } => {
                 let save = self.config.kind == StandbyKind::Warm && self.config.members.len() > 1;
@@ -349,6 +367,22 @@ impl Replica {
             Job::Save => ReplicaOutput::Save,
         });
         self.working = Some(job);
+    }
+
+    /// What is not to be begun any more is answered, and left out.
+    fn next_job(&mut self) -> Option<Job> {
+        loop {
+            let job = self.jobs.pop_front()?;
+            let Job::Serve { id, until: Some(until), .. } = &job else { return Some(job) };
+            if self.now < *until {
+                return Some(job);
+            }
+            if let Acting::Primary(primary) = &mut self.role
+                && let Some(caller) = primary.waiting.remove(id)
+            {
+                self.answer(caller, ServiceOutcome::Refused(Why::DeadlinePassed));
+            }
+        }
     }
 
     /// This replica serves no more.
@@ -416,6 +450,7 @@ impl Machine for Replica {
     }
 
     fn handle_timeout(&mut self, now: Instant) {
+        self.now = now;
         match &self.role {
             Acting::Primary(primary) if !primary.holds(&self.config, now) => {
                 self.step_down(None, now);

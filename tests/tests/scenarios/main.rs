@@ -19,6 +19,7 @@ mod mourning;
 mod networks;
 mod panics;
 mod puppet;
+mod retries;
 mod sending;
 mod services;
 mod silence;

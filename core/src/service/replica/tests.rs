@@ -16,6 +16,10 @@ fn index(node: &NodeName) -> usize {
     node.as_str()["module".len()..].parse().unwrap()
 }
 
+fn request(caller: u64, id: MessageId) -> ServiceRequest {
+    ServiceRequest { caller, id, until: None, request: Bytes::from_static(b"+") }
+}
+
 /// A component, as its body would drive it: each job takes a moment.
 struct Member {
     replica: Replica,
@@ -214,7 +218,7 @@ impl Robot {
             for member in 0..self.size {
                 let Some(own) = self.members[member].as_mut() else { continue };
                 let now = Instant::from_nanos(self.now.as_nanos() / 1000 * (1000 + own.drift));
-                own.replica.handle_request(caller as u64, id, Bytes::from_static(b"+"), now);
+                own.replica.handle_request(request(caller as u64, id), now);
                 self.settle(member);
             }
         }
@@ -512,9 +516,32 @@ fn a_request_that_comes_again_is_answered_from_the_table_and_too_many_are_refuse
     let own = robot.members[0].as_mut().unwrap();
     for n in 0..=QUEUE_MAX as u64 {
         let id = MessageId { sender: 2, sequence: n };
-        own.replica.handle_request(n, id, Bytes::new(), now);
+        own.replica.handle_request(request(n, id), now);
     }
     let last = std::iter::from_fn(|| own.replica.poll_output()).last();
     let outcome = ServiceOutcome::Refused(Why::Full);
     assert_eq!(last, Some(ReplicaOutput::Answer { caller: QUEUE_MAX as u64, outcome }));
+}
+
+#[test]
+fn a_request_whose_deadline_passed_while_it_waited_is_not_begun() {
+    let mut robot = Robot::new(1, 1, StandbyKind::Warm, OnPartition::Stop);
+    robot.advance_ms(100);
+    let now = robot.clock(robot.members[0].as_ref().unwrap().drift);
+    let own = robot.members[0].as_mut().unwrap();
+    let id = |sequence| MessageId { sender: 2, sequence };
+    let soon = Some(now + Duration::from_millis(5));
+    own.replica.handle_request(request(0, id(0)), now);
+    own.replica.handle_request(ServiceRequest { until: soon, ..request(1, id(1)) }, now);
+    own.replica.handle_request(request(2, id(2)), now);
+    while own.replica.poll_output().is_some() {}
+
+    let later = now + Duration::from_millis(6);
+    own.replica.handle_executed(Ok(Bytes::new()), None, later);
+
+    let outputs: Vec<_> = std::iter::from_fn(|| own.replica.poll_output()).collect();
+    let outcome = ServiceOutcome::Refused(Why::DeadlinePassed);
+    assert!(outputs.contains(&ReplicaOutput::Answer { caller: 1, outcome }), "{outputs:?}");
+    let begun = |output: &&ReplicaOutput| matches!(output, ReplicaOutput::Execute { .. });
+    assert_eq!(outputs.iter().filter(begun).count(), 1, "the third, and not the second");
 }
