@@ -8,10 +8,13 @@ use crate::platform;
 use crate::registry::Registry;
 use crate::sender::{RequestError, next_id};
 use blastema_core::{
-    ContractIdentity, Instant, NameError, NodeName, ObjectName, Request, RetryRule, Why, codec,
+    ContractIdentity, Instant, MessageId, NameError, NodeName, ObjectName, Request, RetryRule, Why,
+    codec,
 };
+use std::collections::BTreeSet;
 use std::fmt;
 use std::marker::PhantomData;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Asks a service, whichever node serves it now. Clones share what they know of it.
@@ -29,6 +32,34 @@ impl<M: Request> Clone for ServiceRef<M> {
 impl<M: Request> fmt::Debug for ServiceRef<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} of service {}", M::NAME, self.finder.name)
+    }
+}
+
+/// A request to a service that waits for its answer. Replies are kept for it no longer than it waits.
+struct Open(u64);
+
+/// The requests of this process that wait, by number: as many as it has under way.
+static OPEN: Mutex<BTreeSet<u64>> = Mutex::new(BTreeSet::new());
+
+fn open() -> MutexGuard<'static, BTreeSet<u64>> {
+    OPEN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Open {
+    /// A new identity, and below which number all requests have their answers.
+    fn begin() -> (MessageId, u64, Open) {
+        let mut open = open();
+        // Numbered under the lock: whoever looks meanwhile must not find a gap.
+        let id = next_id();
+        open.insert(id.sequence);
+        let settled = open.first().copied().unwrap_or(id.sequence);
+        (id, settled, Open(id.sequence))
+    }
+}
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        open().remove(&self.0);
     }
 }
 
@@ -94,8 +125,13 @@ impl<M: Request> ServiceRef<M> {
         let failed = |why| RequestError { why, message: None };
         for asked in 1.. {
             // That a request has failed is remembered: asked again, it is another one.
-            let id = next_id();
-            let ask = AskService { sender: id.sender, sequence: id.sequence, task: task.clone() };
+            let (id, settled, _open) = Open::begin();
+            let ask = AskService {
+                sender: id.sender,
+                sequence: id.sequence,
+                settled,
+                task: task.clone(),
+            };
             let pursued = tokio::time::timeout(until - platform::now(), self.pursue(ask, until));
             let why = match pursued.await.unwrap_or(Err(Why::DeadlinePassed)) {
                 Ok(reply) => {
