@@ -515,8 +515,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         environment.services.enter(carried.name.clone(), carried.config.members.clone());
         let place = networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
         let place = place.or(chain.arbiter.as_ref());
-        let (registry, services) = (&environment.registry, &environment.services);
-        let body = ReplicaBody::start(carried, registry, services, &guardian, place);
+        let body = ReplicaBody::start(carried, &environment, &guardian, place);
         let body = body.map_err(SpecError::from)?;
         enrolments.push(middleware(name, Some(body)));
     }
