@@ -127,6 +127,11 @@ impl Port {
             doorway: Arc::new(desk),
         }
     }
+
+    /// The same, where it matters which node says it: what comes from others goes by `doorway`.
+    pub(crate) fn of_peers<M: Contract>(desk: Desk<M>, doorway: Arc<dyn Doorway>) -> Self {
+        Port { doorway, ..Port::of_desk(desk) }
+    }
 }
 
 struct LocalDoor<C: Handle<M>, M: Contract> {

@@ -37,6 +37,9 @@ pub enum FaultKind {
     NodeLost,
     /// The same fault came back more often than its supervisor allows.
     RestartStorm,
+    /// Another node does harm: what it sends must be refused, or it dies again and again. Or it was
+    /// isolated by others.
+    NodeFaulty,
     /// Two have one name: two nodes, or two claimants that were out of each other's sight.
     NameTaken,
     /// A fault of the application's own list.
@@ -56,7 +59,7 @@ pub enum Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 15] = [
+    pub const BUILT_IN: [FaultKind; 16] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -71,10 +74,11 @@ impl FaultKind {
         FaultKind::LinkDegraded,
         FaultKind::NodeLost,
         FaultKind::RestartStorm,
+        FaultKind::NodeFaulty,
         FaultKind::NameTaken,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B15`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B16`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -92,7 +96,8 @@ impl FaultKind {
             FaultKind::LinkDegraded => "B12",
             FaultKind::NodeLost => "B13",
             FaultKind::RestartStorm => "B14",
-            FaultKind::NameTaken => "B15",
+            FaultKind::NodeFaulty => "B15",
+            FaultKind::NameTaken => "B16",
             FaultKind::Custom(code) => code,
         }
     }
@@ -114,6 +119,7 @@ impl FaultKind {
             FaultKind::LinkDegraded => "link degraded",
             FaultKind::NodeLost => "node lost",
             FaultKind::RestartStorm => "restart storm",
+            FaultKind::NodeFaulty => "node faulty",
             FaultKind::NameTaken => "name taken",
             FaultKind::Custom(code) => code,
         }
@@ -125,7 +131,10 @@ impl FaultKind {
             FaultKind::Overload | FaultKind::LinkDegraded | FaultKind::CheckFailed => {
                 Severity::Warning
             }
-            FaultKind::Fatal | FaultKind::NodeLost | FaultKind::RestartStorm => Severity::Critical,
+            FaultKind::Fatal
+            | FaultKind::NodeLost
+            | FaultKind::RestartStorm
+            | FaultKind::NodeFaulty => Severity::Critical,
             _ => Severity::Error,
         }
     }

@@ -1,7 +1,7 @@
 //! Datagrams over IP: one frame is one datagram, to one peer or to all who hear a group.
 
 use crate::binding::{Binding, confine, explain};
-use crate::medium::{BUDGET, Medium, transport};
+use crate::medium::{Budget, Medium, transport};
 use crate::multicast;
 use crate::outlet::Outlet;
 use crate::part::part_frame;
@@ -196,7 +196,8 @@ impl Udp {
         // One byte more than the largest frame: a datagram that fills it is too large.
         let room = mtu + 1;
         let chunk = room.max(CHUNK);
-        for _ in 0..BUDGET {
+        let mut budget = Budget::default();
+        while budget.next() {
             if self.outlet.poll_room(task).is_pending() {
                 return Turn::Empty;
             }
@@ -212,6 +213,7 @@ impl Udp {
                 }
                 Ok((length, from)) => {
                     self.errors_in_a_row = 0;
+                    budget.spend(length);
                     let frame = part_frame(&mut self.buffer, length, chunk);
                     self.outlet.deliver(MediumAddress::Ip(from), frame);
                 }

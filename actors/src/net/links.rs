@@ -270,7 +270,7 @@ impl Handler<Received> for Links {
             return;
         };
         link.handle_frame(frame, platform::now());
-        self.drive(context);
+        self.drive_soon(context);
     }
 }
 
@@ -343,7 +343,7 @@ impl Handler<Carry> for Links {
             Load::Routing(bytes) => link.handle_routing(bytes),
             Load::Packet(bytes) => link.handle_packet(bytes),
         }
-        self.drive(context);
+        self.drive_soon(context);
     }
 }
 

@@ -27,11 +27,12 @@ use blastema_contract::monitor::{Dismiss, Enrol, ReadTable};
 use blastema_contract::notifier::AddPort;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::strategy::{Reroute, RestNode};
+use blastema_contract::strategy::{IsolateNode, Reroute, RestNode};
 use blastema_contract::transport::Close;
 use blastema_core::detection::{
     DetectorLimits, EnrolError, Enrolment, MonitorLimits, NotifierLimits, ObjectKind, Port, Watch,
 };
+use blastema_core::net::isolation::Judges;
 use blastema_core::recovery::{self, RecovererLimits, Restart};
 use blastema_core::scanner::ScannerConfig;
 use blastema_core::{
@@ -56,7 +57,7 @@ pub(super) struct Chain {
     recoverer: Recipient<Recover>,
     /// Looks at arbiters and components; it ends when it is dropped.
     lookout: Mutex<Option<WatchGuard>>,
-    router: Arc<OnceLock<Recipient<Reroute>>>,
+    router: Arc<OnceLock<(Recipient<Reroute>, Recipient<IsolateNode>)>>,
 }
 
 impl Chain {
@@ -182,7 +183,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
     });
 
     let (directory, registry) = (Directory::default(), Registry::default());
-    let router: Arc<OnceLock<Recipient<Reroute>>> = Arc::default();
+    let router = Arc::<OnceLock<_>>::default();
     let tools = Tools::new(ToolBox {
         node: node.clone(),
         directory: directory.clone(),
@@ -272,7 +273,7 @@ impl Networks {
 
 /// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
 fn make_networks(
-    networks: Vec<Network>,
+    (networks, judges): (Vec<Network>, Judges),
     placement: Placement,
     (node, incarnation): (&NodeName, Incarnation),
     parts: &Parts,
@@ -309,6 +310,7 @@ fn make_networks(
         links: Some(monitor.clone().recipient()),
         nodes: Some(monitor.clone().recipient()),
         faults: Some(monitor.clone().recipient()),
+        judges,
         envoys: Vec::new(),
     };
     let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();
@@ -326,7 +328,7 @@ fn make_networks(
     let own = handle.inquiries().into_iter();
     enrolments.extend(own.map(|(name, inquiries)| middleware(name, Some(inquiries))));
     // The recipient is set once, here.
-    let _ = chain.router.set(handle.reroute());
+    let _ = chain.router.set((handle.reroute(), handle.isolation()));
     for neighbour in neighbours {
         let recover = handle.recoverer_of(&neighbour);
         let port = Port::Remote(neighbour);
@@ -425,10 +427,38 @@ fn check_service(carried: &Carried) -> Result<(), StartError> {
     Err(StartError::Service { name: name.clone(), reason })
 }
 
+/// Whose word isolates a node.
+fn judges(wardens: &[String]) -> Result<Judges, NameError> {
+    if wardens.is_empty() {
+        return Ok(Judges::Majority);
+    }
+    let wardens = wardens.iter().map(|name| NodeName::new(name));
+    Ok(Judges::Wardens(wardens.collect::<Result<_, _>>()?))
+}
+
+/// Of services that wait for each other, none would ever serve.
+fn check_service_order(carried: &[Carried]) -> Result<(), StartError> {
+    let mut open: Vec<_> = carried.iter().collect();
+    loop {
+        let waits =
+            |service: &&Carried| open.iter().any(|other| service.depends_on.contains(&other.name));
+        let left: Vec<_> = open.iter().copied().filter(|service| waits(service)).collect();
+        match left.first() {
+            None => return Ok(()),
+            Some(Carried { name, .. }) if left.len() == open.len() => {
+                let reason = "it depends on itself, perhaps by way of others: leave out one of the dependencies";
+                return Err(StartError::Service { name: name.clone(), reason: reason.to_owned() });
+            }
+            Some(_) => open = left,
+        }
+    }
+}
+
 pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
     let node = NodeName::new(&builder.name)?;
     let incarnation = platform::node_incarnation();
+    let judges = judges(&builder.wardens)?;
     let parts = make_chain(&builder, &node)?;
 
     let arbiters = match builder.placement {
@@ -452,7 +482,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         let claims = ClaimsBody::start(setup, &parts.guardian, arbiter);
         (None, vec![middleware(named("net/claims"), Some(claims.inquiries))])
     } else {
-        let (networks, placement) = (builder.networks, builder.placement);
+        let (networks, placement) = ((builder.networks, judges), builder.placement);
         let who = (&node, incarnation);
         let (networks, enrolments) = make_networks(networks, placement, who, &parts, &environment)?;
         undone.own.extend(networks.arbiter.clone());
@@ -479,9 +509,10 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     if let Some(networks) = &networks {
         environment.services.find_by(networks.handle.finder());
     }
-    for carried in builder.services {
-        let carried = carried?;
-        check_service(&carried)?;
+    let services: Vec<_> = builder.services.into_iter().collect::<Result<_, _>>()?;
+    services.iter().try_for_each(check_service)?;
+    check_service_order(&services)?;
+    for carried in services {
         let name = carried.body.clone();
         environment.services.enter(carried.name.clone(), carried.config.members.clone());
         let place = networks.as_ref().and_then(|networks| networks.arbiter.as_ref());

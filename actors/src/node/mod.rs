@@ -167,9 +167,10 @@ impl Node {
         variable::find(&self.0.environment.registry, object)
     }
 
-    /// Isolates a node that cannot be recovered: from now on what it sends is refused by every node, and
-    /// nothing is sent there ([`Why::Isolated`]). A node that is away is told when it is back. Nothing
-    /// happens without a network.
+    /// Isolates a node that cannot be recovered: from now on what it sends is refused here, and nothing is
+    /// sent there ([`Why::Isolated`]). The others follow if this node is a
+    /// [warden](NodeBuilder::warden), or when more than half of the nodes have said so. A node that is
+    /// away is told when it is back. Nothing happens without a network.
     ///
     /// # Errors
     /// The name does not parse.
@@ -177,7 +178,8 @@ impl Node {
         self.set_isolated(node, true)
     }
 
-    /// Lets an isolated node in again, everywhere. All sessions of every node begin anew for that.
+    /// Takes back what this node has said about an isolated one, or says that it is to be let in again.
+    /// The session with that node begins anew.
     ///
     /// # Errors
     /// The name does not parse.

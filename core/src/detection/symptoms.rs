@@ -144,6 +144,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::Fatal
         | FaultKind::LinkDown
         | FaultKind::NodeLost
+        | FaultKind::NodeFaulty
         | FaultKind::RestartStorm => true,
         FaultKind::CheckFailed
         | FaultKind::Overload

@@ -128,7 +128,7 @@ fn lane(stream: Stream) -> usize {
 }
 
 impl Session {
-    /// Parts on their way at first; no more than any UDP socket's default buffer takes at once.
+    /// Parts on their way at first.
     const CONGESTION_INITIAL: usize = 32;
     /// Parts that may always be on their way: fewer would wait for a timer at every loss.
     const CONGESTION_MIN: usize = 8;

@@ -484,9 +484,10 @@ fn a_large_best_effort_message_comes_whole_or_not_at_all() {
 #[test]
 fn a_message_larger_than_the_limit_is_refused_before_it_is_sent() {
     let mut pair = Pair::open();
-    let huge = Bytes::from(vec![0; (1 << 20) + 1]);
+    let limit = pair.ends[0].config.message_max;
+    let huge = Bytes::from(vec![0; limit + 1]);
     let refused = pair.ends[0].handle_send(Stream::Data, huge, at(pair.now)).unwrap_err();
-    assert_eq!(refused.0, Why::TooLarge { limit: 1 << 20 });
+    assert_eq!(refused.0, Why::TooLarge { limit });
 }
 
 #[test]

@@ -27,11 +27,18 @@ impl Session {
         streams.map(|stream| self.streams[stream as usize].outbound.flying()).sum()
     }
 
+    /// Their bytes.
+    fn flying_bytes(&self, of: usize) -> usize {
+        let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == of);
+        streams.map(|stream| self.streams[stream as usize].outbound.flying_bytes()).sum()
+    }
+
     /// Sends the next part that may be sent: control first, and what was lost before what is new.
     pub(super) fn transmit_part(&mut self) -> bool {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return false };
         let Some(mtu) = self.path else { return false };
-        let congested = self.flying(0) >= self.congestion;
+        let congested =
+            self.flying(0) >= self.congestion || self.flying_bytes(0) >= self.config.window_bytes;
         // Room for an acknowledgement of a few ranges; one with more travels alone.
         let room = mtu.saturating_sub(DATA_HEADER + 32).clamp(64, self.config.part_max);
         for stream in BY_URGENCY {
