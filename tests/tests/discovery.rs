@@ -4,8 +4,7 @@ use blastema::core::net::LinkState;
 use blastema::prelude::*;
 use blastema::{Network, NodeBuilder};
 use std::net::{SocketAddr, TcpListener, UdpSocket};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::mpsc::{self, RecvTimeoutError, channel};
 use std::time::Duration;
 
 /// For nodes to find each other on a computer that is busy with other tests.
@@ -169,31 +168,24 @@ fn a_flood_of_forged_beacons_is_a_fault_and_harms_nobody() {
 }
 
 /// Says on a thread of its own, until it is dropped, that ever new nodes are at its address.
-struct Liar(Arc<AtomicBool>);
+struct Liar {
+    _over: mpsc::Sender<()>,
+}
 
 impl Liar {
     fn start(group: SocketAddr) -> Self {
-        let over = Arc::new(AtomicBool::new(false));
-        let told = over.clone();
+        let (over, told) = channel();
         std::thread::spawn(move || {
             // From the interface on which the nodes listen.
             let socket = UdpSocket::bind("127.0.0.1:0").expect("a free port");
-            for n in 0_u32.. {
-                if told.load(Relaxed) {
-                    return;
-                }
+            let mut n = 0_u32;
+            while told.recv_timeout(Duration::from_millis(1)) == Err(RecvTimeoutError::Timeout) {
+                n += 1;
                 let beacon = [b"BLB\x01\x00\x09liar".to_vec(), n.to_string().into()].concat();
                 // A buffer that is full now is empty a little later.
                 let _ = socket.send_to(&beacon, group);
-                std::thread::sleep(Duration::from_millis(1));
             }
         });
-        Liar(over)
-    }
-}
-
-impl Drop for Liar {
-    fn drop(&mut self) {
-        self.0.store(true, Relaxed);
+        Liar { _over: over }
     }
 }

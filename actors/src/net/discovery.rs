@@ -2,7 +2,7 @@
 
 use super::LinkSpec;
 use super::letters::{LetterArrived, Letters};
-use super::links::{Forget, Learn, Links, Seen, TellNeighbours};
+use super::links::{Forget, Learn, Seen, TellNeighbours};
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
@@ -78,16 +78,6 @@ pub(super) struct FieldLinks {
     pub(super) learn: Recipient<Learn>,
     pub(super) forget: Recipient<Forget>,
     pub(super) tell: Recipient<TellNeighbours>,
-}
-
-impl FieldLinks {
-    pub(super) fn of(links: &Addr<Links>) -> Self {
-        FieldLinks {
-            learn: links.clone().recipient(),
-            forget: links.clone().recipient(),
-            tell: links.clone().recipient(),
-        }
-    }
 }
 
 /// The body.

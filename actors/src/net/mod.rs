@@ -191,9 +191,13 @@ pub(crate) fn start(
             |context: &mut Context<_>| DiscoveryBody::new(wiring, context.address().recipient());
         guardian.start(named("discovery"), place, make)
     });
+    if discovery.is_none() {
+        letters::read_by_nobody(named("discovery"), &environment.registry);
+    }
     environment.envoys.extend(discovery.clone().map(Addr::recipient));
 
-    let make = { router::Router::maker(life.clone(), environment.nodes.clone()) };
+    let (nodes, faults) = (environment.nodes.clone(), environment.faults.clone());
+    let make = router::Router::maker(life.clone(), nodes, faults);
     let router = guardian.start(named("router"), place, make);
 
     let told = (environment.faults.clone(), environment.nodes.clone());
@@ -240,7 +244,11 @@ pub(crate) fn start(
         };
         let address =
             guardian.start(name.clone(), place, move |_| links::Links::new(wiring, links));
-        grounds.extend(told.map(|_| FieldLinks::of(&address)));
+        grounds.extend(told.map(|_| FieldLinks {
+            learn: address.clone().recipient(),
+            forget: address.clone().recipient(),
+            tell: address.clone().recipient(),
+        }));
         if let Some(interface) = spec.interface {
             watched.push(carrier::Watched { interface, told: address.clone().recipient() });
         }
