@@ -1,8 +1,11 @@
 //! The generic driver between a machine and the actor that is its body.
 
 use crate::platform;
+use actix::fut::ActorFuture;
 use actix::prelude::*;
 use blastema_core::{Instant, Machine};
+use std::pin::Pin;
+use std::task::{self, Poll};
 
 /// An actor whose logic is a machine.
 ///
@@ -24,8 +27,22 @@ pub(crate) trait Body: Actor<Context = Context<Self>> {
         context: &mut Self::Context,
     );
 
+    /// Drives soon: after the inputs that wait already, or after a batch of them. What they lead to
+    /// goes out together.
+    fn drive_soon(&mut self, context: &mut Self::Context) {
+        self.wake().fed += 1;
+        if self.wake().fed == 1 {
+            context.spawn(Soon);
+        } else if self.wake().fed >= BATCH {
+            self.drive(context);
+        }
+    }
+
     /// Carries out all outputs, and sees that the machine is woken in time.
     fn drive(&mut self, context: &mut Self::Context) {
+        if self.wake().fed > 0 {
+            self.wake().fed = 1;
+        }
         while let Some(output) = self.machine().poll_output() {
             self.carry_out(output, context);
         }
@@ -41,12 +58,12 @@ pub(crate) trait Body: Actor<Context = Context<Self>> {
         let timer = tokio::time::sleep_until(platform::timer_at(due));
         let handle = context.spawn(actix::fut::wrap_future::<_, Self>(timer).map(
             |(), body: &mut Self, context: &mut Self::Context| {
-                *body.wake() = Wake::default();
+                (body.wake().armed, body.wake().handle) = (None, None);
                 body.machine().handle_timeout(platform::now());
                 body.drive(context);
             },
         ));
-        *self.wake() = Wake { armed: Some(due), handle: Some(handle) };
+        (self.wake().armed, self.wake().handle) = (Some(due), Some(handle));
     }
 }
 
@@ -55,4 +72,27 @@ pub(crate) trait Body: Actor<Context = Context<Self>> {
 pub(crate) struct Wake {
     armed: Option<Instant>,
     handle: Option<SpawnHandle>,
+    /// Inputs since the machine was driven last, while a [`Soon`] waits.
+    fed: usize,
+}
+
+/// So many inputs may wait for [`Body::drive_soon`]: an actor whose mailbox never empties is driven too.
+const BATCH: usize = 64;
+
+/// Drives once, when the mailbox is empty.
+struct Soon;
+
+impl<B: Body> ActorFuture<B> for Soon {
+    type Output = ();
+
+    fn poll(
+        self: Pin<&mut Self>,
+        body: &mut B,
+        context: &mut Context<B>,
+        _: &mut task::Context<'_>,
+    ) -> Poll<()> {
+        body.drive(context);
+        body.wake().fed = 0;
+        Poll::Ready(())
+    }
 }

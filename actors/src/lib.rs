@@ -65,6 +65,7 @@
 //! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`Why`] |
 //! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`], [`Transaction`] |
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
+//! | find whoever it is | [`Node::claim`], [`ChildSpec::claim`], [`Claim`], [`NameWatch`] |
 //! | outlive a node | [`ServiceSpec`], [`Stateful`], [`ServiceRef`] |
 //! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`Row`] |
 //! | recover | [`core::recovery::Plan`], [`RecoveryStrategy`] |
@@ -78,6 +79,7 @@
 extern crate self as blastema;
 
 mod chain;
+mod claim;
 mod component;
 mod context;
 mod death_watch;
@@ -135,6 +137,11 @@ pub use topic::Publisher;
 pub use variable::{
     Decision, Reading, RestorePolicy, Transaction, ValueState, VariableRef, VariableSpec,
     VariableWatch,
+};
+
+// Names of the whole robot.
+pub use claim::{
+    Claim, ClaimError, ClaimPolicy, ClaimRow, ClaimState, Holder, NameHeld, NameWatch,
 };
 
 // Nodes, their trees and their networks.

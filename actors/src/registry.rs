@@ -3,6 +3,7 @@
 //! Local parties bind by type; the network binds through a [`Doorway`], which knows the contract but
 //! not the type behind it. Both compare the contract's identity first.
 
+use crate::claim::{Names, Roaming};
 use crate::component::Handle;
 use crate::death_watch::{Down, Ending, Mortal, Mourner};
 use crate::desk::Desk;
@@ -11,6 +12,7 @@ use crate::letter::arrived_posting_time;
 use crate::reply::{Answer, Reply};
 use crate::sender::{Inlet, RequestError, SendError, Sender};
 use blastema_contract::reports::FaultDeclared;
+use blastema_core::net::NodeId;
 use blastema_core::{
     Contract, ContractIdentity, FaultKind, Former, Incarnation, Instant, MessageId, NodeName,
     ObjectAddress, ObjectName, PeerIdentity, Why, codec,
@@ -24,6 +26,9 @@ use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+/// Before a name that is claimed, in the place of a node: whichever holds it.
+pub(crate) const ANY_NODE: &str = "*";
+
 /// Gets the encoded reply, or the reason why there is none. Called once, on any thread.
 pub(crate) type ReplyTo = Box<dyn FnOnce(Result<Bytes, Why>) + Send>;
 
@@ -35,6 +40,8 @@ pub(crate) struct Postmark {
     pub(crate) age: Duration,
     /// A request is not to be begun after this.
     pub(crate) until: Option<Instant>,
+    /// The node that it comes from, if it is another.
+    pub(crate) from: Option<NodeId>,
 }
 
 /// A request for an object of another node, beside its contents.
@@ -107,6 +114,11 @@ impl Port {
         self.doorway
     }
 
+    /// A contract that only other nodes use.
+    pub(crate) fn of_doorway<M: Contract>(doorway: Arc<dyn Doorway>) -> Self {
+        Port { identity: ContractIdentity::of::<M>(), sender: Box::new(()), doorway }
+    }
+
     /// A contract that the node itself serves at the object's name.
     pub(crate) fn of_desk<M: Contract>(desk: Desk<M>) -> Self {
         Port {
@@ -114,6 +126,11 @@ impl Port {
             sender: Box::new(Sender::<M>(Arc::new(desk.clone()))),
             doorway: Arc::new(desk),
         }
+    }
+
+    /// The same, where it matters which node says it: what comes from others goes by `doorway`.
+    pub(crate) fn of_peers<M: Contract>(desk: Desk<M>, doorway: Arc<dyn Doorway>) -> Self {
+        Port { doorway, ..Port::of_desk(desk) }
     }
 }
 
@@ -127,7 +144,7 @@ impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
     fn hand_over(
         &self,
         message: M,
-        Postmark { id, age, until }: Postmark,
+        Postmark { id, age, until, .. }: Postmark,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), Why> {
         match reply_to {
@@ -291,6 +308,8 @@ struct Inner {
     revision: u64,
     node: Option<NodeName>,
     remote: Option<Arc<dyn RemoteDoors>>,
+    /// The names of the whole robot.
+    names: Option<Names>,
 }
 
 /// The names of one node. Clones share them.
@@ -307,6 +326,11 @@ impl Registry {
         let mut inner = self.lock();
         inner.node = Some(node);
         inner.remote = remote;
+    }
+
+    /// Names of the whole robot, such as `*:map`, are looked up there.
+    pub(crate) fn look_up_in(&self, names: Names) {
+        self.lock().names = Some(names);
     }
 
     /// Gives a name to an object.
@@ -352,6 +376,11 @@ impl Registry {
         let inner = self.lock();
         let object = match name.split_once(':') {
             None => ObjectName::new(name).map_err(|_| unknown())?,
+            Some((ANY_NODE, claimed)) => {
+                let name = ObjectName::new(claimed).map_err(|_| unknown())?;
+                let names = inner.names.clone().ok_or_else(unknown)?;
+                return Ok(Sender(Arc::new(Roaming::<M>::new(name, self.clone(), names))));
+            }
             Some(_) => {
                 let address: ObjectAddress = name.parse().map_err(|_| unknown())?;
                 if inner.node.as_ref() != Some(&address.node) {

@@ -146,4 +146,10 @@ pub enum Why {
         /// The epoch that holds.
         epoch: u64,
     },
+    /// Nobody holds this name of the whole robot now. Try again when it is claimed.
+    #[error("nobody holds the name {name}")]
+    Unclaimed {
+        /// The name.
+        name: String,
+    },
 }

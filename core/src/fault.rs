@@ -37,6 +37,12 @@ pub enum FaultKind {
     NodeLost,
     /// The same fault came back more often than its supervisor allows.
     RestartStorm,
+    /// Another node does harm: what it sends must be refused, or it dies again and again. Or it was
+    /// isolated by others.
+    NodeFaulty,
+    /// Two have one name: two nodes, or two claimants that were out of each other's sight; or two nodes have
+    /// one address on a bus.
+    NameTaken,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -54,7 +60,7 @@ pub enum Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 14] = [
+    pub const BUILT_IN: [FaultKind; 16] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -69,9 +75,11 @@ impl FaultKind {
         FaultKind::LinkDegraded,
         FaultKind::NodeLost,
         FaultKind::RestartStorm,
+        FaultKind::NodeFaulty,
+        FaultKind::NameTaken,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B14`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B16`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -89,6 +97,8 @@ impl FaultKind {
             FaultKind::LinkDegraded => "B12",
             FaultKind::NodeLost => "B13",
             FaultKind::RestartStorm => "B14",
+            FaultKind::NodeFaulty => "B15",
+            FaultKind::NameTaken => "B16",
             FaultKind::Custom(code) => code,
         }
     }
@@ -110,6 +120,8 @@ impl FaultKind {
             FaultKind::LinkDegraded => "link degraded",
             FaultKind::NodeLost => "node lost",
             FaultKind::RestartStorm => "restart storm",
+            FaultKind::NodeFaulty => "node faulty",
+            FaultKind::NameTaken => "name taken",
             FaultKind::Custom(code) => code,
         }
     }
@@ -120,7 +132,10 @@ impl FaultKind {
             FaultKind::Overload | FaultKind::LinkDegraded | FaultKind::CheckFailed => {
                 Severity::Warning
             }
-            FaultKind::Fatal | FaultKind::NodeLost | FaultKind::RestartStorm => Severity::Critical,
+            FaultKind::Fatal
+            | FaultKind::NodeLost
+            | FaultKind::RestartStorm
+            | FaultKind::NodeFaulty => Severity::Critical,
             _ => Severity::Error,
         }
     }

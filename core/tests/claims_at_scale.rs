@@ -2,11 +2,11 @@
 //! what keeping them costs. Run with `--nocapture` for the figures.
 #![allow(clippy::print_stdout, reason = "the figures are the point")]
 
-use blastema_core::net::claims::{ClaimPolicy, Claims, ClaimsConfig, ClaimsOutput};
+use blastema_core::net::claims::{ClaimPolicy, Claims, ClaimsConfig, ClaimsOutput, Wanted};
 use blastema_core::random::Random;
 use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName};
 use bytes::Bytes;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 const NODES: usize = 50;
@@ -66,11 +66,13 @@ impl Robot {
     fn start(&mut self, node: usize) {
         self.lives[node] += 1;
         let incarnation = Incarnation(self.lives[node]);
-        let config = ClaimsConfig { node: name(node), incarnation, lease: LEASE };
+        let (settle, expected) = (Duration::ZERO, BTreeSet::new());
+        let node_name = name(node);
+        let config = ClaimsConfig { node: node_name, incarnation, lease: LEASE, settle, expected };
         let mut claims = Claims::new(config, self.now);
         for n in 0..NAMES / NODES {
             let own = ObjectName::new(&format!("module{node:02}/object{n}")).unwrap();
-            claims.handle_claim(&own, ClaimPolicy::Refuse, self.now).unwrap();
+            claims.handle_claim(Wanted::new(own, ClaimPolicy::Refuse), self.now).unwrap();
         }
         for other in 0..NODES {
             if let Some(theirs) = self.nodes[other].as_mut().filter(|_| other != node) {

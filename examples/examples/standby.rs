@@ -78,7 +78,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     cable.restore();
     assert!(node.connected(primary.as_str(), PATIENCE).await);
-    let stands_by = Some(Role::Standby { primary: Some(follower) });
+    let stands_by = Some(Role::Standby { primary: Some(follower), in_step: true });
     while old.service_role("counter") != stands_by {
         counter.ask_within(Add, PATIENCE).await?;
     }

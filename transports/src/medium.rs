@@ -10,6 +10,34 @@ use std::task::{self, Poll};
 /// How many frames are moved in one turn before the mailbox, and the arbiter's other actors, come to
 /// their right. 64 small datagrams take about a tenth of a millisecond.
 pub(crate) const BUDGET: usize = 64;
+/// And how many bytes: a large frame may hold hundreds of messages, each of which somebody serves.
+const BUDGET_BYTES: usize = 128 * 1024;
+
+/// What is left of one turn.
+pub(crate) struct Budget {
+    frames: usize,
+    bytes: usize,
+}
+
+impl Default for Budget {
+    fn default() -> Self {
+        Budget { frames: BUDGET, bytes: BUDGET_BYTES }
+    }
+}
+
+impl Budget {
+    /// Whether another frame may be tried; the first always may.
+    pub(crate) fn next(&mut self) -> bool {
+        let left = self.frames > 0 && self.bytes > 0;
+        self.frames = self.frames.saturating_sub(1);
+        left
+    }
+
+    /// So many bytes were moved.
+    pub(crate) fn spend(&mut self, bytes: usize) {
+        self.bytes = self.bytes.saturating_sub(bytes);
+    }
+}
 
 /// An actor that owns a medium. [`transport!`] makes it one that speaks the contract.
 pub(crate) trait Medium: Actor<Context = Context<Self>> + Supervised {

@@ -1,6 +1,6 @@
 //! Frames between actors of one process: for tests, and for nodes that share a process.
 
-use crate::medium::{BUDGET, Medium, transport};
+use crate::medium::{Budget, Medium, transport};
 use crate::outlet::Outlet;
 use crate::reopening::Reopening;
 use actix::Context;
@@ -224,11 +224,13 @@ impl Medium for Memory {
             self.try_open();
         }
         let Some(inbox) = self.inbox.clone() else { return };
-        for _ in 0..BUDGET {
+        let mut budget = Budget::default();
+        while budget.next() {
             if self.outlet.poll_room(task).is_pending() {
                 return;
             }
             let Some((from, frame)) = inbox.pop(task) else { return };
+            budget.spend(frame.len());
             self.outlet.deliver(MediumAddress::Memory(from), frame);
         }
         task.waker().wake_by_ref();

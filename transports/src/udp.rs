@@ -3,7 +3,7 @@
 use crate::binding::{Binding, confine, explain};
 use crate::frame_medium::QueueLimits;
 use crate::lanes::Lanes;
-use crate::medium::{BUDGET, Medium, transport};
+use crate::medium::{Budget, Medium, transport};
 use crate::multicast;
 use crate::outlet::Outlet;
 use crate::part::part_frame;
@@ -200,7 +200,8 @@ impl Udp {
         // One byte more than the largest frame: a datagram that fills it is too large.
         let room = mtu + 1;
         let chunk = room.max(CHUNK);
-        for _ in 0..BUDGET {
+        let mut budget = Budget::default();
+        while budget.next() {
             if self.outlet.poll_room(task).is_pending() {
                 return Turn::Empty;
             }
@@ -216,6 +217,7 @@ impl Udp {
                 }
                 Ok((length, from)) => {
                     self.errors_in_a_row = 0;
+                    budget.spend(length);
                     let frame = part_frame(&mut self.buffer, length, chunk);
                     self.outlet.deliver(MediumAddress::Ip(from), frame);
                 }

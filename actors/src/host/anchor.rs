@@ -23,13 +23,14 @@ use crate::topic::Subscriptions;
 use actix::Addr;
 use blastema_contract::child::StandingOrder;
 use blastema_contract::reports::Alive;
+use blastema_core::net::claims::Wanted;
 use blastema_core::quarantine::Quarantine;
 use blastema_core::{Contract, Incarnation, Lifecycle, MessageId, ObjectName, Why};
 use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 /// Nothing comes in.
@@ -58,6 +59,8 @@ pub(crate) struct Record {
     service: Mutex<Followed>,
     quarantine: Mutex<Quarantine>,
     order: Mutex<Option<StandingOrder>>,
+    /// The names of the whole robot that it claims while it is at work, each with the claim's number.
+    claims: OnceLock<Box<[(Wanted, u64)]>>,
 }
 
 /// Where a component stands, and where it lives.
@@ -99,6 +102,28 @@ impl Record {
             service: Mutex::default(),
             quarantine: Mutex::default(),
             order: Mutex::default(),
+            claims: OnceLock::new(),
+        }
+    }
+
+    /// It claims these names of the whole robot.
+    pub(crate) fn set_claims(&self, wanted: impl Iterator<Item = Wanted>) {
+        let numbered = wanted.map(|wanted| (wanted, self.environment.names.number()));
+        // A component is described once.
+        let _ = self.claims.set(numbered.collect());
+    }
+
+    /// A life is at work.
+    pub(crate) fn claim_names(&self) {
+        for (wanted, number) in self.claims.get().into_iter().flatten() {
+            self.environment.names.claim_unattended(wanted.clone(), *number);
+        }
+    }
+
+    /// No life is there, and none follows at once.
+    pub(crate) fn give_names_back(&self) {
+        for (wanted, number) in self.claims.get().into_iter().flatten() {
+            self.environment.names.withdraw(&wanted.name, *number);
         }
     }
 

@@ -124,6 +124,7 @@ impl<C: Component> Child for HostedChild<C> {
         // A handler that awaits is dropped by its own pump, which sees that it has been given up.
         self.order(Control::Wake);
         self.anchor.set_control(None);
+        record.give_names_back();
         let (object, ending) = (record.name.clone(), Ending::Abandoned);
         record.mourners.tell(&Down { object, incarnation, ending });
     }

@@ -3,6 +3,7 @@
 use super::arbiters::Arbiters;
 use super::office::DeadLetterOffice;
 use super::watch::WatchList;
+use crate::claim::Names;
 use crate::lease::Yard;
 use crate::registry::Registry;
 use crate::service::Roster;
@@ -31,6 +32,7 @@ pub(crate) struct HostEnvironment {
     pub(crate) variables: Store,
     pub(crate) actuators: Yard,
     pub(crate) services: Roster,
+    pub(crate) names: Names,
 }
 
 impl HostEnvironment {
@@ -47,6 +49,7 @@ impl HostEnvironment {
             variables: Store::default(),
             actuators: Yard::default(),
             services: Roster::default(),
+            names: Names::default(),
         }
     }
 }

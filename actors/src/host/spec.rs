@@ -3,6 +3,7 @@
 use super::anchor::{Anchor, Record};
 use super::child::HostedChild;
 use super::environment::HostEnvironment;
+use crate::claim::ClaimPolicy;
 use crate::component::Component;
 use crate::lane::WhenFull;
 use crate::ports::{OpenPort, Ports};
@@ -11,6 +12,7 @@ use crate::registry::NameTaken;
 use crate::service::{Stateful, stateful_ports};
 use blastema_contract::child::Child;
 use blastema_core::detection::Watch;
+use blastema_core::net::claims::Wanted;
 use blastema_core::{NameError, ObjectName, Why};
 use std::fmt;
 use std::sync::Arc;
@@ -113,6 +115,7 @@ pub struct ChildSpec<C: Component> {
     rate_hz: Option<f64>,
     limits: Limits,
     depends_on: Vec<String>,
+    claims: Vec<(String, ClaimPolicy)>,
     /// Contracts of the middleware's own that it takes beside its ports.
     beside: Vec<OpenPort<C>>,
 }
@@ -136,6 +139,7 @@ impl<C: Component> ChildSpec<C> {
             rate_hz: None,
             limits: Limits::default(),
             depends_on: Vec::new(),
+            claims: Vec::new(),
             beside: Vec::new(),
         }
     }
@@ -206,6 +210,14 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
+    /// Claims a [name of the whole robot](crate::manual::names) whenever a life is at work, and gives it
+    /// back when that ends and none follows on the spot. Where another holds it, the component goes
+    /// without, which is a fault, or stands by.
+    pub fn claim(mut self, name: &str, policy: ClaimPolicy) -> Self {
+        self.claims.push((name.to_owned(), policy));
+        self
+    }
+
     /// How its signs of life come.
     pub(crate) fn watched_by(&self) -> Watch {
         self.limits.watch
@@ -242,7 +254,13 @@ impl<C: Component> ChildSpec<C> {
         let name = ObjectName::new(&self.name)?;
         let mut ports = Ports::<C>::of();
         ports.open_beside(self.beside);
+        let wanted = |(claimed, policy): &(String, ClaimPolicy)| {
+            let claimed = ObjectName::new(claimed)?;
+            Ok(Wanted { name: claimed, object: name.clone(), policy: *policy })
+        };
+        let claims: Result<Vec<_>, NameError> = self.claims.iter().map(wanted).collect();
         let record = Record::new(name.clone(), limits, environment.clone());
+        record.set_claims(claims?.into_iter());
         let anchor = Arc::new(Anchor::new(record, self.queue, self.factory));
         let (variables, actuators) = (ports.take_variables(), ports.take_actuators(&anchor));
         environment.registry.claim(&name, ports.doors(&anchor), anchor.clone())?;

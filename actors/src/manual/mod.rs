@@ -18,6 +18,7 @@
 //! | [recovery] | which measure answers which fault; strategies of one's own |
 //! | [placement] | threads, handlers that hang, and what cannot be recovered |
 //! | [networks] | several nodes: links, routes, sessions, and cables that are cut |
+//! | [names] | names of the whole robot, which nodes claim: an address without a node |
 //! | [media] | what a network can be made of, written as one string; media of one's own |
 //! | [guarantees] | order, loss, restarts, and how soon what is found |
 //! | [limits] | every bound, its reason, and how to change it |
@@ -63,6 +64,9 @@ pub mod placement {}
 
 #[doc = include_str!("networks.md")]
 pub mod networks {}
+
+#[doc = include_str!("names.md")]
+pub mod names {}
 
 #[doc = include_str!("media.md")]
 pub mod media {}

@@ -4,6 +4,7 @@ use super::gateway::Ship;
 use crate::platform;
 use crate::registry::{Asked, RemoteDoor, RemoteDoors};
 use actix::Recipient;
+use blastema_contract::session::{Credit, Lender};
 use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, Why};
 use bytes::Bytes;
 use std::collections::BTreeMap;
@@ -13,9 +14,11 @@ use std::sync::atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use tokio::sync::Notify;
 
-/// Messages of one peer that may wait in the gateway's mailbox: what a burst sends before the
-/// network's arbiter has its turn.
-const UNDER_WAY_MAX: usize = 4096;
+/// Messages to one peer that may be on their way to its session: what a burst sends before the network's
+/// arbiter has its turn. A session takes as many again once it has said that it is full.
+const UNDER_WAY_MAX: usize = 2048;
+/// Their bytes, likewise. One message more may be on its way, whose bytes go beyond this.
+const BYTES_UNDER_WAY_MAX: usize = 1 << 20;
 
 /// Makes doors, and tells those behind them how their peer is.
 #[derive(Default)]
@@ -30,6 +33,7 @@ pub(super) struct Gate {
     condition: AtomicU8,
     isolated: AtomicBool,
     under_way: AtomicUsize,
+    bytes_under_way: AtomicUsize,
     changed: Notify,
 }
 
@@ -84,16 +88,23 @@ impl Gate {
         matches!(self.condition(), Condition::Open | Condition::Full)
     }
 
-    /// The gateway's mailbox takes more.
-    fn has_room(&self) -> bool {
-        self.under_way.load(Relaxed) < UNDER_WAY_MAX
+    /// More may be under way, up to this share of all.
+    fn has_room(&self, share: usize) -> bool {
+        self.under_way.load(Relaxed) < UNDER_WAY_MAX / share
+            && self.bytes_under_way.load(Relaxed) < BYTES_UNDER_WAY_MAX / share
     }
 
-    /// The gateway has taken one over.
-    pub(super) fn taken(&self) {
-        if self.under_way.fetch_sub(1, Relaxed) == UNDER_WAY_MAX {
-            self.changed.notify_waiters();
-        }
+    /// Takes room for an event, which never waits, and leaves half to what does.
+    pub(super) fn lend_to_event(self: &Arc<Self>, bytes: usize) -> Option<Credit> {
+        if self.has_room(2) { self.lend(bytes) } else { None }
+    }
+
+    fn lend(self: &Arc<Self>, bytes: usize) -> Option<Credit> {
+        let messages = self.under_way.fetch_add(1, Relaxed);
+        let before = self.bytes_under_way.fetch_add(bytes, Relaxed);
+        // Many threads may have found room for one.
+        let credit = Credit::new(self.clone(), bytes);
+        (messages < UNDER_WAY_MAX && before < BYTES_UNDER_WAY_MAX).then_some(credit)
     }
 
     fn check(&self) -> Result<(), Why> {
@@ -105,7 +116,7 @@ impl Gate {
             Condition::Opening => Err(Why::Restarting),
             Condition::Full => Err(Why::Full),
             Condition::Left => Err(Why::Left { node: self.node.to_string() }),
-            Condition::Open if !self.has_room() => Err(Why::Full),
+            Condition::Open if !self.has_room(1) => Err(Why::Full),
             Condition::Open => Ok(()),
         }
     }
@@ -129,6 +140,17 @@ impl Gate {
                 // Whatever else stands in the way is told by the next attempt.
                 _ => return,
             }
+        }
+    }
+}
+
+impl Lender for Gate {
+    fn give_back(&self, bytes: usize) {
+        let had_room = self.has_room(1);
+        self.under_way.fetch_sub(1, Relaxed);
+        self.bytes_under_way.fetch_sub(bytes, Relaxed);
+        if !had_room && self.has_room(1) {
+            self.changed.notify_waiters();
         }
     }
 }
@@ -157,6 +179,7 @@ impl Doors {
                 condition: AtomicU8::new(Condition::Unreachable as u8),
                 isolated: AtomicBool::new(false),
                 under_way: AtomicUsize::new(0),
+                bytes_under_way: AtomicUsize::new(0),
                 changed: Notify::new(),
             })
         });
@@ -185,11 +208,11 @@ impl RemoteDoor for Door {
         match self.gate.check() {
             // What waits in order keeps nobody who does not.
             Err(Why::Full)
-                if self.contract.delivery == Delivery::Newest && self.gate.has_room() => {}
+                if self.contract.delivery == Delivery::Newest && self.gate.has_room(1) => {}
             checked => checked?,
         }
         let gateway = self.gateway.as_ref().ok_or(Why::Stopped)?;
-        self.gate.under_way.fetch_add(1, Relaxed);
+        let credit = self.gate.lend(message.len()).ok_or(Why::Full)?;
         let sent = platform::now();
         let (id, within, reply_to) = match asked {
             None => (None, None, None),
@@ -203,7 +226,7 @@ impl RemoteDoor for Door {
             until: within.map(|within| sent + within),
             payload: message,
             reply_to,
-            gate: self.gate.clone(),
+            credit,
         });
         Ok(())
     }

@@ -8,7 +8,7 @@ pub(super) use errand::{Notify, Ship};
 use super::NetEnvironment;
 use super::door::{Condition, Doors, Gate};
 use super::notice;
-use super::wardens::Wardens;
+use super::wardens::{Told, Wardens};
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
@@ -19,19 +19,21 @@ use blastema_contract::Confirmed;
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::FaultDeclared;
-use blastema_contract::session::{BeginAnew, Leave, Say, SayNewest};
+use blastema_contract::router::KeepOut;
+use blastema_contract::session::{BeginAnew, Credit, Leave, PeerSeen, Say, SayNewest};
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
+use blastema_core::net::isolation::Isolation;
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
 use blastema_core::{
-    ContractIdentity, Delivery, FaultKind, Incarnation, NodeName, ObjectName, PeerIdentity, Why,
+    ContractIdentity, Delivery, FaultKind, Incarnation, NodeName, ObjectName, PeerIdentity, Place,
+    Why,
 };
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::oneshot;
@@ -41,8 +43,6 @@ use tracing::{debug, error, info, warn};
 const NAMES_INTERVAL: Duration = Duration::from_millis(200);
 /// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
 const LEAVE_PATIENCE: Duration = Duration::from_millis(500);
-/// Events of one subscription that may wait in the gateway's mailbox; beyond, they are dropped.
-const EVENTS_MAX: usize = 1024;
 
 /// What the gateway must know after a panic.
 struct Wiring {
@@ -55,6 +55,8 @@ struct Wiring {
     doors: Arc<Doors>,
     wardens: Wardens,
     dead_letters: DeadLetterOffice,
+    /// Who of this node talks to others like itself.
+    envoys: Vec<Recipient<PeerSeen>>,
 }
 
 /// What the gateway asks of the sessions.
@@ -83,6 +85,8 @@ pub(super) struct Gateway {
     lost: u64,
     /// Messages of isolated nodes.
     kept_out: u64,
+    /// Room that what is being served takes, until it is passed on.
+    credit: Option<Credit>,
     /// The node ends; the sessions follow once nothing waits here.
     leaving: bool,
     /// As of which revision of the registry the peers know our names.
@@ -107,7 +111,6 @@ struct Forwarded {
     unverified: Option<Vec<PeerIdentity>>,
     /// Under which number they go, and how.
     by: (u32, Delivery),
-    waiting: Arc<AtomicUsize>,
 }
 
 impl Gateway {
@@ -115,14 +118,32 @@ impl Gateway {
         environment: &NetEnvironment,
         sessions: SessionPorts,
         doors: Arc<Doors>,
+        router: Recipient<KeepOut>,
         told: Arc<OnceLock<Wardens>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let NetEnvironment {
-            node, registry, topics, recoverer, nodes, faults, dead_letters, ..
+            node,
+            incarnation,
+            judges,
+            registry,
+            topics,
+            recoverer,
+            nodes,
+            faults,
+            dead_letters,
+            envoys,
+            ..
         } = environment.clone();
         move |context| {
-            let keeping = context.address().recipient();
-            let wardens = Wardens::new(node, doors.clone(), registry.clone(), keeping);
+            let machine = Isolation::new(node, incarnation, judges);
+            let told_of = Told {
+                doors: doors.clone(),
+                registry: registry.clone(),
+                gateway: context.address().recipient(),
+                router,
+                monitor: nodes.clone(),
+            };
+            let wardens = Wardens::new(machine, told_of);
             // A gateway is made once.
             let _ = told.set(wardens.clone());
             Gateway::wired(Wiring {
@@ -135,6 +156,7 @@ impl Gateway {
                 doors,
                 wardens,
                 dead_letters,
+                envoys,
             })
         }
     }
@@ -152,6 +174,7 @@ impl Gateway {
             next: 0,
             lost: 0,
             kept_out: 0,
+            credit: None,
             leaving: false,
             revision: None,
         }
@@ -183,14 +206,17 @@ impl Gateway {
         }
     }
 
-    fn say(&self, peer: NodeId, stream: Stream, message: Bytes) {
+    fn say(&mut self, peer: NodeId, stream: Stream, message: Bytes) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
-        self.wiring.sessions.say.do_send(Say { peer, session, stream, message });
+        let credit = self.credit.take();
+        self.wiring.sessions.say.do_send(Say { peer, session, stream, message, credit });
     }
 
-    fn say_newest(&self, peer: NodeId, channel: u32, message: Bytes) {
+    fn say_newest(&mut self, peer: NodeId, channel: u32, message: Bytes) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
-        self.wiring.sessions.say_newest.do_send(SayNewest { peer, session, channel, message });
+        let credit = self.credit.take();
+        let say = SayNewest { peer, session, channel, message, credit };
+        self.wiring.sessions.say_newest.do_send(say);
     }
 
     fn leave(&mut self) {
@@ -219,7 +245,8 @@ impl Gateway {
             ExchangeOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
                     call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
-                self.serve((peer, binding), &payload, Postmark { id, age, until }, reply_to);
+                let postmark = Postmark { id, age, until, from: Some(peer) };
+                self.serve((peer, binding), &payload, postmark, reply_to);
             }
             ExchangeOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
@@ -310,7 +337,9 @@ impl Gateway {
         match (self.doorways.get(&binding), reply_to) {
             (Some(doorway), reply_to) => {
                 // The object's own dead letters tell of what it did not take.
-                let _ = doorway.deliver(payload, postmark, reply_to);
+                if let Err(Why::Undecodable { .. }) = doorway.deliver(payload, postmark, reply_to) {
+                    self.offends(binding.0, "it breaks a contract that it has agreed to");
+                }
             }
             (None, Some(reply_to)) => reply_to(Err(Why::Unknown { name: "binding".into() })),
             (None, None) => self.lost += 1,
@@ -342,21 +371,18 @@ impl Gateway {
         };
         let Some(known) = self.peers.get(&peer) else { return };
         let (gate, gateway) = (known.gate.clone(), context.address());
-        let waiting = Arc::new(AtomicUsize::new(0));
-        let under_way = waiting.clone();
         let forward: Forward = Arc::new(move |event: &Bytes| {
             // Publishing never waits: what a peer cannot take now is not sent.
             // Of which only the newest counts, nothing waits behind what does.
             let open = if newest { gate.has_session() } else { gate.is_open() };
-            if open && under_way.load(Relaxed) < EVENTS_MAX {
-                under_way.fetch_add(1, Relaxed);
+            if let (true, Some(credit)) = (open, gate.lend_to_event(event.len())) {
                 let (event, sent) = (event.clone(), platform::now());
-                gateway.do_send(Published { peer, subscription, event, sent });
+                gateway.do_send(Published { peer, subscription, event, sent, credit });
             }
         });
         self.end_forward((peer, subscription));
         let id = self.wiring.topics.forward(&key, forward);
-        let forwarded = Forwarded { id, key, unverified, by, waiting };
+        let forwarded = Forwarded { id, key, unverified, by };
         self.forwards.insert((peer, subscription), forwarded);
     }
 
@@ -390,6 +416,15 @@ impl Gateway {
         self.declare(FaultKind::ContractMismatch, format!("with node {node}: {difference}"));
     }
 
+    /// What a peer has done does harm; several times are a fault of that node.
+    fn offends(&self, peer: NodeId, what: &str) {
+        if let (Some(nodes), Some(peer)) = (&self.wiring.nodes, self.peers.get(&peer)) {
+            let (node, incarnation) = (peer.node.clone(), peer.incarnation);
+            let condition = NodeCondition::Offends { what: what.to_owned() };
+            nodes.do_send(NodeReported { node, incarnation, condition });
+        }
+    }
+
     /// A fault of the traffic with other nodes, at the gateway.
     fn declare(&self, kind: FaultKind, detail: String) {
         if let Some(faults) = &self.wiring.faults {
@@ -411,6 +446,17 @@ impl Gateway {
             Ok(fault) => fault,
             Err(error) => return warn!(%peer, %error, "a fault that cannot be read"),
         };
+        // A node is believed about its own objects and links. What it thinks of other nodes, or of ours,
+        // is no reason to do anything here: everybody sees that for itself.
+        let theirs = match &fault.place {
+            Place::Object(address) => NodeId::of(&address.node) == peer,
+            Place::Link { node, .. } => NodeId::of(node) == peer,
+            Place::Node(_) => false,
+        };
+        if !theirs {
+            self.exchange.handle_noticed(peer, epoch, number);
+            return;
+        }
         let Some(recoverer) = &self.wiring.recoverer else { return };
         let (taken, gateway) = (recoverer.send(Recover { fault }), context.address());
         actix_rt::spawn(async move {
@@ -427,10 +473,15 @@ impl Gateway {
         known.gate.set(Condition::Left);
         let (node, incarnation) = (known.node.clone(), known.incarnation);
         info!(%node, %incarnation, "node leaves in order");
+        self.tell_envoys(&PeerSeen::Left { node: node.clone() });
         if let Some(nodes) = &self.wiring.nodes {
             let condition = NodeCondition::Left;
             nodes.do_send(NodeReported { node, incarnation, condition });
         }
+    }
+
+    fn tell_envoys(&self, seen: &PeerSeen) {
+        self.wiring.envoys.iter().for_each(|envoy| envoy.do_send(seen.clone()));
     }
 
     /// Why the session with a peer has ended, as its callers are told.
@@ -535,13 +586,14 @@ impl Supervised for Gateway {
         forwards.into_iter().for_each(|key| self.end_forward(key));
         self.doorways.clear();
         self.notices.clear();
+        self.credit = None;
         self.exchange = self.exchange.reborn();
         self.naming = Naming::default();
         self.revision = None;
         self.peers.keys().for_each(|peer| self.set(*peer, Condition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();
         peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer, true));
-        self.wiring.sessions.begin_anew.do_send(BeginAnew);
+        self.wiring.sessions.begin_anew.do_send(BeginAnew { peer: None });
         self.started(context);
     }
 }

@@ -220,7 +220,7 @@ impl Links {
             faults.do_send(FaultDeclared {
                 object,
                 incarnation,
-                kind: FaultKind::CheckFailed,
+                kind: FaultKind::NameTaken,
                 detail,
             });
         }
@@ -307,7 +307,7 @@ impl Handler<Received> for Links {
             return;
         };
         link.handle_frame(frame, platform::now());
-        self.drive(context);
+        self.drive_soon(context);
     }
 }
 
@@ -375,7 +375,7 @@ impl Handler<Carry> for Links {
             Load::Routing(bytes) => link.handle_routing(bytes),
             Load::Packet(bytes) => link.handle_packet(bytes),
         }
-        self.drive(context);
+        self.drive_soon(context);
     }
 }
 

@@ -17,8 +17,10 @@
 //! * the gateway: every request is resolved, every session begins anew.
 
 mod carrier;
+pub(crate) mod claims;
 mod door;
 mod gateway;
+mod letters;
 mod links;
 mod notice;
 mod router;
@@ -41,9 +43,10 @@ use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::{AreYouAlive, FaultDeclared};
 use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
-use blastema_contract::session::{AddGateway, Leave, ReadSessions, SessionRow};
-use blastema_contract::strategy::Reroute;
+use blastema_contract::session::{AddGateway, Leave, PeerSeen, ReadSessions, SessionRow};
+use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, Transport};
+use blastema_core::net::isolation::Judges;
 use blastema_core::net::{LinkNumber, NodeId};
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use std::collections::BTreeSet;
@@ -115,8 +118,12 @@ pub(crate) struct NetEnvironment {
     pub(crate) links: Option<Recipient<LinkReported>>,
     /// Is told how nodes are.
     pub(crate) nodes: Option<Recipient<NodeReported>>,
+    /// Whose word isolates a node.
+    pub(crate) judges: Judges,
     /// Is told of faults that are found in what other nodes send.
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
+    /// Are told whom they can talk to.
+    pub(crate) envoys: Vec<Recipient<PeerSeen>>,
 }
 
 /// Why a network cannot be started.
@@ -167,7 +174,8 @@ pub(crate) fn start(
     let make = { router::Router::maker(life.clone(), environment.nodes.clone()) };
     let router = guardian.start(named("router"), place, make);
 
-    let to_router = (router.clone().recipient(), life.clone(), environment.faults.clone());
+    let told = (environment.faults.clone(), environment.nodes.clone());
+    let to_router = (router.clone().recipient(), life.clone(), told);
     let sessions = guardian.start(named("sessions"), place, move |_| {
         let (router, (node, incarnation), faults) = to_router;
         sessions::Sessions::new(node, incarnation, router, faults)
@@ -185,7 +193,8 @@ pub(crate) fn start(
         begin_anew: sessions.clone().recipient(),
     };
     let wardens = Arc::new(OnceLock::new());
-    let make = gateway::Gateway::maker(&environment, to_sessions, doors.clone(), wardens.clone());
+    let (kept_out, told) = (router.clone().recipient(), wardens.clone());
+    let make = gateway::Gateway::maker(&environment, to_sessions, doors.clone(), kept_out, told);
     let gateway = guardian.start(named("gateway"), place, make);
     doors.lead_to(gateway.clone().recipient());
     sessions.do_send(AddGateway(gateway.clone().recipient()));
@@ -300,8 +309,13 @@ impl NetHandle {
     /// Keeps a node out everywhere, or lets it in again.
     pub(crate) fn isolate(&self, node: &NodeName, isolated: bool) {
         if let Some(wardens) = self.wardens.get() {
-            wardens.decide(node, isolated);
+            wardens.decide(node, isolated, "the application says so");
         }
+    }
+
+    /// Takes the decisions of recovery strategies about other nodes.
+    pub(crate) fn isolation(&self) -> Recipient<IsolateNode> {
+        self.gateway.clone().recipient()
     }
 
     /// Finds objects of other nodes.

@@ -7,14 +7,15 @@ use actix::prelude::*;
 use blastema_contract::link::{AddLinks, Arrived, Carry, LinkChanged, Load, ReportLinks};
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::router::{
-    AddSessions, PanicOnPurpose, PathReported, ReadRoutes, Routes, SegmentArrived, SendSegment,
+    AddSessions, KeepOut, PanicOnPurpose, PathReported, ReadRoutes, Routes, SegmentArrived,
+    SendSegment,
 };
 use blastema_contract::strategy::Reroute;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::{self, LinkNumber, RouterConfig, RouterOutput};
 use blastema_core::recovery::{Done, Failed};
 use blastema_core::{Incarnation, NodeName, Place};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use tracing::{debug, error, info};
 
 /// Forwards for this node.
@@ -28,6 +29,8 @@ pub(super) struct Router {
     monitor: Option<Recipient<NodeReported>>,
     /// Who can be reached, in which life: what a router that begins anew must find again.
     reached: BTreeMap<NodeName, Incarnation>,
+    /// Who is isolated: a router that begins anew must know.
+    kept_out: BTreeSet<NodeName>,
 }
 
 impl Router {
@@ -46,6 +49,7 @@ impl Router {
                 sessions: None,
                 monitor,
                 reached: BTreeMap::new(),
+                kept_out: BTreeSet::new(),
             }
         }
     }
@@ -70,6 +74,11 @@ impl Router {
             let condition =
                 if restarted { NodeCondition::Restarted } else { NodeCondition::Reachable };
             self.report_node(node.clone(), incarnation, condition);
+            // Of a neighbour its own hellos say so; what is told of others may be made up.
+            if restarted && self.machine.is_neighbour(&node, incarnation) {
+                let what = "its process died and began again".to_owned();
+                self.report_node(node.clone(), incarnation, NodeCondition::Offends { what });
+            }
         }
         self.report_path(PathReported::Reachable { node, incarnation, mtu });
     }
@@ -93,6 +102,9 @@ impl Supervised for Router {
     fn restarting(&mut self, context: &mut Context<Self>) {
         let reached = self.reached.clone();
         self.machine = net::Router::reborn(self.config.clone(), reached, platform::now());
+        for node in &self.kept_out {
+            self.machine.handle_isolation(node, true, platform::now());
+        }
         self.wake = Wake::default();
         self.networks.iter().for_each(|network| network.do_send(ReportLinks));
         self.drive(context);
@@ -119,9 +131,9 @@ impl Body for Router {
         match output {
             RouterOutput::Routing { link, bytes } => carry(link, Load::Routing(bytes)),
             RouterOutput::Packet { link, packet } => carry(link, Load::Packet(packet)),
-            RouterOutput::Segment { source, segment } => {
+            RouterOutput::Segment { source, segment, direct } => {
                 if let Some(sessions) = &self.sessions {
-                    sessions.segments.do_send(SegmentArrived { source, segment });
+                    sessions.segments.do_send(SegmentArrived { source, segment, direct });
                 }
             }
             RouterOutput::Undelivered { destination, reason } => {
@@ -184,7 +196,7 @@ impl Handler<Arrived> for Router {
             Load::Routing(bytes) => self.machine.handle_routing(link, bytes, now),
             Load::Packet(packet) => self.machine.handle_packet(link, packet, now),
         }
-        self.drive(context);
+        self.drive_soon(context);
     }
 }
 
@@ -196,6 +208,21 @@ impl Handler<SendSegment> for Router {
         match everywhere {
             true => self.machine.handle_copies(peer, class, &segment),
             false => self.machine.handle_segment(peer, class, segment),
+        }
+        self.drive_soon(context);
+    }
+}
+
+impl Handler<KeepOut> for Router {
+    type Result = ();
+
+    fn handle(&mut self, message: KeepOut, context: &mut Context<Self>) {
+        let KeepOut { node, isolated } = message;
+        self.machine.handle_isolation(&node, isolated, platform::now());
+        if isolated {
+            self.kept_out.insert(node);
+        } else {
+            self.kept_out.remove(&node);
         }
         self.drive(context);
     }

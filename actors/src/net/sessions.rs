@@ -4,11 +4,13 @@ use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
+use blastema_contract::monitor::NodeReported;
 use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::{PanicOnPurpose, PathReported, SegmentArrived, SendSegment};
 use blastema_contract::session::{
     AddGateway, BeginAnew, Leave, ReadSessions, Say, SayNewest, SessionReported, SessionRow,
 };
+use blastema_core::detection::NodeCondition;
 use blastema_core::net::complaints::Complaints;
 use blastema_core::net::segment::Stream;
 use blastema_core::net::{Crowd, NodeId, Refusals, Session, SessionConfig, SessionOutput};
@@ -35,6 +37,7 @@ pub(super) struct Sessions {
     router: Recipient<SendSegment>,
     gateway: Option<Recipient<SessionReported>>,
     faults: Option<Recipient<FaultDeclared>>,
+    nodes: Option<Recipient<NodeReported>>,
     complaints: Complaints<Option<NodeId>>,
     /// What came from nodes that no route leads to.
     strangers: Refusals,
@@ -48,6 +51,8 @@ struct Peer {
     number: u32,
     /// Which streams hold all that they should.
     full: BTreeSet<Stream>,
+    /// Since the last look something in its name came by way of others.
+    relayed: bool,
 }
 
 impl Sessions {
@@ -55,7 +60,7 @@ impl Sessions {
         node: NodeName,
         incarnation: Incarnation,
         router: Recipient<SendSegment>,
-        faults: Option<Recipient<FaultDeclared>>,
+        (faults, nodes): (Option<Recipient<FaultDeclared>>, Option<Recipient<NodeReported>>),
     ) -> Self {
         Sessions {
             node,
@@ -66,6 +71,7 @@ impl Sessions {
             router,
             gateway: None,
             faults,
+            nodes,
             complaints: Complaints::default(),
             strangers: Refusals::default(),
         }
@@ -85,7 +91,10 @@ impl Sessions {
             if self.peers.len() >= PEERS_MAX {
                 self.forget_one();
             }
-            self.peers.insert(id, Peer { node, path: None, number: 0, full: BTreeSet::new() });
+            self.peers.insert(
+                id,
+                Peer { node, path: None, number: 0, full: BTreeSet::new(), relayed: false },
+            );
             self.build(id);
         }
         id
@@ -124,11 +133,22 @@ impl Sessions {
         let peers = self.crowd.iter().map(|(id, session)| (Some(id), session.refusals()));
         let looks: Vec<_> = peers.chain([(None, self.strangers)]).collect();
         for (peer, refusals) in looks {
+            let known = peer.and_then(|id| self.peers.get_mut(&id));
+            let relayed = known.is_none_or(|known| std::mem::take(&mut known.relayed));
             let Some(since) = self.complaints.handle_look(peer, refusals) else { continue };
             let name = peer.and_then(|id| self.peers.get(&id)).map(|peer| peer.node.to_string());
             let name = name.unwrap_or_else(|| "nodes that no route leads to".to_owned());
             let detail = format!("what comes from {name} is refused all the time: {since}");
             warn!("{detail}");
+            // Nodes on the way may speak in another's name. Over its own links it is itself.
+            if let (Some(nodes), Some(peer), false) =
+                (&self.nodes, peer.and_then(|id| self.peers.get(&id)), relayed)
+            {
+                let (node, incarnation) = (peer.node.clone(), Incarnation::default());
+                let what = "it sent for seconds what had to be refused".to_owned();
+                let condition = NodeCondition::Offends { what };
+                nodes.do_send(NodeReported { node, incarnation, condition });
+            }
             if let Some(faults) = &self.faults {
                 faults.do_send(FaultDeclared {
                     object: super::named("sessions"),
@@ -253,6 +273,8 @@ impl Handler<PathReported> for Sessions {
     type Result = ();
 
     fn handle(&mut self, message: PathReported, context: &mut Context<Self>) {
+        // What was said and heard before goes first.
+        self.drive(context);
         let now = platform::now();
         match message {
             PathReported::Reachable { node, incarnation, mtu } => {
@@ -300,13 +322,17 @@ impl Handler<SegmentArrived> for Sessions {
     type Result = ();
 
     fn handle(&mut self, message: SegmentArrived, context: &mut Context<Self>) {
-        let SegmentArrived { source, segment } = message;
+        let SegmentArrived { source, segment, direct } = message;
         // A peer that the router has not told of yet repeats itself.
         let Some(session) = self.crowd.get_mut(source) else {
             self.strangers.unexpected += 1;
             return;
         };
         session.handle_segment(segment, platform::now());
+        self.drive_soon(context);
+        if !direct && let Some(peer) = self.peers.get_mut(&source) {
+            peer.relayed = true;
+        }
         self.drive(context);
     }
 }
@@ -315,13 +341,15 @@ impl Handler<Say> for Sessions {
     type Result = ();
 
     fn handle(&mut self, say: Say, context: &mut Context<Self>) {
-        let Say { peer, session, stream, message } = say;
+        let Say { peer, session, stream, message, credit } = say;
+        // The session has it from here on.
+        drop(credit);
         let sent = match self.present(peer, session) {
             Some(session) => session.handle_send(stream, message, platform::now()),
             None => Err((self.unreachable(peer), message)),
         };
         self.give_back(peer, sent);
-        self.drive(context);
+        self.drive_soon(context);
     }
 }
 
@@ -329,21 +357,23 @@ impl Handler<SayNewest> for Sessions {
     type Result = ();
 
     fn handle(&mut self, say: SayNewest, context: &mut Context<Self>) {
-        let SayNewest { peer, session, channel, message } = say;
+        let SayNewest { peer, session, channel, message, credit } = say;
+        drop(credit);
         let sent = match self.present(peer, session) {
             Some(session) => session.handle_send_newest(channel, message, platform::now()),
             None => Err((self.unreachable(peer), message)),
         };
         self.give_back(peer, sent);
-        self.drive(context);
+        self.drive_soon(context);
     }
 }
 
 impl Handler<BeginAnew> for Sessions {
     type Result = ();
 
-    fn handle(&mut self, _: BeginAnew, context: &mut Context<Self>) {
-        let ids: Vec<_> = self.peers.keys().copied().collect();
+    fn handle(&mut self, message: BeginAnew, context: &mut Context<Self>) {
+        let all = || self.peers.keys().copied().collect();
+        let ids: Vec<_> = message.peer.map_or_else(all, |peer| vec![peer]);
         for session in ids {
             if let Some(session) = self.crowd.get_mut(session) {
                 session.handle_begin_anew(platform::now());

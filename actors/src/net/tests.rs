@@ -26,6 +26,7 @@ use blastema_contract::transport::{
 };
 use blastema_core::dead_letters::DeadReason;
 use blastema_core::detection::{LinkCondition, NodeCondition};
+use blastema_core::net::isolation::Judges;
 use blastema_core::net::{LinkNumber, LinkState};
 use blastema_core::{
     Fault, FaultId, FaultKind, Incarnation, NodeName, ObjectName, Place, Severity, Why,
@@ -184,6 +185,8 @@ impl Robot {
             links: Some(links.recipient()),
             nodes: Some(nodes.recipient()),
             faults: Some(declared.recipient()),
+            judges: Judges::Majority,
+            envoys: Vec::new(),
         };
         let net = start(environment, specs).unwrap();
         let log = Log::default();
@@ -728,6 +731,8 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             links: None,
             nodes: None,
             faults: None,
+            judges: Judges::Majority,
+            envoys: Vec::new(),
         };
 
         let refused = start(environment, vec![spec]).err().unwrap();

@@ -2,22 +2,25 @@
 
 use super::door::Doors;
 use crate::desk::Desk;
-use crate::registry::{Port, Registry};
+use crate::registry::{Doorway, Port, Postmark, Registry, ReplyTo};
 use actix::prelude::*;
+use blastema_contract::monitor::NodeReported;
+use blastema_contract::router::KeepOut;
+use blastema_core::codec;
+use blastema_core::detection::NodeCondition;
 use blastema_core::net::isolation::{Isolation, IsolationOutput};
-use blastema_core::{NodeName, ObjectName};
+use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName, Why};
 use blastema_macros::Event;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tracing::warn;
 
-/// Under which name nodes tell each other of verdicts. It is no object that others can see.
+/// Under which name nodes tell each other their votes. It is no object that others can see.
 const PLACE: &str = "net/isolation";
 
-/// One node tells another of verdicts. The bytes are the machine's.
+/// One node tells another its votes. The bytes are the machine's.
 #[derive(Clone, Debug, Event)]
-#[contract(crate = "crate", name = "blastema/verdicts", version = 1, max_size = 256 * 1024)]
-struct Verdicts {
-    from: String,
+#[contract(crate = "crate", name = "blastema/votes", version = 1, max_size = 128 * 1024)]
+struct Votes {
     message: Vec<u8>,
 }
 
@@ -29,36 +32,30 @@ pub(super) struct KeptOut {
     pub(super) isolated: bool,
 }
 
+/// Who is told of it.
+pub(super) struct Told {
+    pub(super) doors: Arc<Doors>,
+    pub(super) registry: Registry,
+    pub(super) gateway: Recipient<KeptOut>,
+    pub(super) router: Recipient<KeepOut>,
+    pub(super) monitor: Option<Recipient<NodeReported>>,
+}
+
 /// Who is kept out. Clones are the same.
 #[derive(Clone)]
 pub(crate) struct Wardens {
-    own: NodeName,
     machine: Arc<Mutex<Isolation>>,
-    doors: Arc<Doors>,
-    registry: Registry,
-    gateway: Recipient<KeptOut>,
+    told: Arc<Told>,
 }
 
 impl Wardens {
-    pub(super) fn new(
-        own: NodeName,
-        doors: Arc<Doors>,
-        registry: Registry,
-        gateway: Recipient<KeptOut>,
-    ) -> Self {
-        let machine = Arc::new(Mutex::new(Isolation::new(own.clone())));
-        let wardens = Wardens { own, machine, doors, registry, gateway };
-        let hears = wardens.clone();
-        let desk = Desk::<Verdicts>(Arc::new(move |told: Verdicts, answer| {
-            if let Ok(from) = NodeName::new(&told.from) {
-                let mut machine = hears.lock();
-                machine.handle_told(&from, &told.message);
-                hears.carry_out(machine);
-            }
-            answer.give(());
-        }));
+    pub(super) fn new(machine: Isolation, told: Told) -> Self {
+        let wardens = Wardens { machine: Arc::new(Mutex::new(machine)), told: Arc::new(told) };
+        // This node's own votes do not go this way.
+        let desk = Desk::<Votes>(Arc::new(|_, answer| answer.give(())));
+        let port = Port::of_peers(desk, Arc::new(BallotBox(wardens.clone())));
         let place = ObjectName::new(PLACE).expect("a name of letters");
-        wardens.registry.hide(place, Port::of_desk(desk));
+        wardens.told.registry.hide(place, port);
         wardens
     }
 
@@ -67,10 +64,17 @@ impl Wardens {
     }
 
     /// This node decides.
-    pub(crate) fn decide(&self, node: &NodeName, isolated: bool) {
+    pub(crate) fn decide(&self, node: &NodeName, isolated: bool, cause: &str) {
         let mut machine = self.lock();
-        machine.handle_decision(node, isolated);
+        machine.handle_decision(node, isolated, cause);
         self.carry_out(machine);
+    }
+
+    /// A strategy decides. What the others have decided already it does not make its own.
+    pub(super) fn carry_decision_out(&self, node: &NodeName, isolated: bool, cause: &str) {
+        if self.lock().is_isolated(node) != isolated {
+            self.decide(node, isolated, cause);
+        }
     }
 
     /// A session with this node has begun.
@@ -82,7 +86,9 @@ impl Wardens {
 
     /// The session with this node has ended.
     pub(super) fn ended(&self, node: &NodeName) {
-        self.lock().handle_ended(node);
+        let mut machine = self.lock();
+        machine.handle_ended(node);
+        self.carry_out(machine);
     }
 
     /// Does what the machine wants, outside of the lock.
@@ -92,19 +98,60 @@ impl Wardens {
         for output in outputs {
             match output {
                 IsolationOutput::Tell { to, message } => {
-                    let sender = self.registry.sender::<Verdicts>(&format!("{to}:{PLACE}"));
+                    let sender = self.told.registry.sender::<Votes>(&format!("{to}:{PLACE}"));
                     if let Ok(sender) = sender {
-                        let from = self.own.to_string();
                         // Who cannot be told now is told when its session begins.
-                        let _ = sender.tell(Verdicts { from, message: message.into() });
+                        let _ = sender.tell(Votes { message: message.into() });
                     }
                 }
-                IsolationOutput::Isolate { node, isolated, by } => {
-                    warn!(%node, isolated, %by, "a node is isolated, or admitted again");
-                    self.doors.gate(&node).isolate(isolated);
-                    self.gateway.do_send(KeptOut { node, isolated });
+                IsolationOutput::Isolate { node, isolated, reason } => {
+                    self.isolate(node, isolated, reason);
+                }
+                IsolationOutput::Accused { node, reason } => {
+                    warn!(%node, "to be isolated {reason}; more votes are needed");
                 }
             }
         }
+    }
+
+    fn isolate(&self, node: NodeName, isolated: bool, reason: String) {
+        warn!(%node, isolated, "isolated, or admitted again, {reason}");
+        let Told { doors, gateway, router, monitor, .. } = &*self.told;
+        doors.gate(&node).isolate(isolated);
+        router.do_send(KeepOut { node: node.clone(), isolated });
+        gateway.do_send(KeptOut { node: node.clone(), isolated });
+        if let Some(monitor) = monitor {
+            let condition = match isolated {
+                true => NodeCondition::Isolated { reason },
+                false => NodeCondition::Admitted,
+            };
+            let incarnation = Incarnation::default();
+            monitor.do_send(NodeReported { node, incarnation, condition });
+        }
+    }
+}
+
+/// Takes votes. Whose they are, the session says that they come over.
+struct BallotBox(Wardens);
+
+impl Doorway for BallotBox {
+    fn deliver(
+        &self,
+        message: &[u8],
+        Postmark { from: peer, .. }: Postmark,
+        _: Option<ReplyTo>,
+    ) -> Result<(), Why> {
+        let votes = codec::decode::<Votes>(message)
+            .map_err(|error| Why::Undecodable { reason: error.to_string() })?;
+        let mut machine = self.0.lock();
+        if let Some(from) = peer.and_then(|peer| machine.peer(peer)) {
+            machine.handle_told(&from, &votes.message);
+        }
+        self.0.carry_out(machine);
+        Ok(())
+    }
+
+    fn declare(&self, _: FaultKind, _: String) {
+        // The node's own contracts differ only between nodes of different versions, which sessions tell.
     }
 }

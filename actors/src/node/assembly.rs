@@ -16,6 +16,7 @@ use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
 use crate::host::environment::{HostEnvironment, Reports};
 use crate::host::spec::SpecError;
 use crate::host::watch::{self as lookout, WatchGuard};
+use crate::net::claims::{ClaimsBody, ClaimsSetup};
 use crate::net::{self, NetEnvironment, NetHandle};
 use crate::registry::Registry;
 use crate::service::{Carried, ReplicaBody};
@@ -26,11 +27,12 @@ use blastema_contract::monitor::{Dismiss, Enrol, ReadTable};
 use blastema_contract::notifier::AddPort;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::strategy::{Reroute, RestNode};
+use blastema_contract::strategy::{IsolateNode, Reroute, RestNode};
 use blastema_contract::transport::Close;
 use blastema_core::detection::{
     DetectorLimits, EnrolError, Enrolment, MonitorLimits, NotifierLimits, ObjectKind, Port, Watch,
 };
+use blastema_core::net::isolation::Judges;
 use blastema_core::recovery::{self, RecovererLimits, Restart};
 use blastema_core::scanner::ScannerConfig;
 use blastema_core::{
@@ -55,7 +57,7 @@ pub(super) struct Chain {
     recoverer: Recipient<Recover>,
     /// Looks at arbiters and components; it ends when it is dropped.
     lookout: Mutex<Option<WatchGuard>>,
-    router: Arc<OnceLock<Recipient<Reroute>>>,
+    router: Arc<OnceLock<(Recipient<Reroute>, Recipient<IsolateNode>)>>,
 }
 
 impl Chain {
@@ -181,7 +183,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
     });
 
     let (directory, registry) = (Directory::default(), Registry::default());
-    let router: Arc<OnceLock<Recipient<Reroute>>> = Arc::default();
+    let router = Arc::<OnceLock<_>>::default();
     let tools = Tools::new(ToolBox {
         node: node.clone(),
         directory: directory.clone(),
@@ -271,7 +273,7 @@ impl Networks {
 
 /// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
 fn make_networks(
-    networks: Vec<Network>,
+    (networks, judges): (Vec<Network>, Judges),
     placement: Placement,
     (node, incarnation): (&NodeName, Incarnation),
     parts: &Parts,
@@ -306,19 +308,54 @@ fn make_networks(
         links: Some(monitor.clone().recipient()),
         nodes: Some(monitor.clone().recipient()),
         faults: Some(monitor.clone().recipient()),
+        judges,
+        envoys: Vec::new(),
     };
+    let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();
+    let setup = claims_setup((node, incarnation), parts, environment);
+    let setup = ClaimsSetup {
+        settle: settling(slowest.unwrap_or_default()),
+        expected: neighbours.iter().cloned().collect(),
+        ..setup
+    };
+    let claims = ClaimsBody::start(setup, guardian, arbiter.as_ref());
+    enrolments.push(middleware(named("net/claims"), Some(claims.inquiries)));
+    let net_environment = NetEnvironment { envoys: vec![claims.peers], ..net_environment };
     let handle = net::start(net_environment, specs)
         .map_err(|error| StartError::Network(error.to_string()))?;
     let own = handle.inquiries().into_iter();
     enrolments.extend(own.map(|(name, inquiries)| middleware(name, Some(inquiries))));
     // The recipient is set once, here.
-    let _ = chain.router.set(handle.reroute());
+    let _ = chain.router.set((handle.reroute(), handle.isolation()));
     for neighbour in neighbours {
         let recover = handle.recoverer_of(&neighbour);
         let port = Port::Remote(neighbour);
         chain.notifier.do_send(AddPort { port, recover, stand_down: None });
     }
     Ok((Networks { handle, cables, transports, arbiter }, enrolments))
+}
+
+/// Claims of a node that knows nobody.
+fn claims_setup(
+    (node, incarnation): (&NodeName, Incarnation),
+    parts: &Parts,
+    environment: &HostEnvironment,
+) -> ClaimsSetup {
+    ClaimsSetup {
+        node: node.clone(),
+        incarnation,
+        settle: Duration::ZERO,
+        expected: Vec::new(),
+        registry: environment.registry.clone(),
+        names: environment.names.clone(),
+        faults: Some(parts.monitor.clone().recipient()),
+    }
+}
+
+/// How long a node listens after its start before it grants itself a name, where hellos come so often:
+/// a link that failed once lately is up after nine of them, and the rest is for sessions on slow media.
+fn settling(hello_interval: Duration) -> Duration {
+    (hello_interval * 12 + Duration::from_millis(400)).min(Duration::from_secs(30))
 }
 
 /// A thread that hangs cannot be ended. When several have been given up, only a new process helps.
@@ -388,10 +425,38 @@ fn check_service(carried: &Carried) -> Result<(), StartError> {
     Err(StartError::Service { name: name.clone(), reason })
 }
 
+/// Whose word isolates a node.
+fn judges(wardens: &[String]) -> Result<Judges, NameError> {
+    if wardens.is_empty() {
+        return Ok(Judges::Majority);
+    }
+    let wardens = wardens.iter().map(|name| NodeName::new(name));
+    Ok(Judges::Wardens(wardens.collect::<Result<_, _>>()?))
+}
+
+/// Of services that wait for each other, none would ever serve.
+fn check_service_order(carried: &[Carried]) -> Result<(), StartError> {
+    let mut open: Vec<_> = carried.iter().collect();
+    loop {
+        let waits =
+            |service: &&Carried| open.iter().any(|other| service.depends_on.contains(&other.name));
+        let left: Vec<_> = open.iter().copied().filter(|service| waits(service)).collect();
+        match left.first() {
+            None => return Ok(()),
+            Some(Carried { name, .. }) if left.len() == open.len() => {
+                let reason = "it depends on itself, perhaps by way of others: leave out one of the dependencies";
+                return Err(StartError::Service { name: name.clone(), reason: reason.to_owned() });
+            }
+            Some(_) => open = left,
+        }
+    }
+}
+
 pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
     let node = NodeName::new(&builder.name)?;
     let incarnation = platform::node_incarnation();
+    let judges = judges(&builder.wardens)?;
     let parts = make_chain(&builder, &node)?;
 
     let arbiters = match builder.placement {
@@ -410,9 +475,12 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     let mut undone = Undone { arbiters: arbiters.clone(), own, kept: false };
     let environment = HostEnvironment { registry, ..HostEnvironment::new(arbiters, reports) };
     let (networks, network_enrolments) = if builder.networks.is_empty() {
-        (None, Vec::new())
+        let setup = claims_setup((&node, incarnation), &parts, &environment);
+        let arbiter = parts.chain.arbiter.as_ref();
+        let claims = ClaimsBody::start(setup, &parts.guardian, arbiter);
+        (None, vec![middleware(named("net/claims"), Some(claims.inquiries))])
     } else {
-        let (networks, placement) = (builder.networks, builder.placement);
+        let (networks, placement) = ((builder.networks, judges), builder.placement);
         let who = (&node, incarnation);
         let (networks, enrolments) = make_networks(networks, placement, who, &parts, &environment)?;
         undone.own.extend(networks.arbiter.clone());
@@ -439,9 +507,10 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     if let Some(networks) = &networks {
         environment.services.find_by(networks.handle.finder());
     }
-    for carried in builder.services {
-        let carried = carried?;
-        check_service(&carried)?;
+    let services: Vec<_> = builder.services.into_iter().collect::<Result<_, _>>()?;
+    services.iter().try_for_each(check_service)?;
+    check_service_order(&services)?;
+    for carried in services {
         let name = carried.body.clone();
         environment.services.enter(carried.name.clone(), carried.config.members.clone());
         let place = networks.as_ref().and_then(|networks| networks.arbiter.as_ref());

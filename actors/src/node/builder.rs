@@ -96,6 +96,7 @@ pub struct NodeBuilder {
     pub(super) grace: Duration,
     pub(super) networks: Vec<Network>,
     pub(super) services: Vec<Result<Carried, NameError>>,
+    pub(super) wardens: Vec<String>,
 }
 
 impl fmt::Debug for NodeBuilder {
@@ -119,6 +120,7 @@ impl NodeBuilder {
             grace: Duration::from_millis(200),
             networks: Vec::new(),
             services: Vec::new(),
+            wardens: Vec::new(),
         }
     }
 
@@ -156,6 +158,13 @@ impl NodeBuilder {
     /// One more network that the node is on.
     pub fn network(mut self, network: Network) -> Self {
         self.networks.push(network);
+        self
+    }
+
+    /// One more node whose word alone [isolates](Node::isolate) another one, or lets it in again. Without
+    /// any, it takes more than half of the nodes that are there. Every node of the robot is told the same.
+    pub fn warden(mut self, node: &str) -> Self {
+        self.wardens.push(node.to_owned());
         self
     }
 

@@ -24,6 +24,7 @@ pub use network::{Cable, Direction, Impairment, Link, MemoryMedium, Network};
 pub use tree::SupervisorSpec;
 
 use crate::chain::supervisor::SupervisorChild;
+use crate::claim::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
 use crate::component::Component;
 use crate::host::environment::HostEnvironment;
 use crate::host::office::DeadLetterOffice;
@@ -45,6 +46,7 @@ use blastema_contract::session::SessionRow;
 use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
 use blastema_core::detection::{Record, Row};
 use blastema_core::net::Route;
+use blastema_core::net::claims::Wanted;
 use blastema_core::{
     Contract, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable, Why,
 };
@@ -145,7 +147,8 @@ impl Node {
     }
 
     /// Where messages of contract `M` to the object of this name can be sent. The name is that of an
-    /// object here, such as `arm/elbow`, or anywhere, such as `module2:arm/elbow`.
+    /// object here, such as `arm/elbow`, or anywhere, such as `module2:arm/elbow`, or one that is
+    /// [claimed](crate::manual::names) by whichever node, such as `*:map`.
     ///
     /// # Errors
     /// [`Why::Unknown`] where no object here has the name, or it does not take the contract;
@@ -164,9 +167,10 @@ impl Node {
         variable::find(&self.0.environment.registry, object)
     }
 
-    /// Isolates a node that cannot be recovered: from now on what it sends is refused by every node, and
-    /// nothing is sent there ([`Why::Isolated`]). A node that is away is told when it is back. Nothing
-    /// happens without a network.
+    /// Isolates a node that cannot be recovered: from now on what it sends is refused here, and nothing is
+    /// sent there ([`Why::Isolated`]). The others follow if this node is a
+    /// [warden](NodeBuilder::warden), or when more than half of the nodes have said so. A node that is
+    /// away is told when it is back. Nothing happens without a network.
     ///
     /// # Errors
     /// The name does not parse.
@@ -174,7 +178,8 @@ impl Node {
         self.set_isolated(node, true)
     }
 
-    /// Lets an isolated node in again, everywhere. All sessions of every node begin anew for that.
+    /// Takes back what this node has said about an isolated one, or says that it is to be let in again.
+    /// The session with that node begins anew.
     ///
     /// # Errors
     /// The name does not parse.
@@ -188,6 +193,50 @@ impl Node {
             networks.handle.isolate(&node, isolated);
         }
         Ok(())
+    }
+
+    /// Claims a [name of the whole robot](crate::manual::names) for the object that is called so here, and
+    /// waits until that is decided: for a second at most after the start of the node, else not at all.
+    /// Messages to `*:<name>` reach that object then, from every node. The name is given back when the
+    /// [`Claim`] is dropped; a component claims by [`ChildSpec::claim`].
+    ///
+    /// # Errors
+    /// [`ClaimError::Held`] where another object has the name, on whichever node, and the policy is to be
+    /// refused.
+    pub async fn claim(&self, name: &str, policy: ClaimPolicy) -> Result<Claim, ClaimError> {
+        self.claim_for(name, name, policy).await
+    }
+
+    /// Claims a name of the whole robot for the object `object` of this node.
+    ///
+    /// # Errors
+    /// As [`claim`](Self::claim).
+    pub async fn claim_for(
+        &self,
+        name: &str,
+        object: &str,
+        policy: ClaimPolicy,
+    ) -> Result<Claim, ClaimError> {
+        let (name, object) = (ObjectName::new(name)?, ObjectName::new(object)?);
+        Claim::make(&self.0.environment.names, Wanted { name, object, policy }).await
+    }
+
+    /// Who holds a name of the whole robot, as far as this node knows.
+    pub fn holder(&self, name: &str) -> Option<Holder> {
+        self.0.environment.names.holder(&ObjectName::new(name).ok()?)
+    }
+
+    /// Tells who holds a name of the whole robot, now and whenever that changes.
+    ///
+    /// # Errors
+    /// The name does not parse.
+    pub fn watch_name(&self, name: &str) -> Result<NameWatch, NameError> {
+        Ok(NameWatch::new(&self.0.environment.names, ObjectName::new(name)?))
+    }
+
+    /// All names of the whole robot that are held, and by whom.
+    pub fn claims(&self) -> Vec<ClaimRow> {
+        self.0.environment.names.rows()
     }
 
     /// Asks the service of this name, whichever node serves it. Found are services that this node

@@ -1,5 +1,6 @@
 //! One replica of a service: the body of the machine in the core.
 
+use super::finder::Finder;
 use super::roster::Roster;
 use super::words::{
     Answered, AskService, LoadState, ReplicaSays, RoleChanged, SaveState, Serving, Task, WhoServes,
@@ -20,7 +21,7 @@ use blastema_core::service::{
 };
 use blastema_core::{Contract, MessageId, NodeName, ObjectName, PeerIdentity, Why, codec};
 use bytes::Bytes;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::{info, warn};
@@ -29,6 +30,10 @@ use tracing::{info, warn};
 const LOAD_AGAIN: Duration = Duration::from_millis(5);
 /// The most bytes of one task: the caller's limit, which is checked there as well.
 const TASK_MAX: usize = 2 * 1024 * 1024;
+
+/// Questions that may wait for somebody to serve: a few of each of many callers. Further ones are answered
+/// with what is known.
+const WONDERING_MAX: usize = 1024;
 
 /// A service as a node carries it.
 #[derive(Clone)]
@@ -59,6 +64,9 @@ pub(crate) struct ReplicaBody {
     registry: Registry,
     roster: Roster,
     callers: BTreeMap<u64, Answer<AskService>>,
+    /// Who wants to know who serves, while nobody does.
+    wondering: VecDeque<Wondered>,
+    inquiry: Option<SpawnHandle>,
     next: u64,
     others: BTreeMap<NodeName, Sender<ReplicaSays>>,
 }
@@ -82,6 +90,8 @@ impl ReplicaBody {
                 registry: names,
                 roster: known,
                 callers: BTreeMap::new(),
+                wondering: VecDeque::new(),
+                inquiry: None,
                 next: 0,
                 others: BTreeMap::new(),
             }
@@ -96,12 +106,9 @@ impl ReplicaBody {
         let serve = Desk::<AskService>(Arc::new(move |ask, answer| {
             asked.do_send(Asked(ask, answer));
         }));
-        let (name, status) = (carried.name.clone(), roster.clone());
-        let keeps = carried.config.kind != StandbyKind::Cold;
-        let own = carried.config.own.clone();
-        let who = Desk::<WhoServes>(Arc::new(move |_, answer| {
-            let primary = status.primary(&name, &own).map(|node| node.to_string());
-            answer.give(Serving { primary, keeps });
+        let wondered = body.clone().recipient::<Wondered>();
+        let who = Desk::<WhoServes>(Arc::new(move |question, answer| {
+            wondered.do_send(Wondered(question, answer));
         }));
         ports.insert(ReplicaSays::NAME, Port::of_desk(says));
         ports.insert(AskService::NAME, Port::of_desk(serve));
@@ -220,24 +227,69 @@ impl ReplicaBody {
                 info!(service = %name, epoch, "this node serves");
                 Some(*epoch)
             }
-            Role::Standby { primary } => {
+            Role::Standby { primary, in_step } => {
                 let primary = primary.as_ref().map_or("nobody", NodeName::as_str);
-                info!(service = %name, primary, "this node stands by");
+                info!(service = %name, primary, in_step, "this node stands by");
                 None
             }
         };
+        let before = self.roster.role(name);
         self.roster.note(name, role.clone());
+        for question in std::mem::take(&mut self.wondering) {
+            self.tell_who_serves(question);
+        }
+        if matches!(before, Some(Role::Primary { .. })) || epoch.is_some() {
+            self.tell_role(context);
+        }
+    }
+
+    /// Answers at once where somebody serves, else as soon as anybody does.
+    fn tell_who_serves(&mut self, Wondered(question, answer): Wondered) {
+        let config = &self.carried.config;
+        let primary = self.roster.primary(&self.carried.name, &config.own);
+        let primary = primary.map(|node| node.to_string());
+        let known = primary.is_some() && primary != question.besides;
+        if !known && self.wondering.len() >= WONDERING_MAX {
+            // Those whose deadline has passed.
+            self.wondering.retain(|Wondered(_, answer)| answer.is_wanted());
+        }
+        if !known && self.wondering.len() < WONDERING_MAX {
+            return self.wondering.push_back(Wondered(question, answer));
+        }
+        let keeps = config.kind != StandbyKind::Cold;
+        let members = config.members.iter().map(NodeName::to_string).collect();
+        answer.give(Serving { primary, keeps, members });
+    }
+
+    /// The component is to know whether it serves.
+    fn tell_role(&self, context: &mut Context<Self>) {
+        let epoch = match self.roster.role(&self.carried.name) {
+            Some(Role::Primary { epoch }) => Some(epoch),
+            _ => None,
+        };
         let mut bytes = Vec::new();
         // A number always fits.
         let _ = codec::encode(&RoleChanged { epoch }, &mut bytes);
         self.hand_over((RoleChanged::NAME, &bytes), |_| Done::Told, context);
     }
 
-    /// After every input: are the others there that this service needs?
-    fn go_on(&mut self, context: &mut Context<Self>) {
-        let ready = self.roster.all_served(&self.carried.depends_on);
-        self.machine.handle_ready(ready);
-        self.drive(context);
+    /// Waits for the others that this service needs; there is one inquiry at a time.
+    fn inquire(&mut self, context: &mut Context<Self>) {
+        if let Some(before) = self.inquiry.take() {
+            context.cancel_future(before);
+        }
+        let finders = self.carried.depends_on.iter();
+        let finders: Vec<_> =
+            finders.map(|name| Finder::new(name.clone(), &self.registry, &self.roster)).collect();
+        let served = async move {
+            futures_util::future::join_all(finders.iter().map(Finder::served)).await;
+        };
+        let told = |(), body: &mut Self, context: &mut Context<Self>| {
+            body.inquiry = None;
+            body.machine.handle_ready(platform::now());
+            body.drive(context);
+        };
+        self.inquiry = Some(context.spawn(actix::fut::wrap_future::<_, Self>(served).map(told)));
     }
 }
 
@@ -259,6 +311,7 @@ impl Body for ReplicaBody {
             ReplicaOutput::Execute { request, save } => self.execute(&request, save, context),
             ReplicaOutput::Save => self.save(None, context),
             ReplicaOutput::Load { state } => self.load(state, context),
+            ReplicaOutput::Inquire => self.inquire(context),
             ReplicaOutput::Answer { caller, outcome } => {
                 if let Some(answer) = self.callers.remove(&caller) {
                     answer.give(match outcome {
@@ -277,8 +330,6 @@ impl Body for ReplicaBody {
                 }
             }
         }
-        let ready = self.roster.all_served(&self.carried.depends_on);
-        self.machine.handle_ready(ready);
     }
 }
 
@@ -288,12 +339,7 @@ impl Actor for ReplicaBody {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        if !self.carried.depends_on.is_empty() {
-            // What others become is not told, but looked at.
-            let interval = self.carried.config.hello_interval;
-            context.run_interval(interval, |body, context| body.go_on(context));
-        }
-        self.go_on(context);
+        self.drive(context);
     }
 }
 
@@ -304,7 +350,9 @@ impl Supervised for ReplicaBody {
         self.machine = Replica::new(config, initial, platform::now());
         self.wake = Wake::default();
         self.callers.clear();
-        let nobody = Role::Standby { primary: None };
+        self.wondering.clear();
+        self.inquiry = None;
+        let nobody = Role::Standby { primary: None, in_step: false };
         self.became(&nobody, context);
         self.started(context);
     }
@@ -321,7 +369,7 @@ impl Handler<Heard> for ReplicaBody {
     fn handle(&mut self, Heard(says): Heard, context: &mut Context<Self>) {
         if let Ok(from) = NodeName::new(&says.from) {
             self.machine.handle_message(&from, &says.message, platform::now());
-            self.go_on(context);
+            self.drive(context);
         }
     }
 }
@@ -345,7 +393,20 @@ impl Handler<Asked> for ReplicaBody {
         self.callers.insert(self.next, answer);
         let id = MessageId { sender, sequence };
         self.machine.handle_request(self.next, id, request.into(), platform::now());
-        self.go_on(context);
+        self.drive(context);
+    }
+}
+
+/// Somebody wants to know who serves.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Wondered(WhoServes, Answer<WhoServes>);
+
+impl Handler<Wondered> for ReplicaBody {
+    type Result = ();
+
+    fn handle(&mut self, wondered: Wondered, _: &mut Context<Self>) {
+        self.tell_who_serves(wondered);
     }
 }
 
@@ -359,7 +420,9 @@ impl Handler<Died> for ReplicaBody {
 
     fn handle(&mut self, _: Died, context: &mut Context<Self>) {
         self.machine.handle_component_died(platform::now());
-        self.go_on(context);
+        // Its next life knows nothing.
+        self.tell_role(context);
+        self.drive(context);
     }
 }
 
@@ -394,6 +457,6 @@ impl Handler<Done> for ReplicaBody {
             }
             Done::Told => return,
         }
-        self.go_on(context);
+        self.drive(context);
     }
 }

@@ -34,7 +34,7 @@ impl Roster {
 
     /// This node carries a service.
     pub(crate) fn enter(&self, name: ObjectName, members: Vec<NodeName>) {
-        let role = Role::Standby { primary: None };
+        let role = Role::Standby { primary: None, in_step: false };
         self.lock().insert(name, Entry { members, role });
     }
 
@@ -54,18 +54,8 @@ impl Roster {
     pub(crate) fn primary(&self, name: &ObjectName, own: &NodeName) -> Option<NodeName> {
         match &self.lock().get(name)?.role {
             Role::Primary { .. } => Some(own.clone()),
-            Role::Standby { primary } => primary.clone(),
+            Role::Standby { primary, .. } => primary.clone(),
         }
-    }
-
-    /// Somebody serves each of these, as far as this node carries them.
-    pub(crate) fn all_served(&self, names: &[ObjectName]) -> bool {
-        let services = self.lock();
-        let unserved = |name: &ObjectName| {
-            let role = services.get(name).map(|entry| &entry.role);
-            matches!(role, Some(Role::Standby { primary: None }))
-        };
-        !names.iter().any(unserved)
     }
 
     /// The nodes that carry the service: as declared here, or as others say.

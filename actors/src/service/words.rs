@@ -54,10 +54,13 @@ pub(crate) enum Answered {
     },
 }
 
-/// Who serves?
-#[derive(Clone, Copy, Debug, Request)]
+/// Who serves? It is answered as soon as that is known.
+#[derive(Clone, Debug, Request)]
 #[contract(crate = "crate", name = "blastema/who-serves", version = 1, reply = Serving)]
-pub(crate) struct WhoServes;
+pub(crate) struct WhoServes {
+    /// This one is not meant: the asker has found it silent.
+    pub(crate) besides: Option<String>,
+}
 
 /// As far as this replica knows.
 #[derive(Clone, Debug, Structure)]
@@ -66,6 +69,8 @@ pub(crate) struct Serving {
     pub(crate) primary: Option<String>,
     /// Whoever takes over knows what was served before.
     pub(crate) keeps: bool,
+    /// All who carry the service.
+    pub(crate) members: Vec<String>,
 }
 
 /// The component gives its state.

@@ -32,6 +32,18 @@ pub struct SegmentArrived {
     pub source: NodeId,
     /// What.
     pub segment: Bytes,
+    /// It came over a link with that node itself.
+    pub direct: bool,
+}
+
+/// A node is isolated: nothing is passed on from it, to it, or over it. Or it is let in again.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct KeepOut {
+    /// Which.
+    pub node: NodeName,
+    /// Whether it is isolated.
+    pub isolated: bool,
 }
 
 /// The way to a node has changed.

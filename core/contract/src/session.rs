@@ -10,11 +10,46 @@ use blastema_core::net::session::SessionCounters;
 use blastema_core::net::{NodeId, Refusals};
 use blastema_core::{Incarnation, NodeName, Why};
 use bytes::Bytes;
+use std::fmt;
+use std::sync::Arc;
 use std::time::Duration;
+
+/// Whoever lets only so much be under way.
+pub trait Lender: Send + Sync {
+    /// So many bytes are not under way any more.
+    fn give_back(&self, bytes: usize);
+}
+
+/// The room that a message takes until the sessions have it; dropping gives it back.
+///
+/// actix mailboxes have no bound. Whoever sends holds itself to what it has lent.
+pub struct Credit {
+    lender: Arc<dyn Lender>,
+    bytes: usize,
+}
+
+impl Credit {
+    /// Room for so many bytes, that has been taken.
+    pub fn new(lender: Arc<dyn Lender>, bytes: usize) -> Self {
+        Credit { lender, bytes }
+    }
+}
+
+impl Drop for Credit {
+    fn drop(&mut self) {
+        self.lender.give_back(self.bytes);
+    }
+}
+
+impl fmt::Debug for Credit {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        to.debug_struct("Credit").field("bytes", &self.bytes).finish_non_exhaustive()
+    }
+}
 
 /// Sends a message, exactly once and in the order of its stream. If it cannot be, it comes back as
 /// [`SessionReported::Returned`].
-#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[derive(Debug, Message)]
 #[rtype(result = "()")]
 pub struct Say {
     /// Whom.
@@ -25,10 +60,12 @@ pub struct Say {
     pub stream: Stream,
     /// What.
     pub message: Bytes,
+    /// Room that it takes with whoever sent it.
+    pub credit: Option<Credit>,
 }
 
 /// Sends a message once, if at all: of one channel the newest that arrives counts.
-#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[derive(Debug, Message)]
 #[rtype(result = "()")]
 pub struct SayNewest {
     /// Whom.
@@ -39,6 +76,8 @@ pub struct SayNewest {
     pub channel: u32,
     /// What.
     pub message: Bytes,
+    /// Room that it takes with whoever sent it.
+    pub credit: Option<Credit>,
 }
 
 /// What a session has to tell.
@@ -108,10 +147,14 @@ pub enum SessionReported {
 #[rtype(result = "()")]
 pub struct AddGateway(pub Recipient<SessionReported>);
 
-/// The gateway begins anew: every session is to end and begin again, so that both ends agree.
+/// The gateway begins anew, with everybody or with one peer: the session is to end and begin again, so
+/// that both ends agree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct BeginAnew;
+pub struct BeginAnew {
+    /// With whom; `None` for all.
+    pub peer: Option<NodeId>,
+}
 
 /// This node ends in order: what was sent is to be delivered, then every session ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
@@ -136,4 +179,27 @@ pub struct SessionRow {
     pub counters: SessionCounters,
     /// What was refused so far.
     pub refusals: Refusals,
+}
+
+/// How another node stands, for those of the middleware that talk to each other across nodes.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub enum PeerSeen {
+    /// A session with it has begun: it can be talked to.
+    Opened {
+        /// Which.
+        node: NodeName,
+        /// In which of its lives.
+        incarnation: Incarnation,
+    },
+    /// The session has ended, or nothing that it says counts.
+    Ended {
+        /// Which.
+        node: NodeName,
+    },
+    /// It says that it ends in order.
+    Left {
+        /// Which.
+        node: NodeName,
+    },
 }

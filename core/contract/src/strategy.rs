@@ -2,7 +2,7 @@
 
 use actix::Message;
 use blastema_core::recovery::{Done, Failed, Order};
-use blastema_core::{Fault, Place};
+use blastema_core::{Fault, NodeName, Place};
 
 /// Carry one measure out. Answered when it has worked or failed; a strategy that dies, or is silent
 /// for longer than the plan gives it, has failed.
@@ -16,6 +16,18 @@ pub struct CarryOut(pub Order);
 pub struct Reroute {
     /// What is not to be used any more.
     pub place: Place,
+}
+
+/// To the network: keep this node out everywhere, or let it in again.
+#[derive(Clone, Debug, Message)]
+#[rtype(result = "Result<Done, Failed>")]
+pub struct IsolateNode {
+    /// Which.
+    pub node: NodeName,
+    /// Whether it is to be isolated.
+    pub isolated: bool,
+    /// Why, as the others are told.
+    pub cause: String,
 }
 
 /// To the node: nothing else could contain this. Apply the safe outputs, stop everything, rest.

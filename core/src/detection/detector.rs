@@ -2,6 +2,7 @@
 
 mod judgement;
 
+use super::conduct::Conduct;
 use super::reminders::{Reminder, Reminders};
 use super::symptoms::{Dependencies, is_down};
 use super::{
@@ -43,6 +44,7 @@ pub struct Detector {
     /// Faults that the notifier knows of, and does not know to be over.
     handed: BTreeSet<FaultId>,
     reminders: Reminders,
+    conduct: Conduct,
     handover: Handover<Notice>,
     told: VecDeque<DetectorOutput>,
     last_number: u64,
@@ -62,6 +64,10 @@ pub struct DetectorLimits {
     pub decision: Duration,
     /// How often a recoverer is reminded before the fault is given up.
     pub reminders: u32,
+    /// So many offences of another node within `offences_period` are a fault. More forgives more.
+    pub offences: u32,
+    /// See `offences`.
+    pub offences_period: Duration,
     /// The hand-over to the notifier.
     pub handover: HandoverLimits,
 }
@@ -76,6 +82,9 @@ impl Default for DetectorLimits {
             // A recoverer decides in microseconds; a second is an outage of the recoverer itself.
             decision: Duration::from_secs(1),
             reminders: 3,
+            // A flood is told every three seconds; a process that dies five times in a minute will again.
+            offences: 5,
+            offences_period: Duration::from_secs(60),
             handover: HandoverLimits::default(),
         }
     }
@@ -154,6 +163,7 @@ impl Detector {
             explicable: BTreeSet::new(),
             handed: BTreeSet::new(),
             reminders: Reminders::default(),
+            conduct: Conduct::new(limits.offences, limits.offences_period),
             handover: Handover::new(limits.handover, now.as_nanos()),
             told: VecDeque::new(),
             last_number: 0,

@@ -23,6 +23,7 @@
 
 mod checks;
 mod chronicle;
+mod conduct;
 mod detector;
 mod enrolment;
 mod entry;

@@ -33,6 +33,8 @@ struct NodeSeen {
     standing: Standing,
     last_sign: Option<Instant>,
     restarts: u32,
+    /// Who has isolated it, and why.
+    isolated: Option<String>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -96,6 +98,10 @@ impl Neighbourhood {
         condition: NodeCondition,
         now: Instant,
     ) -> Result<Option<News>, Incarnation> {
+        use NodeCondition::{Admitted, Isolated, Offends};
+        if let Offends { .. } | Isolated { .. } | Admitted = condition {
+            return Ok(self.handle_conduct(node, condition));
+        }
         let before = self.nodes.get(&node);
         if let Some(seen) = before
             && incarnation < seen.incarnation
@@ -121,16 +127,40 @@ impl Neighbourhood {
         let standing = match &condition {
             NodeCondition::Lost { reason } => Standing::Lost(reason.clone()),
             NodeCondition::Left => Standing::Left,
-            NodeCondition::Reachable | NodeCondition::Restarted => Standing::Here,
+            _ => Standing::Here,
         };
         let known = before.map(|seen| discriminant(&seen.standing));
-        let is_news = restarted || known != Some(discriminant(&standing));
+        let isolated = before.and_then(|seen| seen.isolated.clone());
+        // That an isolated node cannot be reached is as it should be.
+        let is_news = (restarted || known != Some(discriminant(&standing))) && isolated.is_none();
         let here = standing == Standing::Here;
         let last_sign = if here { Some(now) } else { before.and_then(|b| b.last_sign) };
         let restarts = before.map_or(0, |seen| seen.restarts) + u32::from(restarted);
-        self.nodes.insert(node.clone(), NodeSeen { incarnation, standing, last_sign, restarts });
+        let seen = NodeSeen { incarnation, standing, last_sign, restarts, isolated };
+        self.nodes.insert(node.clone(), seen);
         let finding = Finding::Node(condition);
         Ok(is_news.then_some(News { place: Place::Node(node), incarnation, finding }))
+    }
+
+    /// What others think of a node, or what it has done: whatever life of it is known.
+    fn handle_conduct(&mut self, node: NodeName, condition: NodeCondition) -> Option<News> {
+        let seen = self.nodes.entry(node.clone()).or_insert_with(|| NodeSeen {
+            incarnation: Incarnation::default(),
+            standing: Standing::Lost("it was not met yet".to_owned()),
+            last_sign: None,
+            restarts: 0,
+            isolated: None,
+        });
+        let isolated = match &condition {
+            NodeCondition::Isolated { reason } => Some(reason.clone()),
+            NodeCondition::Admitted => None,
+            _ => seen.isolated.clone(),
+        };
+        let changed = isolated.is_some() != seen.isolated.is_some();
+        seen.isolated = isolated;
+        let is_news = changed || matches!(condition, NodeCondition::Offends { .. });
+        let (incarnation, finding) = (seen.incarnation, Finding::Node(condition));
+        is_news.then_some(News { place: Place::Node(node), incarnation, finding })
     }
 
     /// Links, then nodes.
@@ -159,10 +189,13 @@ impl Neighbourhood {
                 // Nobody watches it any more.
                 Standing::Left => (Opinion::AtRest, Some("it has left in order".to_owned())),
             };
+            let isolated = seen.isolated.as_ref().map(|reason| format!("isolated {reason}"));
+            let opinion = if isolated.is_some() { Opinion::Failed } else { opinion };
             Row {
+                isolated: isolated.is_some(),
                 incarnation: seen.incarnation,
                 opinion,
-                note,
+                note: isolated.or(note),
                 last_sign: seen.last_sign.map(|sign| now - sign),
                 restarts: seen.restarts,
                 ..Row::blank(Place::Node(node.clone()), ObjectKind::Node)
@@ -259,6 +292,28 @@ mod tests {
         }
         check(Some((5, Left)), (6, lost()), says(lost()));
         check(Some((5, Left)), (6, Left), Ok(None));
+    }
+
+    #[test]
+    fn that_an_isolated_node_is_lost_is_no_news_and_what_it_did_always_is() {
+        use NodeCondition::{Admitted, Isolated, Lost, Offends, Reachable};
+        let mut around = Neighbourhood::default();
+        let mut told = |condition: &NodeCondition| {
+            let news = around.handle_node(node("b"), Incarnation(5), condition.clone(), at(1));
+            let finding = news.expect("no life is over").map(|news| news.finding);
+            finding
+                .inspect(|finding| assert_eq!(*finding, Finding::Node(condition.clone())))
+                .is_some()
+        };
+        let isolated = Isolated { reason: "by a: it floods".into() };
+        let offends = Offends { what: "it floods".into() };
+
+        assert!(told(&Reachable) && told(&offends) && told(&offends));
+        assert!(told(&isolated));
+        assert!(!told(&isolated), "once");
+        assert!(!told(&Lost { reason: "no path".into() }) && told(&offends));
+        assert!(told(&Admitted) && !told(&Admitted));
+        assert!(told(&Reachable));
     }
 
     #[test]

@@ -171,6 +171,18 @@ pub enum NodeCondition {
     },
     /// It was heard under a new incarnation: its process died and began again.
     Restarted,
+    /// It does harm: once is an accident, several times are a fault.
+    Offends {
+        /// What it has done, in words that are the same each time.
+        what: String,
+    },
+    /// Nothing is taken from it or sent there any more. That it cannot be reached is no news then.
+    Isolated {
+        /// Who decided, and why.
+        reason: String,
+    },
+    /// It is isolated no longer.
+    Admitted,
     /// It said that it ends in order: that it is silent from now on is no fault, and its return is an
     /// ordinary one.
     Left,

@@ -144,11 +144,13 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::Fatal
         | FaultKind::LinkDown
         | FaultKind::NodeLost
+        | FaultKind::NodeFaulty
         | FaultKind::RestartStorm => true,
         FaultKind::CheckFailed
         | FaultKind::Overload
         | FaultKind::ContractMismatch
         | FaultKind::LinkDegraded
+        | FaultKind::NameTaken
         | FaultKind::Custom(_) => false,
     }
 }

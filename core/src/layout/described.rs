@@ -236,6 +236,6 @@ describe! {
     enum FaultKind {
         Panic, UnexpectedExit, Hang, Silence, ErrorState, InitializationFailed, Fatal, CheckFailed,
         Overload, ContractMismatch, LinkDown, LinkDegraded, NodeLost, RestartStorm,
-        Custom(Arc<str>),
+        NodeFaulty, Custom(Arc<str>),
     }
 }

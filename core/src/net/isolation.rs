@@ -1,20 +1,46 @@
 //! Nodes that cannot be recovered: what they send is refused everywhere.
 //!
-//! Any node may decide so. A verdict has a revision: the newest holds, of equal ones that of the first
-//! node by name. It is told to every node that a session is open with, passed on by those for whom it is
-//! new, and told again whenever a session begins, so that nobody who was away misses it. What an
-//! isolated node says of verdicts is refused like everything else that it says.
+//! Every node has one vote on every other node, and is believed about its own vote alone: what it says
+//! comes over the session with it. Whose votes count is the same for all nodes of a robot:
+//!
+//! ```text
+//! majority (unless said otherwise)   more than half of the nodes that are there, without the accused
+//! wardens                            the newest word of any of the nodes that are named
+//! ```
+//!
+//! Whatever the others think, a node's own vote holds for itself at once: nobody must take what it takes
+//! for wrong. So one hostile node shuts out nobody but itself, and half of them no one; and a node whose
+//! neighbours all refuse it is cut off, however few they are among the others.
+//!
+//! Votes are told to every node that a session is open with, and again whenever a session begins. Those
+//! of a node that is kept out are void.
 
-use crate::NodeName;
+use super::node_id::NodeId;
 use crate::codec;
+use crate::{Incarnation, NodeName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-/// Nodes on which there is a verdict, at most: far more than a robot has.
-const VERDICTS_MAX: usize = 1024;
-/// The most bytes of one message: all verdicts.
-const MESSAGE_MAX: usize = 128 * 1024;
+/// Nodes that one node may have voted on, at most: a quarter of what a router knows, and more than anyone
+/// has reason to.
+const VOTES_MAX: usize = 64;
+/// Nodes whose votes are remembered, at most: as many as sessions are.
+const VOTERS_MAX: usize = 512;
+/// The most bytes of one message: all votes of one node.
+const MESSAGE_MAX: usize = 64 * 1024;
+/// The most letters of a cause.
+const CAUSE_MAX: usize = 200;
+
+/// Whose votes count.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Judges {
+    /// More than half of the nodes that are there, without the accused.
+    #[default]
+    Majority,
+    /// The newest word of any of these, whatever the others think.
+    Wardens(BTreeSet<NodeName>),
+}
 
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,36 +58,59 @@ pub enum IsolationOutput {
         node: NodeName,
         /// Whether it is isolated.
         isolated: bool,
-        /// Who decided.
-        by: NodeName,
+        /// Who decided, and why.
+        reason: String,
+    },
+    /// Somebody wants it isolated, and not enough others do.
+    Accused {
+        /// Which.
+        node: NodeName,
+        /// Who wants it, and why.
+        reason: String,
     },
 }
 
-/// What was decided of a node.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-struct Verdict {
-    node: NodeName,
+/// What one node thinks of another.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Vote {
     isolated: bool,
+    /// The voter's life, and which of its votes: of two, the greater is the newer.
+    life: Incarnation,
+    /// Higher than every vote on that node that the voter knew of.
     revision: u64,
-    by: NodeName,
+    cause: String,
 }
 
-/// The verdicts as one node knows them.
+/// A node's votes as it tells them.
+#[derive(Debug, Serialize, Deserialize)]
+struct Ballot {
+    life: Incarnation,
+    votes: Vec<(NodeName, bool, u64, String)>,
+}
+
+/// Who is kept out, as one node knows it.
 #[derive(Debug)]
 pub struct Isolation {
     own: NodeName,
-    verdicts: BTreeMap<NodeName, Verdict>,
+    life: Incarnation,
+    judges: Judges,
+    /// By whom they are about, and whose they are.
+    votes: BTreeMap<NodeName, BTreeMap<NodeName, Vote>>,
+    kept_out: BTreeSet<NodeName>,
     peers: BTreeSet<NodeName>,
     refused: u64,
     outputs: VecDeque<IsolationOutput>,
 }
 
 impl Isolation {
-    /// No verdicts yet.
-    pub fn new(own: NodeName) -> Self {
+    /// No votes yet.
+    pub fn new(own: NodeName, life: Incarnation, judges: Judges) -> Self {
         Isolation {
             own,
-            verdicts: BTreeMap::new(),
+            life,
+            judges,
+            votes: BTreeMap::new(),
+            kept_out: BTreeSet::new(),
             peers: BTreeSet::new(),
             refused: 0,
             outputs: VecDeque::new(),
@@ -75,70 +124,173 @@ impl Isolation {
 
     /// Whether nothing is taken from this node.
     pub fn is_isolated(&self, node: &NodeName) -> bool {
-        self.verdicts.get(node).is_some_and(|verdict| verdict.isolated)
+        self.kept_out.contains(node)
     }
 
-    /// What was refused: nonsense, too many, and what isolated nodes said.
+    /// The node of this number, if a session with it is open.
+    pub fn peer(&self, id: NodeId) -> Option<NodeName> {
+        self.peers.iter().find(|peer| NodeId::of(peer) == id).cloned()
+    }
+
+    /// What was refused: nonsense, too much, and what isolated nodes said.
     pub fn refused(&self) -> u64 {
         self.refused
     }
 
     /// This node decides. On itself it has no say.
-    pub fn handle_decision(&mut self, node: &NodeName, isolated: bool) {
-        if *node == self.own || self.is_isolated(node) == isolated {
+    pub fn handle_decision(&mut self, node: &NodeName, isolated: bool, cause: &str) {
+        let about = self.votes.get(node);
+        let own = about.and_then(|votes| votes.get(&self.own));
+        let known = own.is_some_and(|vote| vote.isolated && isolated) && self.is_isolated(node);
+        if *node == self.own || known {
             return;
         }
-        let revision = self.verdicts.get(node).map_or(1, |verdict| verdict.revision + 1);
-        let by = self.own.clone();
-        self.take(Verdict { node: node.clone(), isolated, revision, by });
+        if own.is_none() && self.count_of(&self.own) >= VOTES_MAX {
+            self.refused += 1;
+            return;
+        }
+        // That it is admitted is said even where nobody is known to have objected: an earlier life of
+        // this node may have.
+        let newest = about.into_iter().flat_map(BTreeMap::values).map(|vote| vote.revision).max();
+        let revision = newest.unwrap_or(0).saturating_add(1);
+        let cause = cause.chars().take(CAUSE_MAX).collect();
+        let vote = Vote { isolated, life: self.life, revision, cause };
+        self.votes.entry(node.clone()).or_default().insert(self.own.clone(), vote);
+        let message = self.ballot(|about| about == node);
+        for to in self.peers.iter().filter(|peer| *peer != node) {
+            let (to, message) = (to.clone(), message.clone());
+            self.outputs.push_back(IsolationOutput::Tell { to, message });
+        }
+        self.settle();
+        self.tell_accused(node);
     }
 
     /// A session with this node has begun.
     pub fn handle_opened(&mut self, node: NodeName) {
-        if !self.verdicts.is_empty() && !self.is_isolated(&node) {
-            let all: Vec<&Verdict> = self.verdicts.values().collect();
-            let message = codec::encode_unbounded(&all).into();
+        let votes = self.votes.iter().filter(|(about, _)| **about != node);
+        let any = votes.into_iter().any(|(_, votes)| votes.contains_key(&self.own));
+        if any && !self.is_isolated(&node) {
+            let message = self.ballot(|about| *about != node);
             self.outputs.push_back(IsolationOutput::Tell { to: node.clone(), message });
         }
         self.peers.insert(node);
+        self.settle();
     }
 
     /// The session with this node has ended.
     pub fn handle_ended(&mut self, node: &NodeName) {
         self.peers.remove(node);
+        self.settle();
     }
 
-    /// Another node tells of verdicts.
+    /// Another node tells its votes, over the session with it.
     pub fn handle_told(&mut self, from: &NodeName, message: &[u8]) {
-        let told = codec::decode_bounded::<Vec<Verdict>, MESSAGE_MAX>(message);
-        let (Ok(told), false) = (told, self.is_isolated(from)) else {
+        let told = codec::decode_bounded::<Ballot, MESSAGE_MAX>(message);
+        let (Ok(Ballot { life, votes }), false) = (told, self.is_isolated(from)) else {
             self.refused += 1;
             return;
         };
-        for verdict in told {
-            let known = self.verdicts.get(&verdict.node);
-            let newer = known
-                .is_none_or(|known| (verdict.revision, &known.by) > (known.revision, &verdict.by));
-            if newer && (known.is_some() || self.verdicts.len() < VERDICTS_MAX) {
-                self.take(verdict);
-            } else if newer {
+        let mut count = self.count_of(from);
+        let crowded = count == 0 && self.voters().len() >= VOTERS_MAX;
+        for (node, isolated, revision, cause) in votes {
+            if node == self.own {
+                // It is for the others to keep this node out.
+                continue;
+            }
+            let known = self.votes.get(&node).and_then(|votes| votes.get(from));
+            if node == *from || crowded || known.is_none() && count >= VOTES_MAX {
                 self.refused += 1;
+            } else if known.is_none_or(|known| (life, revision) > (known.life, known.revision)) {
+                count += usize::from(known.is_none());
+                let cause = cause.chars().take(CAUSE_MAX).collect();
+                let vote = Vote { isolated, life, revision, cause };
+                self.votes.entry(node.clone()).or_default().insert(from.clone(), vote);
+                self.settle();
+                self.tell_accused(&node);
             }
         }
     }
 
-    fn take(&mut self, verdict: Verdict) {
-        let before = self.is_isolated(&verdict.node);
-        let message = Bytes::from(codec::encode_unbounded(&vec![&verdict]));
-        let Verdict { node, isolated, by, .. } = verdict.clone();
-        self.verdicts.insert(node.clone(), verdict);
-        for to in self.peers.iter().filter(|peer| **peer != node) {
-            let (to, message) = (to.clone(), message.clone());
-            self.outputs.push_back(IsolationOutput::Tell { to, message });
+    /// This node's own votes, on these nodes.
+    fn ballot(&self, on: impl Fn(&NodeName) -> bool) -> Bytes {
+        let own = |(about, votes): (&NodeName, &BTreeMap<NodeName, Vote>)| {
+            let vote = votes.get(&self.own).filter(|_| on(about))?;
+            Some((about.clone(), vote.isolated, vote.revision, vote.cause.clone()))
+        };
+        let votes = self.votes.iter().filter_map(own).collect();
+        codec::encode_unbounded(&Ballot { life: self.life, votes }).into()
+    }
+
+    fn count_of(&self, voter: &NodeName) -> usize {
+        self.votes.values().filter(|votes| votes.contains_key(voter)).count()
+    }
+
+    fn voters(&self) -> BTreeSet<&NodeName> {
+        self.votes.values().flat_map(BTreeMap::keys).collect()
+    }
+
+    /// Judges everybody on whom there are votes, until nothing changes any more.
+    fn settle(&mut self) {
+        // Whoever is kept out takes its votes along: each turn leaves fewer.
+        while let Some(node) = self.misjudged() {
+            let isolated = !self.is_isolated(&node);
+            let reason = self.reason(&node, isolated);
+            if isolated {
+                self.kept_out.insert(node.clone());
+                self.votes.values_mut().for_each(|votes| drop(votes.remove(&node)));
+            } else {
+                self.kept_out.remove(&node);
+            }
+            self.outputs.push_back(IsolationOutput::Isolate { node, isolated, reason });
         }
-        // Of itself a node learns, but it is for the others to refuse it.
-        if before != isolated && node != self.own {
-            self.outputs.push_back(IsolationOutput::Isolate { node, isolated, by });
+        self.votes.retain(|_, votes| !votes.is_empty());
+    }
+
+    fn misjudged(&self) -> Option<NodeName> {
+        let wrong = |node: &&NodeName| self.judge(node) != self.is_isolated(node);
+        self.votes.keys().chain(&self.kept_out).find(wrong).cloned()
+    }
+
+    fn judge(&self, node: &NodeName) -> bool {
+        let Some(votes) = self.votes.get(node) else { return false };
+        match &self.judges {
+            Judges::Wardens(wardens) => {
+                let counts = |(voter, _): &(&NodeName, &Vote)| {
+                    **voter == self.own || wardens.contains(*voter)
+                };
+                let words = votes.iter().filter(counts);
+                let newest = words.max_by_key(|(voter, vote)| (vote.revision, *voter));
+                newest.is_some_and(|(_, vote)| vote.isolated)
+            }
+            Judges::Majority => {
+                let here = self.peers.iter().chain([&self.own]).chain(votes.keys());
+                let here: BTreeSet<_> =
+                    here.filter(|voter| *voter != node && !self.is_isolated(voter)).collect();
+                let many = |isolated| {
+                    let agree = votes.values().filter(|vote| vote.isolated == isolated).count();
+                    agree * 2 > here.len()
+                };
+                let own = votes.get(&self.own).is_some_and(|vote| vote.isolated);
+                if own { !many(false) } else { many(true) }
+            }
+        }
+    }
+
+    /// Whose votes say so, and what the newest gives for its cause.
+    fn reason(&self, node: &NodeName, isolated: bool) -> String {
+        let votes = self.votes.get(node).into_iter().flatten();
+        let votes: Vec<_> = votes.filter(|(_, vote)| vote.isolated == isolated).collect();
+        let names: Vec<_> = votes.iter().map(|(voter, _)| voter.as_str()).collect();
+        let newest = votes.iter().max_by_key(|(_, vote)| vote.revision);
+        let cause = newest.map_or("", |(_, vote)| vote.cause.as_str());
+        format!("by {}: {cause}", names.join(", "))
+    }
+
+    fn tell_accused(&mut self, node: &NodeName) {
+        let accused = self.votes.get(node).is_some_and(|votes| votes.values().any(|v| v.isolated));
+        if accused && !self.is_isolated(node) {
+            let (node, reason) = (node.clone(), self.reason(node, true));
+            self.outputs.push_back(IsolationOutput::Accused { node, reason });
         }
     }
 }
@@ -151,85 +303,200 @@ mod tests {
         NodeName::new(name).unwrap()
     }
 
-    /// Nodes in a row hear only their neighbours.
-    fn row(names: &[&str]) -> BTreeMap<NodeName, Isolation> {
-        let mut robot: BTreeMap<_, _> =
-            names.iter().map(|name| (node(name), Isolation::new(node(name)))).collect();
-        for pair in names.windows(2) {
-            robot.get_mut(&node(pair[0])).unwrap().handle_opened(node(pair[1]));
-            robot.get_mut(&node(pair[1])).unwrap().handle_opened(node(pair[0]));
-        }
-        robot
+    /// Nodes that all have a session with each other.
+    struct Robot {
+        nodes: BTreeMap<NodeName, Isolation>,
+        told: Vec<String>,
     }
 
-    fn carry(robot: &mut BTreeMap<NodeName, Isolation>) -> Vec<String> {
-        let mut told = vec![];
-        loop {
-            let mut outputs = vec![];
-            for (name, isolation) in robot.iter_mut() {
-                outputs.extend(isolation.poll_output().map(|output| (name.clone(), output)));
+    impl Robot {
+        fn new(names: &[&str], judges: &Judges) -> Self {
+            let mut robot = Robot { nodes: BTreeMap::new(), told: vec![] };
+            names.iter().for_each(|name| robot.join(name, 1, judges));
+            robot
+        }
+
+        fn join(&mut self, name: &str, life: u64, judges: &Judges) {
+            let mut own = Isolation::new(node(name), Incarnation(life), judges.clone());
+            self.nodes.remove(&node(name));
+            for (other, isolation) in &mut self.nodes {
+                isolation.handle_ended(&node(name));
+                isolation.handle_opened(node(name));
+                own.handle_opened(other.clone());
             }
-            if outputs.is_empty() {
-                return told;
-            }
-            for (from, output) in outputs {
-                match output {
-                    IsolationOutput::Tell { to, message } => {
-                        if let Some(isolation) = robot.get_mut(&to) {
-                            isolation.handle_told(&from, &message);
+            self.nodes.insert(node(name), own);
+            self.carry();
+        }
+
+        fn decides(&mut self, by: &str, about: &str, isolated: bool) -> Vec<String> {
+            let by = self.nodes.get_mut(&node(by)).unwrap();
+            by.handle_decision(&node(about), isolated, "it floods");
+            self.carry();
+            std::mem::take(&mut self.told)
+        }
+
+        fn carry(&mut self) {
+            loop {
+                let mut outputs = vec![];
+                for (name, isolation) in &mut self.nodes {
+                    outputs.extend(isolation.poll_output().map(|output| (name.clone(), output)));
+                }
+                if outputs.is_empty() {
+                    return;
+                }
+                for (from, output) in outputs {
+                    match output {
+                        IsolationOutput::Tell { to, message } => {
+                            if let Some(isolation) = self.nodes.get_mut(&to) {
+                                isolation.handle_told(&from, &message);
+                            }
                         }
-                    }
-                    IsolationOutput::Isolate { node, isolated, by } => {
-                        told.push(format!("{from}: {node} {isolated} by {by}"));
+                        IsolationOutput::Isolate { node, isolated, reason } => {
+                            let what = if isolated { "keeps out" } else { "admits" };
+                            self.told.push(format!("{from} {what} {node} {reason}"));
+                        }
+                        IsolationOutput::Accused { .. } => {}
                     }
                 }
             }
         }
+
+        /// Who keeps this node out.
+        fn refuse(&self, about: &str) -> String {
+            let refuse =
+                |(_, isolation): &(&NodeName, &Isolation)| isolation.is_isolated(&node(about));
+            let names: Vec<_> = self.nodes.iter().filter(refuse).map(|(n, _)| n.as_str()).collect();
+            names.join("")
+        }
+    }
+
+    fn wardens(names: &[&str]) -> Judges {
+        Judges::Wardens(names.iter().map(|name| node(name)).collect())
     }
 
     #[test]
-    fn a_verdict_reaches_everybody_and_can_be_lifted_by_another() {
-        let mut robot = row(&["a", "b", "c", "d"]);
-        robot.get_mut(&node("a")).unwrap().handle_decision(&node("d"), true);
-        let told = carry(&mut robot);
-        assert_eq!(told, ["a: d true by a", "b: d true by a", "c: d true by a"]);
+    fn a_wardens_word_holds_everywhere_and_another_warden_can_take_it_back() {
+        let mut robot = Robot::new(&["a", "b", "c", "d"], &wardens(&["a", "c"]));
 
-        robot.get_mut(&node("c")).unwrap().handle_decision(&node("d"), false);
-        assert_eq!(carry(&mut robot).len(), 3);
-        assert!(robot.values().all(|isolation| !isolation.is_isolated(&node("d"))));
+        let told = robot.decides("a", "d", true);
+        assert_eq!(told.len(), 3, "{told:?}");
+        assert!(told.contains(&"c keeps out d by a: it floods".to_owned()));
+        assert_eq!(robot.refuse("d"), "abc");
+
+        robot.decides("c", "d", false);
+        assert_eq!(robot.refuse("d"), "");
     }
 
     #[test]
-    fn who_was_away_is_told_when_it_is_back_and_an_isolated_node_is_not_believed() {
-        let mut robot = row(&["a", "b"]);
-        robot.get_mut(&node("a")).unwrap().handle_decision(&node("d"), true);
-        carry(&mut robot);
-
-        robot.insert(node("c"), Isolation::new(node("c")));
-        robot.get_mut(&node("b")).unwrap().handle_opened(node("c"));
-        assert_eq!(carry(&mut robot), ["c: d true by a"]);
-
-        let mut hostile = Isolation::new(node("d"));
-        hostile.handle_opened(node("b"));
-        hostile.handle_decision(&node("a"), true);
-        let Some(IsolationOutput::Tell { message, .. }) = hostile.poll_output() else { panic!() };
-        let victim = robot.get_mut(&node("b")).unwrap();
-        victim.handle_told(&node("d"), &message);
-        victim.handle_told(&node("a"), b"\xff\xff");
-        assert!(!victim.is_isolated(&node("a")));
-        assert_eq!(victim.refused(), 2);
+    fn who_is_no_warden_decides_for_itself_alone_until_a_warden_speaks() {
+        let mut robot = Robot::new(&["a", "b", "c"], &wardens(&["a"]));
+        robot.decides("b", "c", true);
+        assert_eq!(robot.refuse("c"), "b");
+        robot.decides("a", "c", false);
+        assert_eq!(robot.refuse("c"), "");
     }
 
     #[test]
-    fn two_that_decide_at_once_agree_afterwards() {
-        let mut robot = row(&["a", "b", "c"]);
-        robot.get_mut(&node("a")).unwrap().handle_decision(&node("d"), true);
-        robot.get_mut(&node("c")).unwrap().handle_decision(&node("d"), true);
-        carry(&mut robot);
-        let by: BTreeSet<_> =
-            robot.values().map(|isolation| isolation.verdicts[&node("d")].by.clone()).collect();
-        assert_eq!(by, BTreeSet::from([node("a")]));
-        robot.get_mut(&node("a")).unwrap().handle_decision(&node("a"), true);
-        assert_eq!(carry(&mut robot), Vec::<String>::new(), "on itself a node has no say");
+    fn a_majority_isolates_and_a_single_node_shuts_out_nobody_but_itself() {
+        let names = ["a", "b", "c", "d", "e"];
+        let mut robot = Robot::new(&names, &Judges::Majority);
+        for about in ["a", "b", "c", "d"] {
+            robot.decides("e", about, true);
+        }
+        for about in ["a", "b", "c", "d"] {
+            assert_eq!(robot.refuse(about), "e", "about {about}");
+        }
+
+        robot.decides("a", "e", true);
+        robot.decides("b", "e", true);
+        assert_eq!(robot.refuse("e"), "ab", "two of four are no majority");
+        let told = robot.decides("c", "e", true);
+        assert_eq!(robot.refuse("e"), "abcd");
+        assert!(told.contains(&"d keeps out e by a, b, c: it floods".to_owned()), "{told:?}");
+
+        // What it said is void with it, and what it says now is not heard.
+        let d = &robot.nodes[&node("d")];
+        assert_eq!(d.count_of(&node("e")), 0);
+        robot.decides("e", "f", true);
+        assert_eq!(robot.refuse("f"), "e");
+        assert!(robot.nodes[&node("d")].refused() >= 1);
+    }
+
+    #[test]
+    fn what_a_majority_has_isolated_a_majority_lets_in_again() {
+        let mut robot = Robot::new(&["a", "b", "c", "d"], &Judges::Majority);
+        robot.decides("a", "d", true);
+        robot.decides("b", "d", true);
+        assert_eq!(robot.refuse("d"), "abc");
+
+        robot.decides("a", "d", false);
+        assert_eq!(robot.refuse("d"), "b", "who still thinks so, refuses it");
+        robot.decides("c", "d", false);
+        assert_eq!(robot.refuse("d"), "", "the others have said otherwise");
+    }
+
+    #[test]
+    fn of_two_nodes_each_decides_for_itself() {
+        let mut robot = Robot::new(&["a", "b"], &Judges::Majority);
+        robot.decides("b", "a", true);
+        assert_eq!(robot.refuse("a"), "b");
+        robot.decides("b", "b", true);
+        assert_eq!(robot.refuse("b"), "", "on itself a node has no say");
+    }
+
+    #[test]
+    fn who_was_away_is_told_when_it_is_back() {
+        let judges = wardens(&["a"]);
+        let mut robot = Robot::new(&["a", "b", "d"], &judges);
+        robot.decides("a", "d", true);
+        robot.join("c", 1, &judges);
+        assert_eq!(robot.refuse("d"), "abc");
+    }
+
+    #[test]
+    fn a_warden_that_was_restarted_can_take_back_what_its_earlier_life_has_said() {
+        let judges = wardens(&["a"]);
+        let mut robot = Robot::new(&["a", "b", "d"], &judges);
+        robot.decides("a", "d", true);
+        robot.decides("a", "d", false);
+        robot.decides("a", "d", true);
+
+        robot.join("a", 2, &judges);
+        assert_eq!(robot.refuse("d"), "b", "its word holds without it");
+        robot.decides("a", "d", false);
+        assert_eq!(robot.refuse("d"), "");
+    }
+
+    #[test]
+    fn nobody_is_believed_about_another_ones_vote_and_nobody_floods_the_table() {
+        let mut victim = Isolation::new(node("a"), Incarnation(1), Judges::Majority);
+        for name in ["b", "c", "hostile"] {
+            victim.handle_opened(node(name));
+        }
+        let accuse = |names: Vec<String>| {
+            let vote =
+                |(n, name): (usize, String)| (node(&name), true, n as u64 + 1, "x".repeat(300));
+            let votes = names.into_iter().enumerate().map(vote).collect();
+            codec::encode_unbounded(&Ballot { life: Incarnation(u64::MAX), votes })
+        };
+        victim.handle_told(&node("hostile"), &accuse((0..60).map(|n| format!("n{n}")).collect()));
+        victim.handle_told(&node("hostile"), &accuse((0..70).map(|n| format!("n{n}")).collect()));
+        victim.handle_told(&node("hostile"), &accuse(vec!["a".into(), "hostile".into()]));
+        victim.handle_told(&node("hostile"), b"\xff\xff");
+
+        assert_eq!((victim.votes.len(), victim.refused()), (VOTES_MAX, 6 + 1 + 1));
+        let longest = victim.votes.values().flat_map(BTreeMap::values).map(|vote| vote.cause.len());
+        assert_eq!(longest.max(), Some(CAUSE_MAX));
+        assert!(victim.kept_out.is_empty());
+    }
+
+    #[test]
+    fn whatever_is_said_judging_comes_to_an_end() {
+        // Three who accuse each other in a circle, seen by a fourth that believes each of them.
+        let mut robot = Robot::new(&["a", "b", "c", "d"], &wardens(&["a", "b", "c"]));
+        robot.decides("a", "b", true);
+        robot.decides("b", "c", true);
+        robot.decides("c", "a", true);
+        assert!(["b", "c", "a"].iter().any(|about| robot.refuse(about).contains('d')));
     }
 }

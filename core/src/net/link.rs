@@ -324,6 +324,8 @@ impl Link {
                 if self.carries() {
                     self.go_down("the neighbour has restarted", now);
                 }
+                // That the link went down was the old life's end, and says nothing of the medium.
+                self.flaps = 0;
                 let excused_until = Instant::ORIGIN;
                 let heard = Heard {
                     neighbour,

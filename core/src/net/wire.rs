@@ -55,6 +55,8 @@ pub struct Refusals {
     pub stale: u64,
     /// Understood, but nobody was there to take it.
     pub unexpected: u64,
+    /// Understood, but from a node that is isolated, or by its way.
+    pub isolated: u64,
 }
 
 impl Refusals {
@@ -80,6 +82,7 @@ impl Refusals {
             malformed: since(self.malformed, before.malformed),
             stale: since(self.stale, before.stale),
             unexpected: since(self.unexpected, before.unexpected),
+            isolated: since(self.isolated, before.isolated),
         }
     }
 
@@ -92,6 +95,7 @@ impl Refusals {
             + self.malformed
             + self.stale
             + self.unexpected
+            + self.isolated
     }
 }
 
@@ -105,6 +109,7 @@ impl fmt::Display for Refusals {
             (self.malformed, "malformed"),
             (self.stale, "stale"),
             (self.unexpected, "unexpected"),
+            (self.isolated, "of isolated nodes"),
         ];
         let mut counts = counts.into_iter().filter(|(count, _)| *count > 0);
         let Some((count, what)) = counts.next() else { return f.write_str("none") };

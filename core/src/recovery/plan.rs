@@ -116,6 +116,10 @@ impl Default for Plan {
             }
             // The supervisor has already decided to hand it to its parent.
             FaultKind::RestartStorm => observe.clone(),
+            // What it sends does harm: nobody must have to take it, and it cannot be recovered from here.
+            FaultKind::NodeFaulty => Ladder::first(Measure::Isolate).then(Measure::Observe),
+            // Whoever gave the names has to give others.
+            FaultKind::NameTaken => observe.clone(),
             // Without an alternative nothing helps but the link's, or the node's, return.
             FaultKind::LinkDown | FaultKind::LinkDegraded | FaultKind::NodeLost => reroute.clone(),
             _ => restart.clone(),
@@ -234,8 +238,8 @@ fn check_ladder(
     ladder: &Ladder,
     strategies: &BTreeSet<&str>,
 ) -> Result<(), PlanError> {
-    let network =
-        matches!(kind, FaultKind::LinkDown | FaultKind::LinkDegraded | FaultKind::NodeLost);
+    let link = matches!(kind, FaultKind::LinkDown | FaultKind::LinkDegraded);
+    let network = link || matches!(kind, FaultKind::NodeLost | FaultKind::NodeFaulty);
     let mut observed = false;
     for step in ladder.steps() {
         let measure = step.measure.clone();
@@ -247,8 +251,12 @@ fn check_ladder(
         }
         match &measure {
             Measure::Observe => observed = true,
-            Measure::Reset | Measure::Restart | Measure::Isolate if network => {
+            Measure::Reset | Measure::Restart if network => {
                 let why = "needs a component, and there is none in a link or another node";
+                return Err(PlanError::DoesNotApply { what, measure, why });
+            }
+            Measure::Isolate if link => {
+                let why = "needs a component or a node, and a link is neither";
                 return Err(PlanError::DoesNotApply { what, measure, why });
             }
             Measure::Reset if matches!(kind, FaultKind::Panic | FaultKind::UnexpectedExit) => {

@@ -21,8 +21,8 @@ pub(super) struct Served {
 /// What one replica tells another.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Message {
-    /// From the primary: it acts under this epoch.
-    Hello { epoch: u64, number: u64 },
+    /// From the primary: it acts under this epoch, and has come so far.
+    Hello { epoch: u64, number: u64, position: Position },
     /// The standby votes for nobody else for a lease, and has come so far.
     Promise { epoch: u64, number: u64, position: Position, in_step: bool },
     /// The sender acts under no such epoch: this one holds.
@@ -31,8 +31,8 @@ pub(super) enum Message {
     Voted { epoch: u64 },
     /// A standby wants to be primary.
     Claim { epoch: u64, position: Position },
-    /// It may.
-    Vote { epoch: u64 },
+    /// It may, and the voter has what the claimant has.
+    Vote { epoch: u64, in_step: bool },
     /// A request was executed. Warm standbys get the state after it, hot ones the request.
     Entry { epoch: u64, position: Position, served: Served, body: Vec<u8> },
     /// Everything, for a standby that is not in step.

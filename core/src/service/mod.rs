@@ -66,6 +66,8 @@ pub struct ReplicaConfig {
     pub kind: StandbyKind,
     /// What to do without a majority.
     pub on_partition: OnPartition,
+    /// Other services have to be there before this one takes over: [`ReplicaOutput::Inquire`].
+    pub depends: bool,
     /// How often the primary says hello. Shorter finds its death sooner and costs more.
     pub hello_interval: Duration,
 }

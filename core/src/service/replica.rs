@@ -34,6 +34,8 @@ pub enum Role {
     Standby {
         /// For this node, where one is known to serve.
         primary: Option<NodeName>,
+        /// It has everything that the primary has answered, as far as its kind keeps that.
+        in_step: bool,
     },
 }
 
@@ -58,7 +60,7 @@ pub enum ReplicaOutput {
         /// What.
         message: Bytes,
     },
-    /// The role has changed.
+    /// The role has changed, or whether this standby is in step.
     Became(Role),
     /// Let the component serve this, and say what came of it by [`Replica::handle_executed`], with its
     /// state afterwards where that is wanted.
@@ -75,6 +77,10 @@ pub enum ReplicaOutput {
         /// The state.
         state: Bytes,
     },
+    /// Find out whether the services that this one depends on are served now, by asking whoever serves
+    /// them, and say so by [`Replica::handle_ready`] once they are. A new inquiry takes the place of the
+    /// last one.
+    Inquire,
     /// Answer a caller.
     Answer {
         /// The number under which it asked.
@@ -112,11 +118,11 @@ pub struct Replica {
     state: Option<Bytes>,
     table: VecDeque<Served>,
     role: Acting,
+    /// As what it was last told of.
+    told: Role,
     jobs: VecDeque<Job>,
     /// The component is busy with this.
     working: Option<Job>,
-    /// Services that this one depends on are there.
-    ready: bool,
     refused: u64,
     outputs: VecDeque<ReplicaOutput>,
 }
@@ -141,9 +147,9 @@ impl Replica {
             state: None,
             table: VecDeque::new(),
             role: Acting::Standby(standby),
+            told: Role::Standby { primary: None, in_step: false },
             jobs: VecDeque::new(),
             working: None,
-            ready: true,
             refused: 0,
             outputs: VecDeque::new(),
         }
@@ -153,7 +159,7 @@ impl Replica {
     pub fn role(&self) -> Role {
         match &self.role {
             Acting::Primary(primary) => Role::Primary { epoch: primary.epoch },
-            Acting::Standby(standby) => Role::Standby { primary: standby.primary.clone() },
+            Acting::Standby(standby) => standby.role(self.epoch, self.config.kind),
         }
     }
 
@@ -162,9 +168,13 @@ impl Replica {
         self.refused
     }
 
-    /// The services that this one depends on are there, or not: without them it does not take over.
-    pub fn handle_ready(&mut self, ready: bool) {
-        self.ready = ready;
+    /// The services that this one depends on are served: it may take over, if it still wants to.
+    pub fn handle_ready(&mut self, now: Instant) {
+        let Acting::Standby(standby) = &mut self.role else { return };
+        if standby.inquiring {
+            standby.ready = true;
+            self.claim(now);
+        }
     }
 
     /// Somebody asks for the service.
@@ -236,7 +246,10 @@ impl Replica {
             }
             (Acting::Primary(_), StandbyKind::Hot) => self.handle_damage(now),
             // It has to be told everything anew.
-            (Acting::Standby(standby), StandbyKind::Hot) => standby.fall_behind(),
+            (Acting::Standby(standby), StandbyKind::Hot) => {
+                standby.fall_behind();
+                self.tell_role();
+            }
             (Acting::Standby(_), _) => {}
         }
     }
@@ -279,7 +292,9 @@ impl Replica {
         };
         self.handle_timeout(now);
         match message {
-            Message::Hello { epoch, number } => self.hear_hello(from, epoch, number, now),
+            Message::Hello { epoch, number, position } => {
+                self.hear_hello(from, epoch, (number, position), now);
+            }
             Message::Promise { epoch, number, position, in_step } => {
                 self.hear_promise(from, epoch, number, (position, in_step), now);
             }
@@ -291,7 +306,7 @@ impl Replica {
             // That somebody has claimed in vain deposes nobody.
             Message::Voted { epoch } => self.claimed = self.claimed.max(epoch),
             Message::Claim { epoch, position } => self.hear_claim(from, epoch, position, now),
-            Message::Vote { epoch } => self.hear_vote(from, epoch, now),
+            Message::Vote { epoch, in_step } => self.hear_vote(from, epoch, in_step, now),
             Message::Entry { epoch, position, served, body } => {
                 self.hear_entry(from, epoch, position, served, body);
             }
@@ -356,7 +371,16 @@ impl Replica {
             };
             self.answer(caller, outcome);
         }
-        self.outputs.push_back(ReplicaOutput::Became(Role::Standby { primary }));
+        self.tell_role();
+    }
+
+    /// Says what this replica has become, where that is something else.
+    fn tell_role(&mut self) {
+        let role = self.role();
+        if role != self.told {
+            self.told = role.clone();
+            self.outputs.push_back(ReplicaOutput::Became(role));
+        }
     }
 
     fn answer(&mut self, caller: u64, outcome: ServiceOutcome) {

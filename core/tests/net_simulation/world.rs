@@ -286,7 +286,7 @@ impl World {
                 RouterOutput::Packet { link, packet } => {
                     node.links[link.0 as usize].2.handle_packet(packet);
                 }
-                RouterOutput::Segment { source, segment } => {
+                RouterOutput::Segment { source, segment, .. } => {
                     sessions.get_mut(&source).unwrap().handle_segment(segment, now);
                 }
                 RouterOutput::Reachable { node: peer, incarnation, mtu } => {

@@ -1,7 +1,7 @@
 //! Benchmarks of the middleware beside what it is built on, as ratios within one run.
 //!
-//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [monitored] [failover]`;
-//! without arguments, all of them. `ROUNDS=n` sets how often the rows of a table are run in turn.
+//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput] [monitored]
+//! [failover] [takeover]`; without arguments, all of them. `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
 mod failover;
@@ -9,12 +9,16 @@ mod fanout;
 mod measure;
 mod messages;
 mod monitored;
+mod process;
 mod remote;
 mod restart;
+mod takeover;
+mod throughput;
 
 use std::process::ExitCode;
 
-const PARTS: [&str; 6] = ["messages", "restart", "fanout", "remote", "monitored", "failover"];
+const PARTS: [&str; 8] =
+    ["messages", "restart", "fanout", "remote", "throughput", "monitored", "failover", "takeover"];
 
 fn main() -> ExitCode {
     let mut arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -40,11 +44,17 @@ fn main() -> ExitCode {
     if wanted("remote") {
         remote::run(rounds);
     }
+    if wanted("throughput") {
+        throughput::run(rounds);
+    }
     if wanted("monitored") {
         monitored::run(rounds.min(3));
     }
     if wanted("failover") {
         blastema::run(failover::run());
+    }
+    if wanted("takeover") {
+        blastema::run(takeover::run());
     }
     ExitCode::SUCCESS
 }
@@ -53,6 +63,8 @@ fn main() -> ExitCode {
 fn child(arguments: &[String]) -> ExitCode {
     match arguments.first().map(String::as_str) {
         Some("remote") => remote::child(&arguments[1..]),
+        Some("throughput") => throughput::child(&arguments[1..]),
+        Some("takeover") => takeover::child(&arguments[1..]),
         Some("monitored") => monitored::child(&arguments[1..]),
         _ => return ExitCode::from(2),
     }

@@ -3,12 +3,10 @@
 //! This process is pinned to the first core and every other to the second, bare or not.
 
 use crate::measure::{Table, median};
+use crate::process::{Peer, addresses, pin, serve_until_told, texts};
 use blastema::prelude::*;
 use blastema::{Link, Network};
-use rustix::thread::{CpuSet, sched_setaffinity};
-use std::io::{BufRead, BufReader, Write};
-use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
-use std::process::{Child, Command, Stdio};
+use std::net::{Ipv4Addr, SocketAddr};
 use std::time::{Duration, Instant};
 
 const WARM_UP: usize = 200;
@@ -29,53 +27,6 @@ impl Handle<Echo> for Mirror {
     async fn handle(&mut self, message: Echo, _: &mut Context<Self>) -> Vec<u8> {
         message.0
     }
-}
-
-fn pin(core: usize) {
-    let mut set = CpuSet::new();
-    set.set(core);
-    // Where there is no second core, or no right to choose, both sides are unpinned alike.
-    let _ = sched_setaffinity(None, &set);
-}
-
-/// Addresses that were free a moment ago.
-fn addresses<const N: usize>() -> [SocketAddr; N] {
-    let sockets = [(); N].map(|()| UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port"));
-    sockets.map(|socket| socket.local_addr().expect("a bound socket has an address"))
-}
-
-/// Another process of this program, which ends with its standard input.
-struct Peer(Child);
-
-impl Peer {
-    fn start(arguments: &[String]) -> Self {
-        let program = std::env::current_exe().expect("a running program has a file");
-        let mut child = Command::new(program)
-            .args(["--child", "remote"])
-            .args(arguments)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("this program starts");
-        let mut ready = String::new();
-        let output = child.stdout.as_mut().expect("it was piped");
-        BufReader::new(output).read_line(&mut ready).expect("it says when it is ready");
-        Peer(child)
-    }
-}
-
-impl Drop for Peer {
-    fn drop(&mut self) {
-        drop(self.0.stdin.take());
-        let _ = self.0.wait();
-    }
-}
-
-/// Says that this process is ready, and waits until nobody needs it any more.
-fn serve_until_told() {
-    println!("ready");
-    let _ = std::io::stdout().flush();
-    let _ = std::io::stdin().read_line(&mut String::new());
 }
 
 /// Another process: `bare ADDRESS`, or `node NAME (OWN NEIGHBOUR ADDRESS)...`, or the same with
@@ -153,15 +104,14 @@ async fn reached(node: &Node, name: &str) -> Sender<Echo> {
 pub(crate) fn run(rounds: usize) {
     pin(0);
     let [echo, near, left, right, far, single_near, single_far] = addresses();
-    let text = |parts: &[&str]| parts.iter().map(|part| (*part).to_owned()).collect::<Vec<_>>();
     let (near_at, left_at) = (near.to_string(), left.to_string());
     let (right_at, far_at) = (right.to_string(), far.to_string());
-    let _echo = Peer::start(&text(&["bare", &echo.to_string()]));
+    let _echo = Peer::start("remote", &texts(&["bare", &echo.to_string()]));
     let middle = ["node", "middle", &left_at, "near", &near_at, &right_at, "far", &far_at];
-    let _middle = Peer::start(&text(&middle));
-    let _far = Peer::start(&text(&["node", "far", &far_at, "middle", &right_at]));
+    let _middle = Peer::start("remote", &texts(&middle));
+    let _far = Peer::start("remote", &texts(&["node", "far", &far_at, "middle", &right_at]));
     let single = ["single", "single", &single_far.to_string(), "alone", &single_near.to_string()];
-    let _single = Peer::start(&text(&single));
+    let _single = Peer::start("remote", &texts(&single));
     blastema::run(async {
         let network = Network::udp("net0", single_near).link(Link::new("single", single_far));
         let alone = Node::builder("alone").on_this_thread().network(network).start().await;

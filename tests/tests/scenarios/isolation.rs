@@ -1,6 +1,7 @@
 //! A node that is isolated: refused by everybody, also by those who were away; in virtual time.
 
 use crate::puppet::{Deed, Do, Strings, ask};
+use blastema::core::detection::End;
 use blastema::prelude::*;
 use blastema::{Direction, Link, MemoryMedium, Network, NodeBuilder};
 use blastema_testkit::TestNode;
@@ -18,6 +19,11 @@ fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
     Node::builder(own).network(network.with_faults(7))
 }
 
+/// The first two have the word.
+fn guarded(own: &str, medium: &MemoryMedium) -> NodeBuilder {
+    node(own, medium).warden("module1").warden("module2")
+}
+
 struct Robot {
     nodes: Vec<TestNode>,
 }
@@ -25,6 +31,10 @@ struct Robot {
 impl Robot {
     /// With a puppet on each node: `puppet1` on `module1`, and so on.
     async fn start(strings: &Strings) -> Self {
+        Robot::of(strings, guarded).await
+    }
+
+    async fn of(strings: &Strings, node: impl Fn(&str, &MemoryMedium) -> NodeBuilder) -> Self {
         let medium = MemoryMedium::default();
         let mut nodes = vec![];
         for (own, puppet) in NODES.iter().zip(["puppet1", "puppet2", "puppet3"]) {
@@ -97,4 +107,86 @@ async fn a_node_that_was_away_is_told_who_is_isolated_when_it_is_back() {
 
     assert_eq!(robot.asks(1, 2).await, Ok(1));
     assert_eq!(robot.asks(2, 3).await, Err(Why::Isolated));
+}
+
+#[blastema_testkit::test]
+async fn one_node_that_isolates_everybody_shuts_out_itself_alone_and_a_majority_succeeds() {
+    let strings = Strings::default();
+    let robot = Robot::of(&strings, node).await;
+    robot.nodes[2].isolate("module1").unwrap();
+    robot.nodes[2].isolate("module2").unwrap();
+    robot.nodes[0].advance(3000 * MS).await;
+
+    assert_eq!(robot.asks(1, 2).await, Ok(1), "nobody has followed it");
+    assert_eq!(robot.asks(3, 1).await, Err(Why::Isolated), "it refuses them");
+    assert!(robot.asks(2, 3).await.is_err(), "and cannot be reached");
+
+    robot.nodes[2].admit("module1").unwrap();
+    robot.nodes[2].admit("module2").unwrap();
+    robot.nodes[0].advance(3000 * MS).await;
+    assert_eq!(robot.asks(2, 3).await, Ok(1));
+    assert_eq!(robot.asks(3, 1).await, Ok(1));
+
+    robot.nodes[0].isolate("module3").unwrap();
+    robot.nodes[0].advance(1000 * MS).await;
+    assert_eq!(robot.asks(1, 3).await, Err(Why::Isolated), "its own word holds for itself");
+    assert_eq!(robot.asks(2, 3).await, Ok(1));
+    robot.nodes[1].isolate("module3").unwrap();
+    robot.nodes[0].advance(1000 * MS).await;
+    assert_eq!(robot.asks(2, 3).await, Err(Why::Isolated));
+}
+
+#[blastema_testkit::test]
+async fn who_is_isolated_stands_in_the_fault_list_with_the_cause_until_it_is_admitted() {
+    let strings = Strings::default();
+    let robot = Robot::start(&strings).await;
+    robot.nodes[0].isolate("module3").unwrap();
+    robot.nodes[0].advance(1000 * MS).await;
+
+    for own in 0..2 {
+        let record = robot.nodes[own].faults().await;
+        let faulty = |kind: &FaultKind| *kind == FaultKind::NodeFaulty;
+        let entry = record.entries.iter().find(|entry| faulty(&entry.fault.kind)).unwrap();
+        assert_eq!(entry.fault.place.to_string(), "module3");
+        assert!(entry.fault.detail.contains("by module1"), "{}", entry.fault.detail);
+        let contained =
+            matches!(&entry.ended, Some((_, End::GaveUp { reason })) if reason.contains("isolate"));
+        assert!(contained, "{:?}", entry.ended);
+        let kinds: Vec<_> = record.entries.iter().map(|entry| entry.fault.kind.clone()).collect();
+        assert_eq!(kinds, [FaultKind::NodeFaulty], "that it cannot be reached is no second fault");
+        let table = robot.nodes[own].table().await;
+        assert!(table.iter().any(|row| row.place == entry.fault.place && row.isolated));
+    }
+    let puppet = robot.nodes[0].sender::<Do>("module2:puppet2").unwrap();
+    let asking = puppet.ask_within(Do(Deed::Await(2000)), 10_000 * MS);
+    let admit = async {
+        robot.nodes[0].advance(100 * MS).await;
+        robot.nodes[1].admit("module3").unwrap();
+        robot.nodes[0].advance(3000 * MS).await;
+    };
+    let (asked, ()) = tokio::join!(asking, admit);
+    asked.expect("the session between the others has gone on");
+    for node in &robot.nodes[..2] {
+        let record = node.faults().await;
+        assert!(record.entries.iter().all(|entry| matches!(entry.ended, Some((_, End::Cleared)))));
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_strategy_isolates_a_node_whose_ladder_says_so_and_its_return_changes_nothing() {
+    let strings = Strings::default();
+    let plan = || Plan::default().on(FaultKind::NodeLost, Ladder::first(Measure::Isolate));
+    let robot = Robot::of(&strings, |own, medium| node(own, medium).plan(plan())).await;
+    let cable = robot.nodes[2].cable("ethernet").unwrap();
+    cable.cut(Direction::Both, false);
+    robot.nodes[0].advance(5000 * MS).await;
+    cable.restore();
+    robot.nodes[0].advance(5000 * MS).await;
+
+    assert_eq!(robot.asks(1, 2).await, Ok(1));
+    for own in [1, 2] {
+        assert_eq!(robot.asks(own, 3).await, Err(Why::Isolated));
+        let reason = robot.nodes[own - 1].faults().await;
+        assert!(format!("{reason:?}").contains("node lost"), "the cause is told");
+    }
 }

@@ -16,6 +16,7 @@ mod hangs;
 mod initialization;
 mod isolation;
 mod mourning;
+mod names;
 mod networks;
 mod panics;
 mod puppet;

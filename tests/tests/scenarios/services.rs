@@ -254,6 +254,59 @@ async fn a_service_follows_those_that_it_depends_on() {
 }
 
 #[blastema_testkit::test]
+async fn a_service_of_other_nodes_is_waited_for_before_a_standby_takes_over() {
+    // The map's standbys take ten times as long to notice that its primary has gone, and one of the
+    // counter's nodes carries no map.
+    let map = || {
+        let map = ServiceSpec::new("map", ["module1", "module0", "module2"], Counter::default);
+        map.hello_every(100 * MS)
+    };
+    let counter = || {
+        let members = ["module1", "module3", "module2"];
+        let counter = ServiceSpec::new("counter", members, Counter::default);
+        counter.hello_every(10 * MS).depends_on(["map"])
+    };
+    let medium = MemoryMedium::default();
+    let mut nodes = vec![
+        TestNode::start(node("module0", &medium).service(map())).await,
+        TestNode::start(node("module1", &medium).service(map()).service(counter())).await,
+        TestNode::start(node("module2", &medium).service(map()).service(counter())).await,
+        TestNode::start(node("module3", &medium).service(counter())).await,
+    ];
+    let primary = |nodes: &[TestNode], name: &str| {
+        let serves =
+            |node: &TestNode| matches!(node.service_role(name), Some(Role::Primary { .. }));
+        nodes.iter().position(serves)
+    };
+    nodes[0].advance(2000 * MS).await;
+    assert_eq!([primary(&nodes, "map"), primary(&nodes, "counter")], [Some(1), Some(1)]);
+
+    let both = nodes.remove(1);
+    both.cable("ethernet").unwrap().cut(Direction::Both, false);
+    let cut_at = now();
+    while primary(&nodes, "counter").is_none() {
+        nodes[0].advance(MS).await;
+        assert!(now() - cut_at < 1000 * MS, "it does not take over");
+        if primary(&nodes, "map").is_none() {
+            assert_eq!(primary(&nodes, "counter"), None, "the map is not there");
+        }
+    }
+    assert!(now() - cut_at > 200 * MS, "the counter's own lease is over after 33 ms");
+    let counter = nodes[0].service::<Add>("counter").unwrap();
+    assert_eq!(counter.ask(Add(1)).await.unwrap(), 1);
+}
+
+#[blastema_testkit::test]
+async fn services_that_wait_for_each_other_are_refused_at_the_start() {
+    let medium = MemoryMedium::default();
+    let map = ServiceSpec::new("map", MEMBERS, Counter::default).depends_on(["counter"]);
+    let carried = node("module1", &medium).service(counter(StandbyKind::Warm).depends_on(["map"]));
+    let refused = TestNode::try_start(carried.service(map)).await;
+    let Err(StartError::Service { reason, .. }) = refused else { panic!("they would never serve") };
+    assert!(reason.contains("depends on itself"), "{reason}");
+}
+
+#[blastema_testkit::test]
 async fn a_service_that_is_described_wrongly_is_refused_at_the_start() {
     let elsewhere = ServiceSpec::new("counter", ["module8", "module9"], Counter::default);
     let refused = TestNode::try_start(Node::builder("module1").service(elsewhere)).await;

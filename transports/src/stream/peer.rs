@@ -3,7 +3,7 @@
 use super::framing::{CHUNK, decode};
 use super::outgoing::Outgoing;
 use super::{ByteStream, Family, Underway};
-use crate::medium::BUDGET;
+use crate::medium::Budget;
 use crate::outlet::Outlet;
 use blastema_core::recovery::Backoff;
 use bytes::BytesMut;
@@ -136,11 +136,13 @@ impl<F: Family> Peer<F> {
         let State::Connected(Connection { stream, buffer }) = &mut self.state else {
             return Ok(false);
         };
-        for _ in 0..BUDGET {
+        let mut budget = Budget::default();
+        while budget.next() {
             if outlet.poll_room(task).is_pending() {
                 return Ok(true);
             }
             if let Some(frame) = decode(buffer, limit).map_err(|_| Broken::Refused)? {
+                budget.spend(frame.len());
                 outlet.deliver(self.address.clone().into(), frame);
                 continue;
             }

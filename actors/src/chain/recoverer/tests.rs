@@ -3,7 +3,7 @@ use crate::chain::scripted::{Answer, Bench, fault};
 use crate::chain::strategy::{RecoveryStrategy, SafeOutputs, ToolBox};
 use crate::chain::supervisor::SupervisorChild;
 use crate::registry::Registry;
-use blastema_contract::strategy::{Reroute, RestNode};
+use blastema_contract::strategy::{IsolateNode, Reroute, RestNode};
 use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
 use blastema_core::{Fault, FaultId, FaultKind, NodeName, Place};
 use blastema_doubles::{Probe, advance, paused, settle};
@@ -36,11 +36,15 @@ impl Chain {
         let apply: SafeOutputs = Arc::new(move |_| {
             applied.fetch_add(1, SeqCst);
         });
+        let network = Probe::replying(|IsolateNode { node, cause, .. }| match node.as_str() {
+            "there" => Ok(Done::default()),
+            _ => Err(cause.into()),
+        });
         let tools = Tools::new(ToolBox {
             node: here.clone(),
             directory: bench.directory.clone(),
             registry: Registry::default(),
-            router: Arc::new(std::sync::OnceLock::from(router.recipient())),
+            router: Arc::new(std::sync::OnceLock::from((router.recipient(), network.recipient()))),
             safe_outputs: Some(apply),
             rest_node: node.recipient(),
         });
@@ -185,6 +189,21 @@ fn a_lost_link_is_rerouted_and_a_lost_node_observed() {
         let lost = Fault { kind: FaultKind::NodeLost, id: FaultId(2), ..down };
         chain.recover(Fault { place: there, ..lost }).await;
         assert_eq!(chain.told_until("2 observe").await, ["2 reroute", "2 observe"]);
+    });
+}
+
+#[test]
+fn a_faulty_node_is_isolated_and_where_that_cannot_be_it_is_observed() {
+    paused(async {
+        let chain = Chain::built_in().await;
+        let contained = "given up: contained by isolate; service is not restored";
+        for (id, node, last) in [(1, "there", contained), (2, "nowhere", "observe")] {
+            let place = Place::Node(NodeName::new(node).expect("a good name"));
+            let fault = Fault { place, ..fault(id, FaultKind::NodeFaulty, "laser", 1) };
+            chain.recover(fault).await;
+            let told = chain.told_until(&format!("{id} {last}")).await;
+            assert_eq!(told[0], format!("{id} isolate"), "{told:?}");
+        }
     });
 }
 

@@ -5,7 +5,7 @@ use crate::panics;
 use crate::registry::Registry;
 use crate::sender::Sender;
 use actix::prelude::*;
-use blastema_contract::strategy::{Reroute, RestNode};
+use blastema_contract::strategy::{IsolateNode, Reroute, RestNode};
 use blastema_contract::supervisor::{
     GaveUp, IsolateChild, Recovered, ResetChild, RestartChild, SafeStop,
 };
@@ -25,7 +25,7 @@ pub(crate) struct ToolBox {
     pub(crate) registry: Registry,
     /// Empty in a node without a network. The network needs the recoverer, and the recoverer the
     /// network: that is why it is filled later.
-    pub(crate) router: Arc<OnceLock<Recipient<Reroute>>>,
+    pub(crate) router: Arc<OnceLock<(Recipient<Reroute>, Recipient<IsolateNode>)>>,
     pub(crate) safe_outputs: Option<SafeOutputs>,
     pub(crate) rest_node: Recipient<RestNode>,
 }
@@ -70,20 +70,26 @@ impl Tools {
         judge(keeper.reset.send(ResetChild { object }).await).map(|_| Done::default())
     }
 
-    /// Forbids an object to send and receive.
+    /// Forbids an object, or another node, to send and receive. A node is refused here at once, and
+    /// everywhere as the robot's [rule](crate::manual::networks#isolation) says.
     ///
     /// # Errors
-    /// The place is no object that a supervisor keeps.
+    /// The place is a link, or no object that a supervisor keeps, or this node, or there is no network.
     pub async fn isolate(&self, place: &Place) -> Result<Done, Failed> {
-        self.set_isolated(place, true).await
+        self.set_isolated(place, true, "a recovery strategy says so").await
     }
 
-    /// Allows an object to send and receive again.
+    /// Allows an object, or another node, to send and receive again.
     ///
     /// # Errors
-    /// The place is no object that a supervisor keeps.
+    /// As [`isolate`](Tools::isolate).
     pub async fn admit(&self, place: &Place) -> Result<Done, Failed> {
-        self.set_isolated(place, false).await
+        self.set_isolated(place, false, "a recovery strategy says so").await
+    }
+
+    /// Isolates where the fault is, and tells the other nodes of it.
+    pub(crate) async fn isolate_because(&self, fault: &Fault) -> Result<Done, Failed> {
+        self.set_isolated(&fault.place, true, &format!("{}: {}", fault.kind, fault.detail)).await
     }
 
     /// Finds another way over the network than this link, or to this node.
@@ -91,7 +97,7 @@ impl Tools {
     /// # Errors
     /// There is no other way, or no network.
     pub async fn reroute(&self, place: &Place) -> Result<Done, Failed> {
-        let router = self.0.router.get().ok_or("this node has no network")?;
+        let (router, _) = self.0.router.get().ok_or("this node has no network")?;
         match router.send(Reroute { place: place.clone() }).await {
             Ok(outcome) => outcome,
             Err(_) => Err("the router did not answer".into()),
@@ -129,7 +135,21 @@ impl Tools {
         }
     }
 
-    async fn set_isolated(&self, place: &Place, isolated: bool) -> Result<Done, Failed> {
+    async fn set_isolated(
+        &self,
+        place: &Place,
+        isolated: bool,
+        cause: &str,
+    ) -> Result<Done, Failed> {
+        if let Place::Node(node) = place {
+            if *node == self.0.node {
+                return Err("a node cannot isolate itself: let it come to safe rest".into());
+            }
+            let (_, network) = self.0.router.get().ok_or("this node has no network")?;
+            let (node, cause) = (node.clone(), cause.to_owned());
+            let decided = network.send(IsolateNode { node, isolated, cause }).await;
+            return decided.unwrap_or_else(|_| Err("the network did not answer".into()));
+        }
         let (object, keeper) = self.keeper(place)?;
         judge(keeper.isolate.send(IsolateChild { object, isolated }).await)
     }

@@ -93,6 +93,9 @@ impl<C: Component> Pump<C> {
         restarted_as: Option<Incarnation>,
     ) {
         let record = &self.anchor.record;
+        if restarted_as.is_none() {
+            record.give_names_back();
+        }
         let object = record.name.clone();
         let ending = Ending::from(&exit);
         record.mourners.tell(&Down { object: object.clone(), incarnation, ending });

@@ -430,6 +430,9 @@ impl<C: Component> Pump<C> {
         self.anchor.record.set_state(state);
         self.slot.stamp.expect_signs(state == Lifecycle::Active);
         self.chores.set_active(state == Lifecycle::Active);
+        if state == Lifecycle::Active {
+            self.anchor.record.claim_names();
+        }
         let incarnation = self.life.incarnation;
         // States that were passed through within one poll are not told one by one.
         if let Some(Notice::State(last)) = self.outbox.last_mut()

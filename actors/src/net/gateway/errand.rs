@@ -1,15 +1,14 @@
 //! What this node's own side asks of the gateway, or tells it.
 
-use crate::net::door::Gate;
 use crate::registry::ReplyTo;
 use crate::topic::TopicKey;
 use actix::Message;
 use blastema_contract::Confirmed;
+use blastema_contract::session::Credit;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::Epoch;
 use blastema_core::{ContractIdentity, Instant, MessageId, ObjectAddress, Why};
 use bytes::Bytes;
-use std::sync::Arc;
 use tokio::sync::oneshot;
 
 /// An object here sends a message to one of another node.
@@ -25,7 +24,7 @@ pub(in crate::net) struct Ship {
     pub(in crate::net) until: Option<Instant>,
     pub(in crate::net) payload: Bytes,
     pub(in crate::net) reply_to: Option<ReplyTo>,
-    pub(in crate::net) gate: Arc<Gate>,
+    pub(in crate::net) credit: Credit,
 }
 
 /// An object here has answered another node's request.
@@ -46,6 +45,7 @@ pub(super) struct Published {
     pub(super) subscription: u32,
     pub(super) event: Bytes,
     pub(super) sent: Instant,
+    pub(super) credit: Credit,
 }
 
 /// A topic got its first listener here, or lost its last.

@@ -8,10 +8,11 @@ use crate::platform;
 use actix::prelude::*;
 use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
 use blastema_contract::router::PanicOnPurpose;
-use blastema_contract::session::{BeginAnew, Leave, SessionReported};
+use blastema_contract::session::{BeginAnew, Leave, PeerSeen, SessionReported};
+use blastema_contract::strategy::IsolateNode;
 use blastema_core::net::exchange::Call;
+use blastema_core::recovery::{Done, Failed};
 use blastema_core::{ObjectAddress, ObjectName, Why};
-use std::sync::atomic::Ordering::Relaxed;
 use tracing::debug;
 
 impl Handler<SessionReported> for Gateway {
@@ -49,6 +50,8 @@ impl Handler<SessionReported> for Gateway {
                 gate.set(Condition::Open);
                 if let Some(peer) = self.peers.get(&peer) {
                     self.wiring.wardens.opened(peer.node.clone());
+                    let node = peer.node.clone();
+                    self.tell_envoys(&PeerSeen::Opened { node, incarnation });
                 }
             }
             SessionReported::Message { peer, message } => {
@@ -75,6 +78,7 @@ impl Handler<SessionReported> for Gateway {
                 self.naming.handle_ended(peer);
                 if let Some(peer) = self.peers.get(&peer) {
                     self.wiring.wardens.ended(&peer.node);
+                    self.tell_envoys(&PeerSeen::Ended { node: peer.node.clone() });
                 }
             }
             SessionReported::Full { peer } => self.set(peer, Condition::Full),
@@ -94,11 +98,23 @@ impl Handler<KeptOut> for Gateway {
             // What is under way with it is resolved, and what it has here goes.
             self.exchange.handle_ended(peer, &Why::Isolated);
             self.naming.handle_ended(peer);
+            self.tell_envoys(&PeerSeen::Ended { node });
         } else {
             // What it said meanwhile was not heard: only a new session makes both agree again.
-            self.wiring.sessions.begin_anew.do_send(BeginAnew);
+            self.wiring.sessions.begin_anew.do_send(BeginAnew { peer: Some(peer) });
         }
         self.drive(context);
+    }
+}
+
+/// A recovery strategy has decided so.
+impl Handler<IsolateNode> for Gateway {
+    type Result = Result<Done, Failed>;
+
+    fn handle(&mut self, message: IsolateNode, _: &mut Context<Self>) -> Self::Result {
+        let IsolateNode { node, isolated, cause } = message;
+        self.wiring.wardens.carry_decision_out(&node, isolated, &cause);
+        Ok(Done::default())
     }
 }
 
@@ -106,8 +122,8 @@ impl Handler<Ship> for Gateway {
     type Result = ();
 
     fn handle(&mut self, message: Ship, context: &mut Context<Self>) {
-        let Ship { to, contract, id, sent, until, payload, reply_to, gate } = message;
-        gate.taken();
+        let Ship { to, contract, id, sent, until, payload, reply_to, credit } = message;
+        self.credit = Some(credit);
         let reply_as = reply_to.map(|reply_to| {
             let number = self.number();
             self.replies.insert(number, (to.node.clone(), reply_to));
@@ -117,6 +133,7 @@ impl Handler<Ship> for Gateway {
         let call = Call { node, object, contract, id, sent, until, payload, reply_as };
         self.exchange.handle_call(call);
         self.drive(context);
+        self.credit = None;
     }
 }
 
@@ -134,10 +151,8 @@ impl Handler<Published> for Gateway {
     type Result = ();
 
     fn handle(&mut self, message: Published, context: &mut Context<Self>) {
-        let Published { peer, subscription, event, sent } = message;
-        if let Some(forwarded) = self.forwards.get(&(peer, subscription)) {
-            forwarded.waiting.fetch_sub(1, Relaxed);
-        }
+        let Published { peer, subscription, event, sent, credit } = message;
+        self.credit = Some(credit);
         match self.verify((peer, subscription)) {
             Ok(by) => self.exchange.handle_event(peer, by, event, sent),
             Err(why @ Why::ContractDiffers { .. }) => {
@@ -148,6 +163,7 @@ impl Handler<Published> for Gateway {
             Err(_) => self.lost += 1,
         }
         self.drive(context);
+        self.credit = None;
     }
 }
 

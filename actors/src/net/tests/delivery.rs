@@ -13,6 +13,11 @@ struct Reading(u64, Vec<u8>);
 #[contract(delivery = "redundant")]
 struct Stop(u64);
 
+/// Much at once, all of which counts.
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(max_size = 1_100_000)]
+struct Bulk(u64, Vec<u8>);
+
 /// The same as a question.
 #[derive(Clone, Debug, PartialEq, Request)]
 #[contract(reply = u64, delivery = "redundant")]
@@ -22,7 +27,7 @@ struct Ear(Log);
 
 impl Component for Ear {
     fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Reading>().accept::<Stop>().serve::<Halt>();
+        ports.accept::<Reading>().accept::<Stop>().accept::<Bulk>().serve::<Halt>();
         let _ = ports.listen::<Reading>();
         let _ = ports.listen::<Stop>();
     }
@@ -36,6 +41,12 @@ impl Handle<Reading> for Ear {
 
 impl Handle<Stop> for Ear {
     async fn handle(&mut self, Stop(n): Stop, _: &mut Context<Self>) {
+        self.0.0.lock().unwrap().push(n);
+    }
+}
+
+impl Handle<Bulk> for Ear {
+    async fn handle(&mut self, Bulk(n, _): Bulk, _: &mut Context<Self>) {
         self.0.0.lock().unwrap().push(n);
     }
 }
@@ -183,5 +194,22 @@ fn parties_that_count_on_other_deliveries_do_not_bind() {
             assert!(declared.detail.contains("delivery re"), "{}", declared.detail);
         }
         assert_eq!(log.take(), []);
+    });
+}
+
+#[test]
+fn a_burst_of_what_is_large_waits_for_room_and_arrives_whole() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_ear, log) = ear(&right).await;
+        let sender = left.sender::<Bulk>("right:ear");
+        let burst = async {
+            for n in 0..40 {
+                sender.deliver(Bulk(n, vec![7; 1 << 20])).await.unwrap();
+            }
+        };
+        tokio::join!(burst, advance(5000 * MS));
+        assert_eq!(log.take(), (0..40).collect::<Vec<_>>());
+        assert_eq!(left.host.dead_letters.total(), 0);
     });
 }

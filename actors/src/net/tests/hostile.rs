@@ -20,7 +20,7 @@ async fn three() -> (Robot, [Module; 3]) {
 /// friend and answers. Answers what was declared.
 async fn under_fire(
     (victim, friend): (&Module, &Module),
-    source: &str,
+    (source, direct): (&str, bool),
     words: &[Segment],
 ) -> Vec<FaultDeclared> {
     let source = NodeId::of(&NodeName::new(source).unwrap());
@@ -29,7 +29,7 @@ async fn under_fire(
     for n in 1..=50 {
         for segment in words.iter().cycle().take(20) {
             let segment = segment.clone();
-            victim.net.sessions.do_send(SegmentArrived { source, segment });
+            victim.net.sessions.do_send(SegmentArrived { source, segment, direct });
         }
         assert_eq!(sender.ask_within(Add(1), 100 * MS).await.unwrap(), n);
         advance(100 * MS).await;
@@ -63,7 +63,7 @@ fn forged_and_replayed_sessions_are_refused_counted_and_named_and_the_forged_one
         before.tell(Note(1)).unwrap();
         advance(10 * MS).await;
 
-        let declared = under_fire((&left, &middle), "right", &stale(99)).await;
+        let declared = under_fire((&left, &middle), ("right", false), &stale(99)).await;
 
         assert_eq!(declared.len(), 1, "{declared:?}");
         assert_eq!(declared[0].kind, FaultKind::CheckFailed);
@@ -76,6 +76,59 @@ fn forged_and_replayed_sessions_are_refused_counted_and_named_and_the_forged_one
         assert_eq!(left.log.take(), [1, 2]);
         let lost = left.host.dead_letters.total() + right.host.dead_letters.total();
         assert_eq!(lost, 0);
+        // It came by way of others: who has made it up, nobody can tell.
+        assert_eq!(offences(&left), Vec::<String>::new());
+    });
+}
+
+fn offences(module: &Module) -> Vec<String> {
+    let offence = |report: NodeReported| match report.condition {
+        NodeCondition::Offends { what } => Some(format!("{}: {what}", report.node)),
+        _ => None,
+    };
+    module.nodes.drain().into_iter().filter_map(offence).collect()
+}
+
+#[test]
+fn who_floods_by_its_own_link_is_told_as_an_offender() {
+    paused(async {
+        let (_robot, [left, _right, middle]) = three().await;
+
+        under_fire((&left, &middle), ("right", true), &stale(99)).await;
+
+        assert_eq!(offences(&left), ["right: it sent for seconds what had to be refused"]);
+    });
+}
+
+#[test]
+fn a_node_is_not_believed_about_others_and_about_its_own_objects_it_is() {
+    paused(async {
+        let (_robot, [left, right, middle]) = three().await;
+        let tell = |place: Place| {
+            let name = NodeName::new("left").unwrap();
+            let kind = FaultKind::NodeFaulty;
+            let fault = Fault::of_node(name, kind, "it floods".into(), platform::now());
+            let port = right.net.recoverer_of(&NodeName::new("left").unwrap());
+            async move { port.send(Recover { fault: Fault { place, ..fault } }).await }
+        };
+        let object = |text: &str| Place::Object(text.parse().unwrap());
+        let others = [
+            Place::Node(NodeName::new("middle").unwrap()),
+            Place::Node(NodeName::new("left").unwrap()),
+            object("left:acc"),
+            object("middle:acc"),
+        ];
+        for place in others {
+            let told = tell(place);
+            let (told, ()) = tokio::join!(told, advance(100 * MS));
+            told.expect("it is not repeated");
+        }
+        assert!(left.faults.drain().is_empty());
+
+        let (told, ()) = tokio::join!(tell(object("right:acc")), advance(100 * MS));
+        told.expect("it is taken");
+        assert_eq!(left.faults.drain().len(), 1);
+        drop(middle);
     });
 }
 
@@ -84,7 +137,7 @@ fn who_speaks_for_a_node_that_nobody_knows_is_counted_and_told() {
     paused(async {
         let (_robot, [left, _right, middle]) = three().await;
 
-        let declared = under_fire((&left, &middle), "nobody", &stale(99)).await;
+        let declared = under_fire((&left, &middle), ("nobody", false), &stale(99)).await;
 
         assert_eq!(declared.len(), 1, "{declared:?}");
         let detail = &declared[0].detail;
@@ -100,7 +153,7 @@ fn what_is_refused_in_passing_is_no_fault() {
         let source = NodeId::of(&NodeName::new("right").unwrap());
         for _ in 0..200 {
             let segment = Segment::Reset { tag: 99 }.encode();
-            left.net.sessions.do_send(SegmentArrived { source, segment });
+            left.net.sessions.do_send(SegmentArrived { source, segment, direct: false });
         }
         advance(10_000 * MS).await;
 

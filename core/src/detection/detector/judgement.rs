@@ -3,7 +3,7 @@
 use super::{Cause, Detector, Scene, Seen};
 use crate::detection::symptoms::is_down;
 use crate::detection::{End, Exit, Finding, LinkCondition, NodeCondition};
-use crate::{Fault, FaultKind, Incarnation, Lifecycle, ObjectName};
+use crate::{Fault, FaultKind, Incarnation, Lifecycle, ObjectName, Place};
 use std::time::Duration;
 
 impl Detector {
@@ -211,6 +211,22 @@ impl Detector {
             }
             NodeCondition::Lost { reason } => {
                 self.find(&scene, FaultKind::NodeLost, reason, Cause::Itself);
+            }
+            NodeCondition::Offends { what } => {
+                let Place::Node(node) = &scene.place else { return };
+                if let Some(detail) = self.conduct.handle_offence(node, what, scene.at) {
+                    self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
+                }
+            }
+            NodeCondition::Isolated { reason } => {
+                let detail = format!("it is isolated {reason}");
+                self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
+            }
+            NodeCondition::Admitted => {
+                if let Place::Node(node) = &scene.place {
+                    self.conduct.forget(node);
+                }
+                self.end_kind(&scene, &FaultKind::NodeFaulty);
             }
             NodeCondition::Restarted => {
                 let known = self.chronicle.standing(&scene.place, &FaultKind::NodeLost);

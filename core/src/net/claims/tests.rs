@@ -1,4 +1,5 @@
 use super::*;
+use std::time::Duration;
 
 const LEASE: Duration = Duration::from_millis(400);
 
@@ -20,18 +21,24 @@ struct Robot {
     nodes: BTreeMap<NodeName, Claims>,
     parted: bool,
     told: Vec<String>,
+    /// Of nodes that start from now on.
+    settle: Duration,
+    expected: BTreeSet<NodeName>,
 }
 
 impl Robot {
     fn new(names: &[&str]) -> Self {
-        let mut robot = Robot { now: 0, nodes: BTreeMap::new(), parted: false, told: vec![] };
+        let (settle, expected) = (Duration::ZERO, BTreeSet::new());
+        let (nodes, told) = (BTreeMap::new(), vec![]);
+        let mut robot = Robot { now: 0, nodes, parted: false, told, settle, expected };
         names.iter().for_each(|name| robot.start(name, 0));
         robot
     }
 
     fn start(&mut self, name: &str, incarnation: u64) {
         let incarnation = Incarnation(incarnation);
-        let config = ClaimsConfig { node: node(name), incarnation, lease: LEASE };
+        let (settle, expected) = (self.settle, self.expected.clone());
+        let config = ClaimsConfig { node: node(name), incarnation, lease: LEASE, settle, expected };
         let mut claims = Claims::new(config, ms(self.now));
         for (other, theirs) in &mut self.nodes {
             theirs.handle_opened(node(name), incarnation, ms(self.now));
@@ -62,21 +69,29 @@ impl Robot {
                             claims.handle_message(&from, &message, ms(self.now));
                         }
                     }
-                    ClaimsOutput::Send { .. } => {}
+                    ClaimsOutput::Send { .. } | ClaimsOutput::StandsBy { .. } => {}
                     ClaimsOutput::Granted { name, .. } => {
                         self.told.push(format!("{from} has {name}"))
                     }
                     ClaimsOutput::Lost { name, to, .. } => {
                         self.told.push(format!("{from} lost {name} to {to}"));
                     }
+                    ClaimsOutput::Refused(held) => {
+                        self.told.push(format!("{from} is refused {}", held.name));
+                    }
+                    ClaimsOutput::Held { name, holder } => {
+                        let known = self.nodes[&from].shown.get(&name).cloned();
+                        let overtaken = known != holder;
+                        assert!(overtaken || self.nodes[&from].holder(&name) == holder);
+                    }
                 }
             }
         }
     }
 
-    fn claim(&mut self, who: &str, policy: ClaimPolicy) -> Result<Option<u64>, NameHeld> {
-        let claimed =
-            self.nodes.get_mut(&node(who)).unwrap().handle_claim(&map(), policy, ms(self.now));
+    fn claim(&mut self, who: &str, policy: ClaimPolicy) -> Result<Option<u64>, ClaimRefused> {
+        let wanted = Wanted::new(map(), policy);
+        let claimed = self.nodes.get_mut(&node(who)).unwrap().handle_claim(wanted, ms(self.now));
         self.carry();
         claimed
     }
@@ -89,8 +104,8 @@ impl Robot {
         }
     }
 
-    fn holder(&self, seen_by: &str) -> Option<&str> {
-        self.nodes[&node(seen_by)].holder(&map()).map(|(holder, _)| holder.as_str())
+    fn holder(&self, seen_by: &str) -> Option<String> {
+        self.nodes[&node(seen_by)].holder(&map()).map(|holder| holder.node.to_string())
     }
 
     fn told(&mut self) -> Vec<String> {
@@ -104,11 +119,11 @@ fn a_second_claimant_is_refused_or_stands_by_as_it_wishes() {
     let epoch = robot.claim("b", ClaimPolicy::Refuse).unwrap().unwrap();
 
     let held = NameHeld { name: map(), holder: node("b"), epoch };
-    assert_eq!(robot.claim("a", ClaimPolicy::Refuse), Err(held));
+    assert_eq!(robot.claim("a", ClaimPolicy::Refuse), Err(held.into()));
     assert_eq!(robot.claim("c", ClaimPolicy::Standby), Ok(None));
     assert_eq!(robot.claim("b", ClaimPolicy::Refuse), Ok(Some(epoch)), "it has it already");
 
-    assert_eq!(["a", "b", "c"].map(|seen_by| robot.holder(seen_by)), [Some("b"); 3]);
+    assert_eq!(["a", "b", "c"].map(|seen_by| robot.holder(seen_by).unwrap()), ["b"; 3]);
     assert_eq!(robot.told(), ["b has map"]);
 }
 
@@ -124,13 +139,13 @@ fn the_first_standby_takes_over_when_the_lease_of_a_node_that_died_is_over() {
     robot.nodes.remove(&node("a"));
     robot.nodes.values_mut().for_each(|claims| claims.handle_ended(&node("a")));
     robot.advance(300);
-    assert_eq!(robot.holder("c"), Some("a"), "its lease holds");
+    assert_eq!(robot.holder("c").as_deref(), Some("a"), "its lease holds");
     robot.advance(110);
 
     assert_eq!(robot.told(), ["b has map"]);
-    let (holder, new) = robot.nodes[&node("c")].holder(&map()).unwrap();
-    assert_eq!(holder, &node("b"));
-    assert!(new > old);
+    let holder = robot.nodes[&node("c")].holder(&map()).unwrap();
+    assert_eq!((holder.node, holder.object), (node("b"), map()));
+    assert!(holder.epoch > old);
 }
 
 #[test]
@@ -145,7 +160,7 @@ fn a_name_that_is_given_back_goes_to_a_standby_at_once() {
     robot.advance(1);
 
     assert_eq!(robot.told(), ["a has map"]);
-    assert_eq!(robot.holder("c"), Some("a"));
+    assert_eq!(robot.holder("c").as_deref(), Some("a"));
 }
 
 #[test]
@@ -156,13 +171,14 @@ fn two_halves_of_a_robot_agree_again_when_they_meet() {
         robot.claim("b", ClaimPolicy::Standby).unwrap();
         robot.parted = true;
         robot.advance(500);
-        assert_eq!((robot.holder("a"), robot.holder("c")), (Some("a"), Some("b")));
+        let halves = (robot.holder("a").unwrap(), robot.holder("c").unwrap());
+        assert_eq!(halves, ("a".to_owned(), "b".to_owned()));
         robot.told();
 
         robot.parted = false;
         robot.advance(500);
 
-        assert_eq!(["a", "b", "c"].map(|seen_by| robot.holder(seen_by)), [Some("b"); 3]);
+        assert_eq!(["a", "b", "c"].map(|seen_by| robot.holder(seen_by).unwrap()), ["b"; 3]);
         assert_eq!(robot.told(), ["a lost map to b"]);
         assert_eq!(robot.nodes[&node("a")].own.len(), after, "{policy:?}");
     }
@@ -190,19 +206,140 @@ fn what_went_astray_is_found_by_its_sum_and_told_again() {
 
     robot.advance(101);
 
-    assert_eq!(robot.holder("b"), Some("a"));
+    assert_eq!(robot.holder("b").as_deref(), Some("a"));
 }
 
 #[test]
-fn too_many_claims_and_nonsense_are_refused() {
+fn too_many_claims_and_nonsense_are_refused_and_counted_by_node() {
     let mut robot = Robot::new(&["a", "b"]);
-    let hostile = (0..CLAIMS_MAX + 3)
-        .map(|n| Told { name: ObjectName::new(&format!("name{n}")).unwrap(), epoch: Some(1) });
+    let hostile = (0..CLAIMS_MAX + 3).map(|n| told(&format!("name{n}"), 1));
     let claims = robot.nodes.get_mut(&node("b")).unwrap();
     hostile.for_each(|told| claims.hear(&node("a"), told, ms(0)));
     claims.handle_message(&node("a"), b"\xff\xff", ms(0));
     claims.handle_message(&node("stranger"), b"\0", ms(0));
+    for _ in 0..10 {
+        let tell_all = codec::encode_unbounded(&Message::TellAll);
+        claims.handle_message(&node("a"), &tell_all, ms(60));
+    }
 
-    assert_eq!(claims.refused(), 4);
+    let refusals = claims.refusals().next().unwrap().1;
+    assert_eq!((refusals.too_large, refusals.malformed, refusals.unexpected), (3, 1, 9));
     assert_eq!(claims.held(), CLAIMS_MAX);
+}
+
+#[test]
+fn an_epoch_that_leaves_no_greater_one_is_refused() {
+    let mut robot = Robot::new(&["a", "b"]);
+    let claims = robot.nodes.get_mut(&node("b")).unwrap();
+    claims.hear(&node("a"), told("map", u64::MAX), ms(0));
+    claims.hear(&node("a"), told("plan", EPOCH_MAX - 1), ms(0));
+
+    assert_eq!(claims.refusals().next().unwrap().1.malformed, 1);
+    robot.claim("b", ClaimPolicy::Refuse).unwrap();
+    assert_eq!(robot.holder("a").as_deref(), Some("b"));
+}
+
+#[test]
+fn a_node_that_starts_takes_no_name_before_it_has_heard_who_holds_it() {
+    let mut robot = Robot::new(&["a", "b"]);
+    robot.claim("a", ClaimPolicy::Refuse).unwrap();
+    robot.told();
+    robot.parted = true; // Its sessions take a while.
+    robot.settle = Duration::from_millis(350);
+    robot.start("c", 9);
+    assert_eq!(robot.claim("c", ClaimPolicy::Refuse), Ok(None), "it waits");
+    robot.advance(200);
+    assert_eq!(robot.told(), Vec::<String>::new());
+
+    robot.parted = false;
+    robot.advance(150);
+
+    assert_eq!(robot.told(), ["c is refused map"]);
+    assert_eq!(robot.holder("c").as_deref(), Some("a"));
+}
+
+#[test]
+fn a_name_that_nobody_has_is_granted_once_all_that_are_expected_were_heard_or_are_too_late() {
+    let mut robot = Robot::new(&["a", "b"]);
+    robot.settle = Duration::from_millis(300);
+    robot.expected = ["a", "b"].map(node).into();
+    robot.start("c", 9);
+    assert!(robot.claim("c", ClaimPolicy::Refuse).unwrap().is_some(), "all were heard");
+
+    robot.expected = ["a", "gone"].map(node).into();
+    robot.start("d", 9);
+    let other = Wanted::new(ObjectName::new("plan").unwrap(), ClaimPolicy::Refuse);
+    let claims = robot.nodes.get_mut(&node("d")).unwrap();
+    assert_eq!(claims.handle_claim(other, ms(robot.now)), Ok(None));
+    robot.told();
+    robot.advance(299);
+    assert_eq!(robot.told(), Vec::<String>::new());
+    robot.advance(1);
+    assert_eq!(robot.told(), ["d has plan"]);
+}
+
+#[test]
+fn all_nodes_that_start_together_and_want_one_name_agree_without_a_dispute() {
+    let mut robot = Robot::new(&[]);
+    robot.settle = Duration::from_millis(300);
+    for name in ["b", "c", "a"] {
+        robot.start(name, 1);
+        assert_eq!(robot.claim(name, ClaimPolicy::Standby), Ok(None));
+    }
+    robot.advance(400);
+
+    assert_eq!(robot.told(), ["a has map"]);
+}
+
+#[test]
+fn what_is_told_again_in_parts_does_not_come_and_go() {
+    let mut robot = Robot::new(&["a", "b"]);
+    robot.claim("a", ClaimPolicy::Refuse).unwrap();
+    let claims = robot.nodes.get_mut(&node("b")).unwrap();
+    claims.hear(&node("a"), told("old", 7), ms(0));
+    while claims.poll_output().is_some() {}
+
+    let epoch = claims.holder(&map()).unwrap().epoch;
+    let first = Message::All { first: true, last: false, claims: vec![] };
+    claims.handle_message(&node("a"), &codec::encode_unbounded(&first), ms(1));
+    assert_eq!(claims.held(), 2);
+    let last = Message::All { first: false, last: true, claims: vec![told("map", epoch)] };
+    claims.handle_message(&node("a"), &codec::encode_unbounded(&last), ms(2));
+
+    let old = ObjectName::new("old").unwrap();
+    assert_eq!(claims.poll_output(), Some(ClaimsOutput::Held { name: old, holder: None }));
+    assert_eq!((claims.poll_output(), claims.held()), (None, 1));
+}
+
+#[test]
+fn claims_that_begin_anew_within_their_nodes_life_keep_what_they_hold_and_ask_for_the_rest() {
+    let mut robot = Robot::new(&["a", "b", "c"]);
+    let epoch = robot.claim("a", ClaimPolicy::Refuse).unwrap();
+    robot.claim("b", ClaimPolicy::Standby).unwrap();
+    robot.told();
+    robot.advance(100);
+    for name in ["a", "b"] {
+        let claims = robot.nodes.remove(&node(name)).unwrap();
+        let own = claims.own.iter().map(|(name, own)| {
+            (
+                Wanted { name: name.clone(), object: own.object.clone(), policy: own.policy },
+                own.epoch,
+            )
+        });
+        let mut anew = Claims::reborn(claims.config.clone(), own, ms(robot.now));
+        for (other, peer) in &claims.peers {
+            anew.handle_opened(other.clone(), peer.incarnation, ms(robot.now));
+        }
+        robot.nodes.insert(node(name), anew);
+        robot.carry();
+    }
+    robot.advance(500);
+
+    assert_eq!(robot.told(), Vec::<String>::new());
+    assert_eq!(robot.nodes[&node("b")].holder(&map()).map(|holder| holder.epoch), epoch);
+}
+
+fn told(name: &str, epoch: u64) -> Told {
+    let stake = Stake { epoch: Some(epoch), object: None };
+    Told { name: ObjectName::new(name).unwrap(), stake }
 }

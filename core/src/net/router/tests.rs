@@ -1,7 +1,9 @@
 //! A router among neighbours that the test speaks for.
 
 use super::*;
+use crate::net::advertisement::Edge;
 use crate::net::link::Neighbour;
+use crate::net::packet::{Class, Packet, Payload, Undelivered};
 
 const FIRST: LinkNumber = LinkNumber(0);
 const SECOND: LinkNumber = LinkNumber(1);
@@ -371,4 +373,64 @@ fn a_link_that_cannot_carry_an_advertisement_is_not_used() {
     router.handle_link(FIRST, narrow, at(1000));
 
     assert_eq!(outputs(&mut router, 1010), []);
+}
+
+#[test]
+fn nothing_goes_to_an_isolated_node_comes_from_it_or_leads_over_it_until_it_is_admitted() {
+    let mut router = between_two();
+    let segment = || Bytes::from_static(b"segment");
+    let packet = |source: &str, to: &str| Packet { source: id(source), ..packet_to(to, 3) };
+
+    router.handle_isolation(&named("left"), true, at(1020));
+    let told = outputs(&mut router, 1030);
+
+    let own = |link| announced(&told, link).into_iter().find(|own| own.node == named("own"));
+    for link in [FIRST, SECOND] {
+        let own = own(link).expect("all are told, and so is the isolated node itself");
+        assert_eq!(own.edges.iter().map(|edge| edge.to).collect::<Vec<_>>(), [id("right")]);
+    }
+    let (node, incarnation) = (named("left"), Incarnation(1));
+    assert!(told.contains(&RouterOutput::Lost { node, incarnation }));
+    // The ways go around it.
+    assert_eq!(router.route(id("far")).unwrap().next, SECOND);
+    router.handle_segment(id("left"), Class::Data, segment());
+    assert!(matches!(router.poll_output(), Some(RouterOutput::Undelivered { .. })));
+    // Whatever comes by its link is refused, and what it has sent by others' links too.
+    let refused = router.refusals().isolated;
+    router.handle_packet(FIRST, packet("left", "far").encode(), at(1040));
+    router.handle_packet(FIRST, packet("somebody", "own").encode(), at(1040));
+    router.handle_packet(SECOND, packet("left", "own").encode(), at(1040));
+    tell(&mut router, FIRST, advertisement("left", 9, &[("own", 1), ("far", 1)]), 1040);
+    assert_eq!(router.refusals().isolated - refused, 4);
+    assert_eq!(without_routing(outputs(&mut router, 1045)), []);
+    // That its link is still well, or comes back, changes nothing.
+    router.handle_link(FIRST, LinkStatus { health: Health::Down, ..up("left", 1) }, at(1050));
+    router.handle_link(FIRST, up("left", 1), at(1060));
+    assert_eq!(without_routing(outputs(&mut router, 1070)), []);
+
+    router.handle_isolation(&named("left"), false, at(1080));
+
+    let told = outputs(&mut router, 1090);
+    let back = |output: &RouterOutput| matches!(output, RouterOutput::Reachable { node, .. } if *node == named("left"));
+    assert!(told.iter().any(back), "{told:?}");
+    assert_eq!(router.route(id("far")).unwrap().next, FIRST);
+}
+
+#[test]
+fn no_way_leads_over_a_far_node_that_is_isolated() {
+    let mut router = router();
+    router.handle_link(FIRST, up("left", 1), at(1000));
+    tell(&mut router, FIRST, advertisement("left", 1, &[("own", 1), ("middle", 1)]), 1000);
+    tell(&mut router, FIRST, advertisement("middle", 1, &[("left", 1), ("far", 1)]), 1000);
+    tell(&mut router, FIRST, advertisement("far", 1, &[("middle", 1)]), 1000);
+    outputs(&mut router, 1010);
+    assert!(router.route(id("far")).is_some());
+
+    router.handle_isolation(&named("middle"), true, at(1020));
+    outputs(&mut router, 1030);
+    assert!(router.route(id("far")).is_none() && router.route(id("middle")).is_none());
+
+    router.handle_isolation(&named("middle"), false, at(1040));
+    outputs(&mut router, 1050);
+    assert!(router.route(id("far")).is_some());
 }

@@ -96,6 +96,8 @@ pub enum RouterOutput {
         source: NodeId,
         /// The segment.
         segment: Bytes,
+        /// It came over a link with the source itself: nobody else can have made it up.
+        direct: bool,
     },
     /// A packet of ours could not be delivered.
     Undelivered {

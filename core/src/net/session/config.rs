@@ -3,6 +3,9 @@
 use crate::{Incarnation, NodeName};
 use std::time::Duration;
 
+/// A mebibyte of the application's, and what says whose it is.
+const MESSAGE_MAX: usize = (1 << 20) + 4096;
+
 /// How a session behaves.
 #[derive(Clone, Debug)]
 pub struct SessionConfig {
@@ -27,8 +30,10 @@ pub struct SessionConfig {
     pub buffer_messages: usize,
     /// How many parts of a stream may be on their way, and may arrive ahead of their turn.
     pub window: u32,
-    /// The largest part in bytes, however large the path's frames are: a full window of parts should
-    /// fit into the buffers of the sockets on the way.
+    /// The bytes of data that may be on their way: they should fit into the buffers of the sockets there.
+    pub window_bytes: usize,
+    /// The largest part in bytes, however large the path's frames are. Larger costs less per byte;
+    /// smaller lets control through sooner.
     pub part_max: usize,
     /// How long an acknowledgement may wait for something to travel with.
     pub ack_delay: Duration,
@@ -49,12 +54,13 @@ impl SessionConfig {
             peer,
             number: 0,
             patience: Duration::from_secs(2),
-            message_max: 1 << 20,
+            message_max: MESSAGE_MAX,
             // Four of the largest messages, or a second of 1 kB at 4 kHz.
             buffer_bytes: 4 << 20,
             buffer_messages: 4096,
             window: 256,
-            part_max: 8 * 1024,
+            window_bytes: 1024 * 1024,
+            part_max: 32 * 1024,
             ack_delay: Duration::from_millis(2),
             // Ten times the delay of acknowledgements.
             retransmit_min: Duration::from_millis(20),

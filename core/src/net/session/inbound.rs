@@ -112,14 +112,19 @@ impl Inbound {
             if length > self.message_max {
                 return Err(WireError::TooLarge { what: "a message" });
             }
-            // Room is taken as bytes arrive, not as they are promised.
+            // Room is taken as bytes arrive, four times as much at most, and not as they are promised.
             self.partial = Some(Partial { length, bytes: BytesMut::new() });
         }
         let partial = self
             .partial
             .as_mut()
             .ok_or(WireError::Malformed { what: "a message without a start" })?;
-        partial.bytes.extend_from_slice(&reader.rest());
+        let rest = reader.rest();
+        if partial.bytes.capacity() - partial.bytes.len() < rest.len() {
+            let room = (4 * (partial.bytes.len() + rest.len())).min(partial.length);
+            partial.bytes.reserve(room.saturating_sub(partial.bytes.len()));
+        }
+        partial.bytes.extend_from_slice(&rest);
         if partial.bytes.len() > partial.length {
             return Err(WireError::TooLarge { what: "a message" });
         }

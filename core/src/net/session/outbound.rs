@@ -19,6 +19,8 @@ pub(crate) struct Outbound {
     bytes: usize,
     /// Parts on their way, by sequence number.
     flight: BTreeMap<u64, Part>,
+    /// The bytes of those that are not known to be lost.
+    flying_bytes: usize,
     lost: usize,
     next: u64,
     /// The peer takes parts below this.
@@ -73,6 +75,7 @@ impl Outbound {
             cut_bytes: 0,
             bytes: 0,
             flight: BTreeMap::new(),
+            flying_bytes: 0,
             lost: 0,
             next: 0,
             limit: window.into(),
@@ -91,6 +94,11 @@ impl Outbound {
     /// Everything was acknowledged.
     pub(crate) fn is_empty(&self) -> bool {
         self.messages.is_empty()
+    }
+
+    /// Their bytes.
+    pub(crate) fn flying_bytes(&self) -> usize {
+        self.flying_bytes
     }
 
     /// Parts that are on their way and not believed lost.
@@ -124,6 +132,7 @@ impl Outbound {
         {
             self.lost -= 1;
             *part = Part { sent: now, order, again: true, lost: false, ..part.clone() };
+            self.flying_bytes += part.payload.len();
             return Some((*sequence, part.clone()));
         }
         if self.next >= self.limit || self.cut == self.messages.len() {
@@ -133,6 +142,7 @@ impl Outbound {
         let (first, last, payload) = self.cut_part(room, sequence);
         let part = Part { first, last, payload, sent: now, order, again: false, lost: false };
         self.next += 1;
+        self.flying_bytes += part.payload.len();
         self.flight.insert(sequence, part.clone());
         Some((sequence, part))
     }
@@ -199,7 +209,10 @@ impl Outbound {
     fn arrived(&mut self, first: u64, last: u64, now: Instant, progress: &mut Progress) {
         while let Some((&sequence, _)) = self.flight.range(first..=last).next() {
             let part = self.flight.remove(&sequence).expect("it was found");
-            self.lost -= usize::from(part.lost);
+            match part.lost {
+                true => self.lost -= 1,
+                false => self.flying_bytes -= part.payload.len(),
+            }
             progress.parts += 1;
             if progress.order.is_none_or(|order| part.order > order) {
                 progress.order = Some(part.order);
@@ -226,6 +239,7 @@ impl Outbound {
             if !part.lost && is_lost(part) {
                 part.lost = true;
                 self.lost += 1;
+                self.flying_bytes -= part.payload.len();
             }
         }
         self.lost > before

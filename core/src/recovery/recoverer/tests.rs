@@ -393,7 +393,7 @@ fn every_fault_is_settled_whatever_the_strategies_do() {
             for answers in 0..81 {
                 let mut rig = Rig::new();
                 let mut open = vec![1, 2];
-                let second = FaultKind::BUILT_IN[answers % 14].clone();
+                let second = FaultKind::BUILT_IN[answers % 15].clone();
                 rig.machine.handle_fault(fault(1, kind.clone(), place.clone(), 1), rig.now);
                 rig.machine.handle_fault(fault(2, second, place.clone(), 1), rig.now);
                 let mut answers = answers;

@@ -24,7 +24,7 @@ pub(super) struct Primary {
 }
 
 /// What the primary knows of a standby.
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug)]
 struct Follower {
     /// When the newest hello was said that it has promised after.
     promised: Instant,
@@ -86,11 +86,22 @@ impl Primary {
 }
 
 impl Replica {
-    /// A majority wants this replica to serve; it was asked at `asked`.
-    pub(super) fn take_over(&mut self, epoch: u64, asked: Instant, now: Instant) {
-        self.role = Acting::Primary(Primary::new(epoch, asked));
+    /// A majority wants this replica to serve; it was asked at `asked`. Of those who voted, these have
+    /// what it has.
+    pub(super) fn take_over(
+        &mut self,
+        epoch: u64,
+        asked: Instant,
+        in_step: impl IntoIterator<Item = NodeName>,
+        now: Instant,
+    ) {
+        let mut primary = Primary::new(epoch, asked);
+        let position = self.position;
+        let abreast = Follower { promised: asked, step: Step::Abreast, position };
+        primary.standbys.extend(in_step.into_iter().map(|node| (node, abreast)));
+        self.role = Acting::Primary(primary);
         self.see(epoch);
-        self.outputs.push_back(ReplicaOutput::Became(Role::Primary { epoch }));
+        self.tell_role();
         match self.config.kind {
             StandbyKind::Cold => {
                 self.table.clear();
@@ -115,7 +126,8 @@ impl Replica {
         if primary.said.len() > HELLOS_KEPT {
             primary.said.pop_front();
         }
-        let hello = Message::Hello { epoch: primary.epoch, number: primary.number };
+        let (epoch, number, position) = (primary.epoch, primary.number, self.position);
+        let hello = Message::Hello { epoch, number, position };
         self.tell_others(&hello);
     }
 
@@ -128,6 +140,7 @@ impl Replica {
         now: Instant,
     ) {
         let lease = self.config.lease();
+        let nothing_missing = in_step && self.tells_by_position() && position == self.position;
         let Acting::Primary(primary) = &mut self.role else { return };
         if epoch != primary.epoch {
             return;
@@ -141,6 +154,10 @@ impl Replica {
         let follower = primary.standbys.entry(from.clone()).or_insert(fresh);
         follower.promised = follower.promised.max(promised);
         follower.step = match (follower.step, in_step) {
+            (Step::Behind, true) if nothing_missing => {
+                follower.position = position;
+                Step::Abreast
+            }
             // While it was behind, entries were not sent to it.
             (Step::Behind, _) => Step::Behind,
             (Step::Sent(at), false) if now - at > lease => Step::Behind,

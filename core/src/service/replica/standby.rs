@@ -1,7 +1,6 @@
 //! What a replica does while another one serves, or nobody does.
 
 use super::*;
-use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// A replica that stands by.
@@ -15,7 +14,13 @@ pub(super) struct Standby {
     pub(super) claim_at: Instant,
     /// Under which epoch the last snapshot came: since then nothing is missing.
     in_step: Option<u64>,
+    /// What it has is everything up to its position.
+    whole: bool,
     claiming: Option<Claiming>,
+    /// It would claim, and has asked whether others are there.
+    pub(super) inquiring: bool,
+    /// They are; good for one claim.
+    pub(super) ready: bool,
     /// Somebody claims while our promise still lasts: it is answered when that is over.
     asked: Option<(NodeName, u64, Position)>,
 }
@@ -25,7 +30,10 @@ pub(super) struct Standby {
 struct Claiming {
     epoch: u64,
     asked: Instant,
-    votes: BTreeSet<NodeName>,
+    /// How far we had come then.
+    position: Position,
+    /// And whether they have what we have.
+    votes: BTreeMap<NodeName, bool>,
 }
 
 impl Standby {
@@ -36,7 +44,10 @@ impl Standby {
             primary,
             promised_until,
             in_step: None,
+            whole: false,
             claiming: None,
+            inquiring: false,
+            ready: false,
             asked: None,
         }
     }
@@ -50,14 +61,24 @@ impl Standby {
     }
 
     pub(super) fn beginning(config: &ReplicaConfig, now: Instant) -> Self {
-        Standby::waiting(config, None, now)
+        Standby { whole: true, ..Standby::waiting(config, None, now) }
+    }
+
+    /// As what it stands by, while this epoch is the greatest that is known.
+    pub(super) fn role(&self, epoch: u64, kind: StandbyKind) -> Role {
+        let primary = self.primary.clone();
+        // A cold one has nothing to know.
+        let knows = kind == StandbyKind::Cold || self.in_step == Some(epoch);
+        Role::Standby { in_step: knows && primary.is_some(), primary }
     }
 
     /// What this replica has is not what the primary has.
     pub(super) fn fall_behind(&mut self) {
         self.in_step = None;
+        self.whole = false;
     }
 
+    /// What it did last as primary, nobody else may have.
     pub(super) fn following(
         config: &ReplicaConfig,
         primary: Option<NodeName>,
@@ -75,7 +96,13 @@ fn turn(config: &ReplicaConfig, gone: Option<&NodeName>) -> Duration {
 }
 
 impl Replica {
-    pub(super) fn hear_hello(&mut self, from: &NodeName, epoch: u64, number: u64, now: Instant) {
+    pub(super) fn hear_hello(
+        &mut self,
+        from: &NodeName,
+        epoch: u64,
+        (number, position): (u64, Position),
+        now: Instant,
+    ) {
         if epoch < self.epoch {
             return self.send(from, &Message::Outdated { epoch: self.epoch });
         }
@@ -87,19 +114,22 @@ impl Replica {
             self.step_down(Some(from.clone()), now);
         }
         self.see(epoch);
+        let (telling, own) = (self.tells_by_position(), self.position);
         let Acting::Standby(standby) = &mut self.role else { return };
-        let known = standby.primary.as_ref() == Some(from);
+        if telling && standby.whole && position == own {
+            standby.in_step = Some(epoch);
+        } else if telling && position > own {
+            // What makes the difference was sent before, to others.
+            standby.in_step = None;
+        }
         standby.primary = Some(from.clone());
-        (standby.claiming, standby.asked) = (None, None);
+        (standby.claiming, standby.asked, standby.inquiring) = (None, None, false);
         standby.promised_until = now + self.config.lease() + self.config.margin();
         standby.claim_at = standby.promised_until + turn(&self.config, Some(from));
         let in_step = standby.in_step == Some(epoch) || self.config.kind == StandbyKind::Cold;
         let position = self.position;
         self.send(from, &Message::Promise { epoch, number, position, in_step });
-        if !known {
-            let primary = Some(from.clone());
-            self.outputs.push_back(ReplicaOutput::Became(Role::Standby { primary }));
-        }
+        self.tell_role();
     }
 
     /// Nobody serves: this replica offers to.
@@ -107,20 +137,23 @@ impl Replica {
         let again = self.config.hello_interval + turn(&self.config, None);
         let Acting::Standby(standby) = &mut self.role else { return };
         standby.claim_at = now + again;
-        if !self.ready {
-            return;
+        standby.primary = None;
+        if self.config.depends && !std::mem::take(&mut standby.ready) {
+            if !std::mem::replace(&mut standby.inquiring, true) {
+                self.outputs.push_back(ReplicaOutput::Inquire);
+            }
+            return self.tell_role();
         }
-        if standby.primary.take().is_some() {
-            self.outputs.push_back(ReplicaOutput::Became(Role::Standby { primary: None }));
-        }
+        standby.inquiring = false;
+        self.tell_role();
         let epoch = self.epoch.max(self.claimed) + 1;
         self.claimed = epoch;
-        let Acting::Standby(standby) = &mut self.role else { return };
-        standby.claiming = Some(Claiming { epoch, asked: now, votes: BTreeSet::new() });
-        if self.config.majority() == 1 || self.config.on_partition == OnPartition::Continue {
-            return self.take_over(epoch, now, now);
-        }
         let position = self.position;
+        let Acting::Standby(standby) = &mut self.role else { return };
+        standby.claiming = Some(Claiming { epoch, asked: now, position, votes: BTreeMap::new() });
+        if self.config.majority() == 1 || self.config.on_partition == OnPartition::Continue {
+            return self.take_over(epoch, now, [], now);
+        }
         self.tell_others(&Message::Claim { epoch, position });
     }
 
@@ -154,8 +187,12 @@ impl Replica {
         (standby.claiming, standby.asked) = (None, None);
         standby.promised_until = now + self.config.lease() + self.config.margin();
         standby.claim_at = standby.promised_until + turn(&self.config, None);
+        let in_step = standby.whole && position == self.position;
+        if in_step {
+            standby.in_step = Some(epoch);
+        }
         self.see(epoch);
-        self.send(from, &Message::Vote { epoch });
+        self.send(from, &Message::Vote { epoch, in_step });
     }
 
     /// Our promise is over, and somebody claims.
@@ -181,16 +218,27 @@ impl Replica {
         self.note(Served { id, result: result.map(Vec::from) });
     }
 
-    pub(super) fn hear_vote(&mut self, from: &NodeName, epoch: u64, now: Instant) {
+    /// Whether two replicas at one position have the same. Where each half of a network goes on by
+    /// itself, two may have come to one position by different ways.
+    pub(super) fn tells_by_position(&self) -> bool {
+        self.config.on_partition == OnPartition::Stop && self.config.kind != StandbyKind::Cold
+    }
+
+    pub(super) fn hear_vote(&mut self, from: &NodeName, epoch: u64, in_step: bool, now: Instant) {
+        let in_step = in_step && self.tells_by_position();
         let Acting::Standby(standby) = &mut self.role else { return };
         let Some(claiming) = &mut standby.claiming else { return };
         if claiming.epoch != epoch || now - claiming.asked >= self.config.lease() {
             return;
         }
-        claiming.votes.insert(from.clone());
+        claiming.votes.insert(from.clone(), in_step);
         if claiming.votes.len() + 1 >= self.config.majority() {
-            let asked = claiming.asked;
-            self.take_over(epoch, asked, now);
+            let (asked, votes) = (claiming.asked, std::mem::take(&mut claiming.votes));
+            // Those who voted have what we had then.
+            let still = claiming.position == self.position;
+            let in_step = votes.into_iter().filter(|(_, in_step)| still && *in_step);
+            let in_step = in_step.map(|(node, _)| node);
+            self.take_over(epoch, asked, in_step, now);
         }
     }
 
@@ -207,7 +255,8 @@ impl Replica {
             return;
         }
         if position.number != self.position.number + 1 {
-            return standby.fall_behind();
+            standby.fall_behind();
+            return self.tell_role();
         }
         self.position = position;
         self.note(served);
@@ -233,6 +282,8 @@ impl Replica {
             return;
         }
         standby.in_step = Some(epoch);
+        standby.whole = true;
+        self.see(epoch);
         self.position = position;
         self.table = table.into_iter().take(TABLE_MAX).collect();
         // What is being served since before is in none of this.
@@ -248,6 +299,7 @@ impl Replica {
         }
         self.work();
         self.confirm(from, epoch);
+        self.tell_role();
     }
 
     /// Tells the primary how far we have come; this is no promise.

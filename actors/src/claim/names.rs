@@ -1,0 +1,137 @@
+//! What this node knows of the names of the whole robot, for whoever asks, on whichever thread.
+
+use super::{ClaimRow, ClaimState};
+use crate::platform;
+use actix::{Message, Recipient};
+use blastema_core::net::claims::{Holder, Wanted};
+use blastema_core::{Incarnation, Instant, ObjectName};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use tokio::sync::watch;
+
+/// What is wanted of the body.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(crate) enum Wish {
+    /// An object here claims a name.
+    Claim {
+        wanted: Wanted,
+        /// Which claim it is, of all that were ever made here; a component has one for all its lives.
+        number: u64,
+        told: watch::Sender<ClaimState>,
+        /// Nobody waits for what comes of it: that it is refused is a fault.
+        unattended: bool,
+    },
+    /// That claim is given back.
+    Withdraw { name: ObjectName, number: u64 },
+}
+
+/// Who holds a name, as this node knows it.
+#[derive(Clone, Debug)]
+struct Known {
+    holder: Holder,
+    incarnation: Incarnation,
+    since: Instant,
+}
+
+struct Inner {
+    /// As many as the machine takes.
+    known: Mutex<BTreeMap<ObjectName, Known>>,
+    revision: watch::Sender<u64>,
+    body: OnceLock<Recipient<Wish>>,
+    next: AtomicU64,
+}
+
+/// The names of the whole robot. Clones share them.
+#[derive(Clone)]
+pub(crate) struct Names(Arc<Inner>);
+
+impl Default for Names {
+    fn default() -> Self {
+        let (revision, _) = watch::channel(0);
+        let (known, body, next) = (Mutex::default(), OnceLock::new(), AtomicU64::new(1));
+        Names(Arc::new(Inner { known, revision, body, next }))
+    }
+}
+
+impl Names {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Known>> {
+        self.0.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Claims are made there from now on.
+    pub(crate) fn lead_to(&self, body: Recipient<Wish>) {
+        // Called once, when the node starts.
+        let _ = self.0.body.set(body);
+    }
+
+    /// The body knows of another holder, or of none any more.
+    pub(crate) fn note(&self, name: ObjectName, holder: Option<(Holder, Incarnation)>) {
+        match holder {
+            Some((holder, incarnation)) => {
+                let since = platform::now();
+                self.lock().insert(name, Known { holder, incarnation, since });
+            }
+            None => drop(self.lock().remove(&name)),
+        }
+        self.0.revision.send_modify(|revision| *revision += 1);
+    }
+
+    /// The body begins anew.
+    pub(crate) fn forget_all(&self) {
+        self.lock().clear();
+    }
+
+    /// Who holds the name now.
+    pub(crate) fn holder(&self, name: &ObjectName) -> Option<Holder> {
+        self.lock().get(name).map(|known| known.holder.clone())
+    }
+
+    /// Changes whenever somebody else holds some name.
+    pub(crate) fn revision(&self) -> watch::Receiver<u64> {
+        self.0.revision.subscribe()
+    }
+
+    /// All of them.
+    pub(crate) fn rows(&self) -> Vec<ClaimRow> {
+        let now = platform::now();
+        let row = |(name, Known { holder, incarnation, since }): (&ObjectName, &Known)| ClaimRow {
+            name: name.clone(),
+            holder: holder.clone(),
+            incarnation: *incarnation,
+            age: now - *since,
+        };
+        self.lock().iter().map(row).collect()
+    }
+
+    /// The number of one more claim.
+    pub(crate) fn number(&self) -> u64 {
+        self.0.next.fetch_add(1, Relaxed)
+    }
+
+    /// Claims a name, and tells how that stands.
+    pub(crate) fn claim(&self, wanted: Wanted, number: u64) -> watch::Receiver<ClaimState> {
+        self.wish(wanted, number, false)
+    }
+
+    /// Claims a name for a component, whose lives have the same number.
+    pub(crate) fn claim_unattended(&self, wanted: Wanted, number: u64) {
+        drop(self.wish(wanted, number, true));
+    }
+
+    fn wish(&self, wanted: Wanted, number: u64, unattended: bool) -> watch::Receiver<ClaimState> {
+        let (told, state) = watch::channel(ClaimState::Waiting);
+        if let Some(body) = self.0.body.get() {
+            body.do_send(Wish::Claim { wanted, number, told, unattended });
+        }
+        state
+    }
+
+    /// Gives it back.
+    pub(crate) fn withdraw(&self, name: &ObjectName, number: u64) {
+        if let Some(body) = self.0.body.get() {
+            body.do_send(Wish::Withdraw { name: name.clone(), number });
+        }
+    }
+}

@@ -1,0 +1,371 @@
+//! The body of the claims: names of the whole robot, as this node knows them.
+
+use super::letters::{LetterArrived, Letters};
+use crate::claim::{ClaimState, Names, Wish};
+use crate::drive::{Body, Wake};
+use crate::guardian::{Guardian, answers_the_monitor};
+use crate::platform;
+use crate::registry::Registry;
+use actix::prelude::*;
+use blastema_contract::reports::{AreYouAlive, FaultDeclared};
+use blastema_contract::router::PanicOnPurpose;
+use blastema_contract::session::PeerSeen;
+use blastema_core::net::claims::{
+    ClaimRefused, Claims, ClaimsConfig, ClaimsOutput, Holder, NameHeld, Wanted,
+};
+use blastema_core::net::complaints::Complaints;
+use blastema_core::net::{NodeId, Refusals};
+use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName};
+use std::collections::BTreeMap;
+use std::time::Duration;
+use tokio::sync::watch;
+use tracing::{error, info, warn};
+
+/// How long a name is kept for a node that is not heard of any more. It is heard of four times as often,
+/// which costs some 60 bytes each, and nothing where a node claims nothing.
+const LEASE: Duration = Duration::from_secs(1);
+/// How often it is looked at what was refused.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// What the body is made of.
+#[derive(Clone)]
+pub(crate) struct ClaimsSetup {
+    pub(crate) node: NodeName,
+    pub(crate) incarnation: Incarnation,
+    /// How long nothing is granted after the start.
+    pub(crate) settle: Duration,
+    /// Nodes after whose word that is over.
+    pub(crate) expected: Vec<NodeName>,
+    pub(crate) registry: Registry,
+    pub(crate) names: Names,
+    pub(crate) faults: Option<Recipient<FaultDeclared>>,
+}
+
+/// A name that is claimed here.
+struct Own {
+    wanted: Wanted,
+    number: u64,
+    told: watch::Sender<ClaimState>,
+    unattended: bool,
+}
+
+/// The body.
+pub(crate) struct ClaimsBody {
+    setup: ClaimsSetup,
+    machine: Claims,
+    wake: Wake,
+    letters: Letters,
+    own: BTreeMap<ObjectName, Own>,
+    /// Nodes that a session is open with.
+    peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
+    complaints: Complaints<NodeName>,
+}
+
+/// Where the body is told and asked.
+pub(crate) struct ClaimsPorts {
+    pub(crate) peers: Recipient<PeerSeen>,
+    pub(crate) inquiries: Recipient<AreYouAlive>,
+    #[cfg(test)]
+    panic: Recipient<PanicOnPurpose>,
+}
+
+impl ClaimsBody {
+    /// Starts it under the guardian, and leads those who claim to it.
+    pub(crate) fn start(
+        setup: ClaimsSetup,
+        guardian: &Guardian,
+        arbiter: Option<&ArbiterHandle>,
+    ) -> ClaimsPorts {
+        let names = setup.names.clone();
+        setup.registry.look_up_in(names.clone());
+        let make = move |context: &mut Context<Self>| {
+            let reader = context.address().recipient();
+            ClaimsBody {
+                machine: Claims::new(config(&setup), platform::now()),
+                wake: Wake::default(),
+                letters: Letters::at(super::named("claims"), &setup.registry, reader),
+                own: BTreeMap::new(),
+                peers: BTreeMap::new(),
+                complaints: Complaints::default(),
+                setup,
+            }
+        };
+        let body = guardian.start(super::named("claims"), arbiter, make);
+        names.lead_to(body.clone().recipient());
+        ClaimsPorts {
+            #[cfg(test)]
+            panic: body.clone().recipient(),
+            peers: body.clone().recipient(),
+            inquiries: body.recipient(),
+        }
+    }
+
+    fn tell(&self, name: &ObjectName, state: ClaimState) {
+        if let Some(own) = self.own.get(name) {
+            own.told.send_if_modified(|told| {
+                let new = *told != state;
+                *told = state;
+                new
+            });
+        }
+    }
+
+    /// The claim is over, and its claimant is told why.
+    fn end(&mut self, name: &ObjectName, state: ClaimState) {
+        self.tell(name, state);
+        self.own.remove(name);
+    }
+
+    fn incarnation_of(&self, node: &NodeName) -> Incarnation {
+        if *node == self.setup.node {
+            return self.setup.incarnation;
+        }
+        self.peers.get(&NodeId::of(node)).map_or(Incarnation::default(), |(_, life)| *life)
+    }
+
+    fn declare(&self, kind: FaultKind, detail: String) {
+        error!("{detail}");
+        if let Some(faults) = &self.setup.faults {
+            let object = super::named("claims");
+            let incarnation = crate::guardian::alive().incarnation;
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        }
+    }
+
+    fn refused(&mut self, name: &ObjectName, refused: ClaimRefused) {
+        warn!(%name, "a claim is refused: {refused}");
+        let unattended = self.own.get(name).filter(|own| own.unattended);
+        if let Some(object) = unattended.map(|own| own.wanted.object.clone()) {
+            let detail = format!("{object} goes without the name {name}: {refused}");
+            self.declare(FaultKind::NameTaken, detail);
+        }
+        self.end(name, ClaimState::Refused(refused.into()));
+    }
+
+    /// Whoever sends for seconds what must be refused is named.
+    fn look_at_refusals(&mut self) {
+        let looks: Vec<(NodeName, Refusals)> =
+            self.machine.refusals().map(|(node, refusals)| (node.clone(), refusals)).collect();
+        for (node, refusals) in looks {
+            if let Some(since) = self.complaints.handle_look(node.clone(), refusals) {
+                let detail = format!("what {node} claims is refused all the time: {since}");
+                self.declare(FaultKind::CheckFailed, detail);
+            }
+        }
+    }
+}
+
+fn config(setup: &ClaimsSetup) -> ClaimsConfig {
+    ClaimsConfig {
+        node: setup.node.clone(),
+        incarnation: setup.incarnation,
+        lease: LEASE,
+        settle: setup.settle,
+        expected: setup.expected.iter().cloned().collect(),
+    }
+}
+
+answers_the_monitor!(ClaimsBody);
+
+impl Actor for ClaimsBody {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        context.run_interval(LOOK, |body, _| body.look_at_refusals());
+        self.drive(context);
+    }
+}
+
+impl Supervised for ClaimsBody {
+    /// What is claimed here stays so; what others claim, they are asked for.
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        let (now, mut own) = (platform::now(), Vec::new());
+        for Own { wanted, told, .. } in self.own.values() {
+            let epoch = match *told.borrow() {
+                ClaimState::Held { epoch } => Some(epoch),
+                _ => None,
+            };
+            own.push((wanted.clone(), epoch));
+        }
+        self.setup.names.forget_all();
+        self.machine = Claims::reborn(config(&self.setup), own, now);
+        for (node, incarnation) in self.peers.values() {
+            self.machine.handle_opened(node.clone(), *incarnation, now);
+        }
+        self.wake = Wake::default();
+        self.complaints = Complaints::default();
+        self.started(context);
+    }
+}
+
+impl Body for ClaimsBody {
+    type Machine = Claims;
+
+    fn machine(&mut self) -> &mut Claims {
+        &mut self.machine
+    }
+
+    fn wake(&mut self) -> &mut Wake {
+        &mut self.wake
+    }
+
+    fn carry_out(&mut self, output: ClaimsOutput, _: &mut Context<Self>) {
+        match output {
+            ClaimsOutput::Send { to, message } => self.letters.send(&to, &message),
+            ClaimsOutput::Granted { name, epoch } => {
+                info!(%name, epoch, "a name is ours");
+                self.tell(&name, ClaimState::Held { epoch });
+            }
+            ClaimsOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
+            ClaimsOutput::Refused(held) => {
+                let name = held.name.clone();
+                self.refused(&name, held.into());
+            }
+            ClaimsOutput::Lost { name, to, epoch, stands_by } => {
+                let what = if stands_by {
+                    "it stands by for it from now on"
+                } else {
+                    "it is to claim another, or to stand by"
+                };
+                let detail = format!(
+                    "the name {name} is lost to {to}, whose claim {epoch} is the later one of two \
+                     that were made out of each other's sight; {what}"
+                );
+                self.declare(FaultKind::NameTaken, detail);
+                match stands_by {
+                    true => self.tell(&name, ClaimState::StandsBy),
+                    false => self.end(&name, ClaimState::Lost { to, epoch }),
+                }
+            }
+            ClaimsOutput::Held { name, holder } => {
+                let life = |holder: Holder| {
+                    let incarnation = self.incarnation_of(&holder.node);
+                    (holder, incarnation)
+                };
+                self.setup.names.note(name, holder.map(life));
+            }
+        }
+    }
+}
+
+impl Handler<Wish> for ClaimsBody {
+    type Result = ();
+
+    fn handle(&mut self, wish: Wish, context: &mut Context<Self>) {
+        match wish {
+            Wish::Claim { wanted, number, told, unattended } => {
+                let name = wanted.name.clone();
+                match self.own.get(&name) {
+                    // The next life of the same component.
+                    Some(own) if own.number == number => return,
+                    Some(_) => {
+                        let holder = self.setup.node.clone();
+                        let epoch = self.machine.holder(&name).map_or(0, |held| held.epoch);
+                        let held = NameHeld { name, holder, epoch };
+                        if unattended {
+                            let object = wanted.object;
+                            let detail = format!("{object} goes without a name: {held}");
+                            self.declare(FaultKind::NameTaken, detail);
+                        }
+                        told.send_replace(ClaimState::Refused(held.into()));
+                        return;
+                    }
+                    None => {}
+                }
+                let own = Own { wanted: wanted.clone(), number, told, unattended };
+                self.own.insert(name.clone(), own);
+                if let Err(refused) = self.machine.handle_claim(wanted, platform::now()) {
+                    self.refused(&name, refused);
+                }
+            }
+            Wish::Withdraw { name, number } => {
+                if self.own.get(&name).is_some_and(|own| own.number == number) {
+                    self.own.remove(&name);
+                    self.machine.handle_withdrawn(&name);
+                }
+            }
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<PeerSeen> for ClaimsBody {
+    type Result = ();
+
+    fn handle(&mut self, seen: PeerSeen, context: &mut Context<Self>) {
+        let now = platform::now();
+        match seen {
+            PeerSeen::Opened { node, incarnation } => {
+                self.peers.insert(NodeId::of(&node), (node.clone(), incarnation));
+                self.machine.handle_opened(node, incarnation, now);
+            }
+            PeerSeen::Ended { node } => {
+                self.peers.remove(&NodeId::of(&node));
+                self.machine.handle_ended(&node);
+            }
+            PeerSeen::Left { node } => self.machine.handle_left(&node, now),
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<LetterArrived> for ClaimsBody {
+    type Result = ();
+
+    fn handle(&mut self, letter: LetterArrived, context: &mut Context<Self>) {
+        self.letters.read_one();
+        if let Some((node, _)) = self.peers.get(&letter.from) {
+            self.machine.handle_message(node, &letter.bytes, platform::now());
+            self.drive(context);
+        }
+    }
+}
+
+impl Handler<PanicOnPurpose> for ClaimsBody {
+    type Result = ();
+
+    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+        panic!("the claims panic on purpose");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::claim::Claim;
+    use blastema_core::net::claims::ClaimPolicy;
+    use blastema_doubles::{advance, paused, settle};
+
+    fn wanted() -> Wanted {
+        Wanted::new(ObjectName::new("map").unwrap(), ClaimPolicy::Refuse)
+    }
+
+    #[test]
+    fn what_is_claimed_outlives_a_panic_of_those_who_keep_it() {
+        paused(async {
+            let names = Names::default();
+            let setup = ClaimsSetup {
+                node: NodeName::new("a").unwrap(),
+                incarnation: Incarnation(1),
+                settle: Duration::ZERO,
+                expected: Vec::new(),
+                registry: Registry::default(),
+                names: names.clone(),
+                faults: None,
+            };
+            let ports = ClaimsBody::start(setup, &Guardian::default(), None);
+            let claim = Claim::make(&names, wanted()).await.unwrap();
+            let epoch = claim.epoch().unwrap();
+
+            ports.panic.do_send(PanicOnPurpose);
+            settle().await;
+
+            assert_eq!(claim.epoch(), Some(epoch));
+            assert_eq!(names.holder(claim.name()).unwrap().epoch, epoch);
+            assert!(Claim::make(&names, wanted()).await.is_err(), "it has it still");
+            drop(claim);
+            advance(LEASE).await;
+            assert_eq!(names.rows(), []);
+        });
+    }
+}

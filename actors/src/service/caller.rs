@@ -1,0 +1,168 @@
+//! Whoever asks a service, and follows it from node to node.
+
+use super::finder::{Finder, Found, PROBE};
+use super::read_why;
+use super::roster::Roster;
+use super::words::{Answered, AskService, Task};
+use crate::registry::Registry;
+use crate::sender::{RequestError, next_id};
+use blastema_core::{ContractIdentity, NameError, NodeName, ObjectName, Request, Why, codec};
+use std::fmt;
+use std::marker::PhantomData;
+use std::time::Duration;
+
+/// Asks a service, whichever node serves it now. Clones share what they know of it.
+pub struct ServiceRef<M: Request> {
+    finder: Finder,
+    asks: PhantomData<fn(M)>,
+}
+
+impl<M: Request> Clone for ServiceRef<M> {
+    fn clone(&self) -> Self {
+        ServiceRef { finder: self.finder.clone(), asks: PhantomData }
+    }
+}
+
+impl<M: Request> fmt::Debug for ServiceRef<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} of service {}", M::NAME, self.finder.name)
+    }
+}
+
+/// What came of asking one node.
+enum Turn {
+    Answered(Answered),
+    /// It did not answer, and why.
+    Failed(Why),
+    /// Another node serves meanwhile.
+    Moved(Found),
+}
+
+impl<M: Request> ServiceRef<M> {
+    pub(crate) fn new(registry: &Registry, roster: &Roster, name: &str) -> Result<Self, NameError> {
+        let finder = Finder::new(ObjectName::new(name)?, registry, roster);
+        Ok(ServiceRef { finder, asks: PhantomData })
+    }
+
+    /// The node that answered last.
+    pub fn primary(&self) -> Option<NodeName> {
+        self.finder.primary()
+    }
+
+    /// Asks, and waits for the reply for five seconds at most: long enough for a standby to take over.
+    ///
+    /// # Errors
+    /// As [`ask_within`](Self::ask_within).
+    pub async fn ask(&self, message: M) -> Result<M::Reply, RequestError<M>> {
+        self.ask_within(message, Duration::from_secs(5)).await
+    }
+
+    /// Asks, and waits for the reply until the deadline. Where the node that serves fails, the request is
+    /// sent to the one that follows, under the same identity: it takes effect once.
+    ///
+    /// # Errors
+    /// [`Why::OutcomeUnknown`] where the primary of a service with cold standbys failed while it served,
+    /// unless the contract is declared `idempotent`; [`Why::DeadlinePassed`] where nobody served in time;
+    /// what the component's failure was, where it failed.
+    pub async fn ask_within(
+        &self,
+        message: M,
+        deadline: Duration,
+    ) -> Result<M::Reply, RequestError<M>> {
+        let mut payload = Vec::new();
+        if codec::encode(&message, &mut payload).is_err() {
+            let why = Why::TooLarge { limit: M::MAX_SIZE };
+            return Err(RequestError { why, message: Some(message) });
+        }
+        let id = next_id();
+        let task = Task { identity: ContractIdentity::of::<M>().brief().encode(), payload };
+        let ask = AskService { sender: id.sender, sequence: id.sequence, task };
+        let asked = tokio::time::timeout(deadline, self.pursue(ask)).await;
+        let failed = |why| RequestError { why, message: None };
+        let reply = asked.map_err(|_| failed(Why::DeadlinePassed))?.map_err(failed)?;
+        codec::decode_reply::<M>(&reply)
+            .map_err(|error| failed(Why::Undecodable { reason: error.to_string() }))
+    }
+
+    /// Follows the service from node to node until it has answered.
+    async fn pursue(&self, ask: AskService) -> Result<Vec<u8>, Why> {
+        let mut primary = self.primary();
+        // Who has not answered, and what became of the request there if that is not known.
+        let (mut failed, mut uncertain) = (None, None);
+        loop {
+            let node = match primary.take() {
+                Some(node) => node,
+                None => match self.finder.find(failed.take().as_ref()).await {
+                    Some(Found { keeps: false, .. }) if uncertain.is_some() && !M::IDEMPOTENT => {
+                        return Err(Why::OutcomeUnknown { reason: uncertain.unwrap_or_default() });
+                    }
+                    Some(Found { primary, .. }) => primary,
+                    None => {
+                        tokio::time::sleep(PROBE).await;
+                        continue;
+                    }
+                },
+            };
+            match self.try_at(&node, &ask).await {
+                Turn::Answered(Answered::Done(reply)) => {
+                    self.finder.note(node);
+                    return Ok(reply);
+                }
+                Turn::Answered(Answered::Failed { why }) => return Err(read_why(&why)),
+                Turn::Answered(Answered::Refused { why }) => match read_why(&why) {
+                    Why::Full | Why::Restarting => {
+                        primary = Some(node);
+                        tokio::time::sleep(PROBE).await;
+                    }
+                    why => return Err(why),
+                },
+                Turn::Answered(Answered::Elsewhere { primary: told }) => {
+                    primary = told.and_then(|told| NodeName::new(&told).ok());
+                    if primary.is_none() || primary.as_ref() == Some(&node) {
+                        tokio::time::sleep(PROBE).await;
+                    }
+                }
+                Turn::Moved(Found { primary, keeps: false }) if !M::IDEMPOTENT => {
+                    self.finder.note(primary);
+                    let reason = "the primary has changed, and its standbys are cold".into();
+                    return Err(Why::OutcomeUnknown { reason });
+                }
+                Turn::Moved(found) => primary = Some(found.primary),
+                Turn::Failed(why) => {
+                    // It was taken there, perhaps; those that follow may not know.
+                    if matches!(why, Why::PeerDied { .. } | Why::OutcomeUnknown { .. }) {
+                        uncertain = Some(why.to_string());
+                    }
+                    failed = Some(node);
+                }
+            }
+        }
+    }
+
+    /// Asks one node, and after a while the others whether it still serves.
+    async fn try_at(&self, node: &NodeName, ask: &AskService) -> Turn {
+        let address = format!("{node}:{}", self.finder.name);
+        let sender = match self.finder.registry.sender::<AskService>(&address) {
+            Ok(sender) => sender,
+            Err(why) => return Turn::Failed(why),
+        };
+        // Whoever asks sets the deadline, around all of this.
+        let asking = sender.ask_within(ask.clone(), Duration::from_secs(3600));
+        let moved = async {
+            loop {
+                tokio::time::sleep(PROBE).await;
+                if let Some(found) = self.finder.find(Some(node)).await {
+                    return found;
+                }
+            }
+        };
+        tokio::select! {
+            biased;
+            asked = asking => match asked {
+                Ok(answered) => Turn::Answered(answered),
+                Err(error) => Turn::Failed(error.why),
+            },
+            found = moved => Turn::Moved(found),
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! What claims are configured with, are told, and want done.
+
+use crate::{Incarnation, NodeName, ObjectName};
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::fmt;
+use std::time::Duration;
+
+/// What a claimant wants where somebody else holds the name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClaimPolicy {
+    /// To be told so, and to go without.
+    Refuse,
+    /// To take its place when it has gone.
+    Standby,
+}
+
+/// How claims are held.
+#[derive(Clone, Debug)]
+pub struct ClaimsConfig {
+    /// Our name.
+    pub node: NodeName,
+    /// Our life.
+    pub incarnation: Incarnation,
+    /// How long a claim holds after its node was last heard of; it is heard of four times as often.
+    /// Longer costs less traffic, and keeps the names of a node that died for longer.
+    pub lease: Duration,
+    /// How long after our start nothing is granted here, so that who holds a name already is heard
+    /// first. Longer waits for slower networks; a name that nobody holds is had later.
+    pub settle: Duration,
+    /// Once all of these have told what they claim, it is granted at once. Without any, `settle` is
+    /// waited for.
+    pub expected: BTreeSet<NodeName>,
+}
+
+/// What an object claims.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Wanted {
+    /// The name.
+    pub name: ObjectName,
+    /// The object of this node that is meant by it.
+    pub object: ObjectName,
+    /// What becomes of it where somebody else holds the name.
+    pub policy: ClaimPolicy,
+}
+
+impl Wanted {
+    /// The name for the object that is called so on this node, too.
+    pub fn new(name: ObjectName, policy: ClaimPolicy) -> Self {
+        Wanted { object: name.clone(), name, policy }
+    }
+}
+
+/// Who holds a name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Holder {
+    /// Its node.
+    pub node: NodeName,
+    /// The object there.
+    pub object: ObjectName,
+    /// Since which claim: each that is granted has a greater one than those before.
+    pub epoch: u64,
+}
+
+impl fmt::Display for Holder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}", self.node, self.object)
+    }
+}
+
+/// The name is somebody else's.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{name} is claimed by {holder}, under epoch {epoch}: stand by, or take another name")]
+pub struct NameHeld {
+    /// The name.
+    pub name: ObjectName,
+    /// Who holds it.
+    pub holder: NodeName,
+    /// Since which claim.
+    pub epoch: u64,
+}
+
+/// Why a claim is not taken.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ClaimRefused {
+    /// Somebody else has the name.
+    #[error(transparent)]
+    Held(#[from] NameHeld),
+    /// This node claims too many names already. Give some back.
+    #[error("this node claims {limit} names already, and no more: give some back")]
+    TooMany {
+        /// The most that it may.
+        limit: usize,
+    },
+}
+
+/// What is to be done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ClaimsOutput {
+    /// Tell this node.
+    Send {
+        /// Whom.
+        to: NodeName,
+        /// What.
+        message: Bytes,
+    },
+    /// A name is ours.
+    Granted {
+        /// Which.
+        name: ObjectName,
+        /// Under which epoch.
+        epoch: u64,
+    },
+    /// Somebody else holds a name that we stand by for.
+    StandsBy {
+        /// Which.
+        name: ObjectName,
+    },
+    /// A claim that had to wait after our start is refused.
+    Refused(NameHeld),
+    /// A name that was ours is another's: two had claimed it, out of each other's sight.
+    Lost {
+        /// Which.
+        name: ObjectName,
+        /// Whose it is.
+        to: NodeName,
+        /// Under which epoch.
+        epoch: u64,
+        /// We stand by for it from now on.
+        stands_by: bool,
+    },
+    /// A name is held by somebody else than before, or by nobody.
+    Held {
+        /// Which.
+        name: ObjectName,
+        /// By whom.
+        holder: Option<Holder>,
+    },
+}
+
+/// What nodes tell each other.
+#[derive(Serialize, Deserialize)]
+pub(super) enum Message {
+    All { first: bool, last: bool, claims: Vec<Told> },
+    Changed { claims: Vec<Told>, gone: Vec<ObjectName> },
+    Alive { sum: u64 },
+    TellAll,
+}
+
+/// A claim as it is told.
+#[derive(Clone, Serialize, Deserialize)]
+pub(super) struct Told {
+    pub(super) name: ObjectName,
+    pub(super) stake: Stake,
+}
+
+/// What a node has of a name.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Stake {
+    /// Without one it stands by.
+    pub(super) epoch: Option<u64>,
+    /// The object that is meant, where it is not called as the name is.
+    pub(super) object: Option<ObjectName>,
+}
+
+impl Stake {
+    /// FNV-1a over the claim, as for contracts: against accidents, not against intent.
+    pub(super) fn sum(&self, name: &ObjectName) -> u64 {
+        let epoch = self.epoch.unwrap_or_default().to_le_bytes();
+        let object = self.object.as_ref().map_or("", ObjectName::as_str);
+        let bytes = name.as_str().bytes().chain(epoch).chain(object.bytes());
+        bytes.fold(0xcbf2_9ce4_8422_2325, |hash: u64, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+        })
+    }
+}

@@ -1,0 +1,60 @@
+//! Benchmarks of several processes.
+
+use rustix::thread::{CpuSet, sched_setaffinity};
+use std::io::{BufRead, BufReader, Write};
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::process::{Child, Command, Stdio};
+
+/// Keeps the threads that this one starts from now on, and itself, on one core.
+pub(crate) fn pin(core: usize) {
+    let mut set = CpuSet::new();
+    set.set(core);
+    // Where there is no second core, or no right to choose, both sides are unpinned alike.
+    let _ = sched_setaffinity(None, &set);
+}
+
+/// Addresses that were free a moment ago.
+pub(crate) fn addresses<const N: usize>() -> [SocketAddr; N] {
+    let sockets = [(); N].map(|()| UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port"));
+    sockets.map(|socket| socket.local_addr().expect("a bound socket has an address"))
+}
+
+/// Another process of this program, which ends with its standard input.
+pub(crate) struct Peer(Child);
+
+impl Peer {
+    /// Starts a part of this program as a child, and waits until it says that it is ready.
+    pub(crate) fn start(part: &str, arguments: &[String]) -> Self {
+        let program = std::env::current_exe().expect("a running program has a file");
+        let mut child = Command::new(program)
+            .args(["--child", part])
+            .args(arguments)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("this program starts");
+        let mut ready = String::new();
+        let output = child.stdout.as_mut().expect("it was piped");
+        BufReader::new(output).read_line(&mut ready).expect("it says when it is ready");
+        Peer(child)
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        drop(self.0.stdin.take());
+        let _ = self.0.wait();
+    }
+}
+
+/// Says that this process is ready, and waits until nobody needs it any more.
+pub(crate) fn serve_until_told() {
+    println!("ready");
+    let _ = std::io::stdout().flush();
+    let _ = std::io::stdin().read_line(&mut String::new());
+}
+
+/// Arguments of a child.
+pub(crate) fn texts(parts: &[&str]) -> Vec<String> {
+    parts.iter().map(|part| (*part).to_owned()).collect()
+}

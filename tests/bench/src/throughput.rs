@@ -1,0 +1,185 @@
+//! How much two nodes carry: small reliable messages per second, and messages of a mebibyte beside
+//! bare TCP.
+//!
+//! This process is pinned to the first core and every other to the second, bare or not.
+
+use crate::measure::Table;
+use crate::process::{Peer, addresses, pin, serve_until_told, texts};
+use blastema::prelude::*;
+use blastema::{Link, Network};
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+
+const SMALL: u64 = 300_000;
+const LARGE: u64 = 200;
+const MEBIBYTE: usize = 1 << 20;
+
+/// A small reliable message.
+#[derive(Clone, Debug, Event)]
+struct Tick {
+    number: u64,
+    values: [f64; 3],
+}
+
+/// A large one.
+#[derive(Clone, Debug, Event)]
+#[contract(max_size = 2 << 20)]
+struct Image(Vec<u8>);
+
+/// How many messages have come.
+#[derive(Clone, Debug, Request)]
+#[contract(reply = u64)]
+struct Count;
+
+#[derive(Default)]
+struct Sink(u64);
+
+impl Component for Sink {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Tick>().accept::<Image>().serve::<Count>();
+    }
+}
+impl Handle<Tick> for Sink {
+    async fn handle(&mut self, tick: Tick, _: &mut Context<Self>) {
+        assert_eq!(tick.number, self.0, "nothing is lost, doubled or overtaken");
+        assert!(tick.values[0] < 1.0);
+        self.0 += 1;
+    }
+}
+impl Handle<Image> for Sink {
+    async fn handle(&mut self, image: Image, _: &mut Context<Self>) {
+        assert_eq!(image.0.len(), MEBIBYTE);
+        self.0 += 1;
+    }
+}
+impl Handle<Count> for Sink {
+    async fn handle(&mut self, _: Count, _: &mut Context<Self>) -> u64 {
+        self.0
+    }
+}
+
+/// Where a child and its parent meet.
+fn network(medium: &str, own: SocketAddr, far: &str, remote: SocketAddr) -> Network {
+    match medium {
+        "tcp" => Network::tcp("net0", own).link(Link::new(far, remote)),
+        _ => Network::udp("net0", own).link(Link::new(far, remote)),
+    }
+}
+
+/// Another process: `bare ADDRESS`, or `MEDIUM OWN REMOTE`.
+pub(crate) fn child(arguments: &[String]) {
+    pin(1);
+    let address = |text: &String| text.parse::<SocketAddr>().expect("the parent writes addresses");
+    match arguments {
+        [kind, own] if kind == "bare" => {
+            let own = address(own);
+            std::thread::spawn(move || blastema::run(bare_sink(own)));
+            serve_until_told();
+        }
+        [medium, own, remote] => blastema::run(async {
+            let network = network(medium, address(own), "source", address(remote));
+            let sink = |name: &str| ChildSpec::new(name, Sink::default).queue(4096, WhenFull::Wait);
+            let builder = Node::builder("sink").network(network);
+            let builder = builder.child(sink("small")).child(sink("large"));
+            let node = builder.start().await.expect("the node starts");
+            let _ = tokio::task::spawn_blocking(serve_until_told).await;
+            node.shutdown().await;
+        }),
+        _ => println!("the parent names a kind"),
+    }
+}
+
+/// Reads images, and answers each batch of them with one byte.
+async fn bare_sink(own: SocketAddr) {
+    let listener = TcpListener::bind(own).await.expect("the address is free");
+    let mut buffer = vec![0; MEBIBYTE];
+    while let Ok((mut stream, _)) = listener.accept().await {
+        for _ in 0..LARGE {
+            if stream.read_exact(&mut buffer).await.is_err() {
+                break;
+            }
+        }
+        let _ = stream.write_all(&[1]).await;
+    }
+}
+
+/// In MiB per second.
+async fn bare(far: SocketAddr) -> f64 {
+    let mut stream = TcpStream::connect(far).await.expect("the sink listens");
+    let image = vec![7; MEBIBYTE];
+    let start = Instant::now();
+    for _ in 0..LARGE {
+        stream.write_all(&image).await.expect("the sink reads");
+    }
+    stream.read_exact(&mut [0]).await.expect("the sink answers");
+    LARGE as f64 / start.elapsed().as_secs_f64()
+}
+
+/// How many messages the sink has served, once what was sent before has been.
+async fn served_by(sink: &Sender<Count>) -> u64 {
+    loop {
+        match sink.ask(Count).await {
+            Ok(served) => return served,
+            // It is not reached yet, or takes nothing more for the moment.
+            Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
+        }
+    }
+}
+
+/// Sends so many messages, two batches at a time under way, and answers how many per second were served.
+async fn sent<M: Event>(
+    node: &Node,
+    sink: &str,
+    (count, batch): (u64, u64),
+    message: impl Fn(u64) -> M,
+) -> f64 {
+    let to: Sender<M> = node.sender(sink).expect("the name parses");
+    let served: Sender<Count> = node.sender(sink).expect("the name parses");
+    let before = served_by(&served).await;
+    let start = Instant::now();
+    let mut next = before;
+    let end = before + count;
+    while next < end {
+        let numbers = next..end.min(next + batch);
+        next = numbers.end;
+        let (_, ()) = tokio::join!(served_by(&served), async {
+            for number in numbers {
+                to.deliver(message(number)).await.expect("the sink takes it");
+            }
+        });
+    }
+    assert_eq!(served_by(&served).await, end, "nothing is lost");
+    count as f64 / start.elapsed().as_secs_f64()
+}
+
+pub(crate) fn run(rounds: usize) {
+    pin(0);
+    let [bare_at, udp, udp_sink, tcp, tcp_sink] = addresses();
+    let _bare = Peer::start("throughput", &texts(&["bare", &bare_at.to_string()]));
+    for (medium, own, far) in [("udp", udp, udp_sink), ("tcp", tcp, tcp_sink)] {
+        let arguments = texts(&[medium, &far.to_string(), &own.to_string()]);
+        let _sink = Peer::start("throughput", &arguments);
+        blastema::run(async {
+            let network = network(medium, own, "sink", far);
+            let node = Node::builder("source").network(network).start().await;
+            let node = node.expect("the node starts");
+            let title = format!("messages of a mebibyte, {medium}");
+            let mut large = Table::new(title, "per second: higher is better");
+            let title = format!("small reliable messages, {medium}, a core each");
+            let mut small = Table::new(title, "per second: higher is better");
+            let image = vec![7; MEBIBYTE];
+            for _ in 0..rounds {
+                large.add("bare TCP", bare(bare_at).await);
+                let images = sent(&node, "sink:large", (LARGE, 16), |_| Image(image.clone())).await;
+                large.add("Sender::deliver", images);
+                let tick = |number| Tick { number, values: [0.5; 3] };
+                small.add("Sender::deliver", sent(&node, "sink:small", (SMALL, 1024), tick).await);
+            }
+            large.print();
+            small.print();
+            node.shutdown().await;
+        });
+    }
+}

@@ -1,0 +1,283 @@
+//! Names of the whole robot, which nodes claim and lose: three nodes that each have a link to each other,
+//! in virtual time.
+
+use blastema::prelude::*;
+use blastema::{
+    Claim, ClaimError, ClaimPolicy, ClaimState, Direction, Link, MemoryMedium, Network, NodeBuilder,
+};
+use blastema_testkit::TestNode;
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+const NODES: [&str; 3] = ["module1", "module2", "module3"];
+/// How often hellos are said in these tests.
+const HELLO: Duration = Duration::from_millis(50);
+/// How long a name is kept for a node that is not heard of.
+const LEASE: Duration = Duration::from_secs(1);
+
+/// Says where it is, and how often it was asked.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "map/where", reply = String)]
+struct Where;
+
+/// Panics.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "map/boom")]
+struct Boom;
+
+struct Map(&'static str);
+
+impl Component for Map {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Where>().accept::<Boom>();
+    }
+}
+
+impl Handle<Where> for Map {
+    async fn handle(&mut self, _: Where, cx: &mut Context<Self>) -> String {
+        format!("{}{}", self.0, cx.incarnation())
+    }
+}
+
+impl Handle<Boom> for Map {
+    async fn handle(&mut self, _: Boom, _: &mut Context<Self>) {
+        panic!("boom");
+    }
+}
+
+fn map(on: &'static str) -> ChildSpec<Map> {
+    ChildSpec::new("map", move || Map(on))
+}
+
+fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
+    let mut network = Network::memory("ethernet", medium, own);
+    for far in NODES.iter().filter(|far| **far != own) {
+        network = network.link(Link::in_memory(far, far).hello_every(HELLO));
+    }
+    Node::builder(own).network(network.with_faults(7))
+}
+
+struct Robot {
+    medium: MemoryMedium,
+    nodes: Vec<TestNode>,
+}
+
+impl Robot {
+    async fn start() -> Self {
+        let medium = MemoryMedium::default();
+        let mut nodes = vec![];
+        for own in NODES {
+            nodes.push(TestNode::start(node(own, &medium).child(map(own))).await);
+        }
+        nodes[0].advance(2000 * MS).await;
+        Robot { medium, nodes }
+    }
+
+    async fn claim(&self, node: usize, policy: ClaimPolicy) -> Result<Claim, ClaimError> {
+        let claimed = self.nodes[node].claim("map", policy).await;
+        self.advance(20 * MS).await;
+        claimed
+    }
+
+    async fn advance(&self, span: Duration) {
+        self.nodes[0].advance(span).await;
+    }
+
+    /// Who answers to the name, for each of the nodes.
+    async fn answers(&self) -> Vec<String> {
+        let mut answers = vec![];
+        for node in &self.nodes {
+            let map = node.sender::<Where>("*:map").expect("it is a name");
+            answers.push(match map.ask(Where).await {
+                Ok(answer) => answer,
+                Err(error) => error.why.to_string(),
+            });
+        }
+        answers
+    }
+
+    fn cut(&self, node: usize) {
+        self.nodes[node].cable("ethernet").expect("a cable").cut(Direction::Both, false);
+    }
+
+    fn mend(&self, node: usize) {
+        self.nodes[node].cable("ethernet").expect("a cable").restore();
+    }
+}
+
+#[blastema_testkit::test]
+async fn what_is_sent_to_a_name_reaches_whoever_holds_it_from_every_node() {
+    let robot = Robot::start().await;
+    assert_eq!(robot.answers().await, ["nobody holds the name map"; 3]);
+
+    let claim = robot.claim(1, ClaimPolicy::Refuse).await.expect("it is free");
+    assert_eq!(robot.answers().await, ["module2#1"; 3]);
+
+    drop(claim);
+    robot.advance(20 * MS).await;
+    let _claim = robot.claim(2, ClaimPolicy::Refuse).await.expect("it is free again");
+    assert_eq!(robot.answers().await, ["module3#1"; 3]);
+    let rows = robot.nodes[0].claims();
+    assert_eq!((rows.len(), rows[0].holder.to_string().as_str()), (1, "module3:map"));
+}
+
+#[blastema_testkit::test]
+async fn a_second_claimant_is_told_who_has_the_name() {
+    let robot = Robot::start().await;
+    let _claim = robot.claim(1, ClaimPolicy::Refuse).await.expect("it is free");
+
+    for other in [0, 1, 2] {
+        let refused = robot.claim(other, ClaimPolicy::Refuse).await.expect_err("it is taken");
+        assert!(refused.to_string().contains("map is claimed by module2"), "{refused}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_standby_has_the_name_when_the_lease_of_a_node_that_died_is_over() {
+    let robot = Robot::start().await;
+    let first = robot.claim(0, ClaimPolicy::Standby).await.expect("it is free");
+    let mut second = robot.claim(1, ClaimPolicy::Standby).await.expect("it stands by");
+    assert_eq!(second.state(), ClaimState::StandsBy);
+
+    robot.cut(0);
+    robot.advance(LEASE / 2).await;
+    assert_eq!(second.state(), ClaimState::StandsBy);
+    robot.advance(LEASE / 2 + 20 * MS).await;
+
+    let epoch = second.epoch().expect("it has taken over");
+    assert_eq!(second.changed().await, Some(ClaimState::Held { epoch }));
+    assert!(first.epoch().expect("nobody has told it") < epoch);
+    assert_eq!(robot.answers().await[1..], ["module2#1", "module2#1"]);
+}
+
+#[blastema_testkit::test]
+async fn of_two_halves_that_meet_the_later_claim_stays_and_the_other_is_a_fault() {
+    for policy in [ClaimPolicy::Refuse, ClaimPolicy::Standby] {
+        let mut robot = Robot::start().await;
+        let first = robot.claim(0, policy).await.expect("it is free");
+        let mut watch = robot.nodes[0].watch_name("map").expect("it is a name");
+        assert_eq!(watch.next().await.expect("it is held").node.as_str(), "module1");
+        let second = robot.claim(1, ClaimPolicy::Standby).await.expect("it stands by");
+        robot.cut(0);
+        robot.advance(2 * LEASE).await;
+        assert!(first.epoch().is_some() && second.epoch().is_some(), "each half has one");
+
+        robot.mend(0);
+        let fault = robot.nodes[0].await_fault(FaultKind::NameTaken, "net/claims").await;
+
+        assert!(fault.detail.contains("the name map is lost to module2"), "{}", fault.detail);
+        robot.advance(20 * MS).await;
+        assert_eq!(robot.answers().await, ["module2#1"; 3]);
+        assert_eq!(watch.next().await.expect("it is held").node.as_str(), "module2");
+        match policy {
+            ClaimPolicy::Standby => assert_eq!(first.state(), ClaimState::StandsBy),
+            ClaimPolicy::Refuse => assert!(matches!(first.state(), ClaimState::Lost { .. })),
+        }
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_component_has_its_name_while_it_is_at_work() {
+    let medium = MemoryMedium::default();
+    let mut nodes = vec![];
+    for own in NODES {
+        let spec = ChildSpec::new("cartographer", move || Map(own));
+        let spec = spec.claim("map", ClaimPolicy::Standby);
+        nodes.push(TestNode::start(node(own, &medium).child(spec)).await);
+    }
+    nodes[0].advance(2000 * MS).await;
+    let robot = Robot { medium, nodes };
+    assert_eq!(robot.answers().await, ["module1#1"; 3]);
+    let before = robot.nodes[2].holder("map").expect("it is held");
+    assert_eq!(before.object.as_str(), "cartographer");
+
+    // A life that follows on the spot has the name of the one before it.
+    let boom = robot.nodes[2].sender::<Boom>("*:map").expect("it is a name");
+    boom.tell(Boom).expect("it is taken");
+    robot.advance(20 * MS).await;
+    assert_eq!(robot.answers().await, ["module1#2"; 3]);
+    assert_eq!(robot.nodes[2].holder("map"), Some(before));
+
+    robot.nodes[0].remove_child("cartographer").await.expect("it is there");
+    robot.advance(20 * MS).await;
+    assert_eq!(robot.answers().await, ["module2#1"; 3]);
+
+    // A node that ends in order leaves its names to the next at once.
+    robot.nodes[1].shutdown().await;
+    robot.advance(20 * MS).await;
+    assert_eq!(robot.nodes[0].holder("map").expect("it is held").node.as_str(), "module3");
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_has_to_go_without_its_name_is_a_fault() {
+    let robot = Robot::start().await;
+    let _claim = robot.claim(1, ClaimPolicy::Refuse).await.expect("it is free");
+
+    let mut nodes = robot.nodes;
+    let spec = ChildSpec::new("other", || Map("other")).claim("map", ClaimPolicy::Refuse);
+    nodes[0].add_child(spec).await.expect("it is sound");
+
+    let fault = nodes[0].await_fault(FaultKind::NameTaken, "net/claims").await;
+    assert!(fault.detail.contains("other goes without the name map"), "{}", fault.detail);
+}
+
+#[blastema_testkit::test]
+async fn a_node_that_returns_does_not_take_its_name_back_by_force() {
+    let robot = Robot::start().await;
+    let first = robot.claim(0, ClaimPolicy::Standby).await.expect("it is free");
+    let _second = robot.claim(1, ClaimPolicy::Standby).await.expect("it stands by");
+    let Robot { medium, mut nodes } = robot;
+    drop(first);
+    let dead = nodes.remove(0);
+    dead.cable("ethernet").expect("a cable").cut(Direction::Both, false);
+    dead.shutdown().await;
+    nodes[0].advance(2 * LEASE).await;
+
+    // The newcomer's process is later, and so its own epochs would be.
+    let spec = map("module1").claim("map", ClaimPolicy::Standby);
+    let again = TestNode::start(node("module1", &medium).child(spec)).await;
+    again.advance(2 * LEASE).await;
+
+    assert_eq!(again.holder("map").expect("it is held").node.as_str(), "module2");
+    nodes[0].expect_name_is_undisputed().await;
+}
+
+/// See the manual's page on names: 9 hellos, 10 ms for what follows on a fast medium.
+const JOINED: Duration = Duration::from_millis(9 * 50 + 10);
+
+#[blastema_testkit::test]
+async fn after_joining_and_rejoining_names_are_known_within_the_stated_bound() {
+    let robot = Robot::start().await;
+    let _claim = robot.claim(1, ClaimPolicy::Refuse).await.expect("it is free");
+    let Robot { medium, mut nodes } = robot;
+
+    // A cable that is mended after its sessions have ended.
+    nodes[0].cable("ethernet").expect("a cable").cut(Direction::Both, false);
+    nodes[0].advance(20 * LEASE).await;
+    assert_eq!(nodes[0].holder("map"), None);
+    nodes[0].cable("ethernet").expect("a cable").restore();
+    nodes[0].advance(JOINED).await;
+    assert!(nodes[0].holder("map").is_some(), "rejoined");
+
+    // A process that begins anew.
+    let gone = nodes.remove(0);
+    gone.cable("ethernet").expect("a cable").cut(Direction::Both, false);
+    gone.shutdown().await;
+    let again = TestNode::start(node("module1", &medium).child(map("module1"))).await;
+    again.advance(JOINED).await;
+    assert!(again.holder("map").is_some(), "joined");
+    let asked = again.sender::<Where>("*:map").expect("it is a name").ask(Where).await;
+    assert_eq!(asked.expect("it answers"), "module2#1");
+}
+
+trait Undisputed {
+    async fn expect_name_is_undisputed(&self);
+}
+
+impl Undisputed for TestNode {
+    async fn expect_name_is_undisputed(&self) {
+        let record = self.faults().await;
+        let disputes = record.entries.iter().filter(|e| e.fault.kind == FaultKind::NameTaken);
+        assert_eq!(disputes.count(), 0);
+    }
+}
