@@ -241,6 +241,7 @@ pub(crate) fn start(
             router_loads: router.clone().recipient(),
             monitor: environment.links.clone(),
             discovery: told.clone().map(|told| (grounds.len(), told)),
+            faults: environment.faults.clone(),
         };
         let address =
             guardian.start(name.clone(), place, move |_| links::Links::new(wiring, links));

@@ -13,6 +13,7 @@
 //!
 //! A link does not queue, repeat or order anything: that is the session's business, end to end.
 
+mod greeted;
 mod quality;
 mod vocabulary;
 
@@ -48,6 +49,9 @@ pub struct Link {
     calm: u32,
     /// It is suspect for what was, and not for what is.
     proving: bool,
+    /// It is one of a bus: others say its hellos, of which this one is due.
+    on_bus: bool,
+    greeting: Option<u32>,
     gauge: Gauge,
     refused: Option<LinkRefusal>,
     refusals: Refusals,
@@ -66,6 +70,8 @@ struct Heard {
     stance: Stance,
     /// How much of what we send is lost on the way there, as it says.
     loss_there: u16,
+    /// Only one in so many of its hellos has an echo for us.
+    turn: u32,
     /// When its echo last told something new, and which of our hellos that was.
     echoed: Option<(u32, Instant)>,
     /// Silence before this does not count: we ourselves stood still.
@@ -80,7 +86,7 @@ impl Link {
     /// The longest: a link must be known to be dead within a minute.
     const INTERVAL_MAX: Duration = Duration::from_secs(15);
     /// What a medium adds to a frame: a UDP header, or a serial line's framing.
-    const FRAMING: u64 = 8;
+    pub(super) const FRAMING: u64 = 8;
     /// Woken so late, what has come meanwhile is still unread. Timers alone are up to 1 ms late.
     const LATE: Duration = Duration::from_millis(2);
     /// Four times running is no accident.
@@ -106,6 +112,8 @@ impl Link {
             last_suspicion: Instant::ORIGIN,
             calm: 0,
             proving: false,
+            on_bus: false,
+            greeting: None,
             gauge: Gauge::default(),
             refused: None,
             refusals: Refusals::default(),
@@ -178,6 +186,7 @@ impl Link {
     pub fn handle_frame(&mut self, frame: Bytes, now: Instant) {
         match Frame::decode(frame) {
             Ok(Frame::Hello(hello)) => self.handle_hello(hello, now),
+            Ok(Frame::Greeting(greeting)) => self.handle_greeting(greeting, now),
             Ok(Frame::Routing(_) | Frame::Data(_)) if !self.takes() => {
                 self.refusals.unexpected += 1;
             }
@@ -195,10 +204,10 @@ impl Link {
     }
 
     /// The interface has lost its carrier: the cable is pulled, or the other end is switched off. What
-    /// is heard later proves the contrary.
-    pub fn handle_no_carrier(&mut self, now: Instant) {
+    /// is heard later proves the contrary. The reason is for people.
+    pub fn handle_no_carrier(&mut self, reason: &'static str, now: Instant) {
         if self.carries() {
-            self.go_down("the interface has lost its carrier", now);
+            self.go_down(reason, now);
         } else if let Some(heard) = &mut self.neighbour {
             heard.forget_proof();
         }
@@ -209,15 +218,7 @@ impl Link {
         let hello = self.hello(Instant::ORIGIN, 0);
         let length = Frame::Hello(hello).encode().len() as u64 + Self::FRAMING;
         let nanos = (length * 20).saturating_mul(1_000_000_000) / bytes_per_second.max(1);
-        let slowest = Duration::from_nanos(nanos).min(Self::INTERVAL_MAX);
-        if slowest > self.config.hello_interval {
-            self.config.hello_interval = slowest;
-            // Hellos are numbered by their interval: echoes of the old numbers say nothing any more.
-            self.sent.clear();
-            if let Some(heard) = &mut self.neighbour {
-                heard.echoed = None;
-            }
-        }
+        self.slow_down(Duration::from_nanos(nanos));
     }
 
     /// How often hellos are said.
@@ -333,6 +334,7 @@ impl Link {
                     proved: 0,
                     stance: hello.stance,
                     loss_there: 0,
+                    turn: 1,
                     echoed: None,
                     excused_until,
                     excuses: 0,
@@ -428,7 +430,10 @@ impl Link {
         let silent = heard.arrivals.expected() + percent(interval, after_percent);
         let deaf = heard.echoed.map_or(heard.last, |(_, at)| at)
             // An echo needs both directions: twice the patience, in the slower one's intervals.
-            + percent(interval.max(self.config.hello_interval), 2 * (100 + after_percent));
+            + percent(
+                interval.max(self.config.hello_interval),
+                2 * (100 + after_percent) + 100 * (heard.turn - 1),
+            );
         Some(silent.min(deaf).max(heard.excused_until))
     }
 
@@ -473,7 +478,11 @@ impl Link {
             self.sent.pop_front();
         }
         self.sent.push_back((hello.sequence, now));
-        self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).encode()));
+        if self.on_bus {
+            self.greeting = Some(hello.sequence);
+        } else {
+            self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).encode()));
+        }
     }
 
     fn hello(&self, now: Instant, sequence: u32) -> Hello {

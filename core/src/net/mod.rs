@@ -38,12 +38,14 @@ mod topology;
 mod wire;
 
 pub mod advertisement;
+pub mod bundle;
 pub mod claims;
 pub mod complaints;
 pub mod crowd;
 pub mod discovery;
 pub mod exchange;
 pub mod frame;
+pub mod greeting;
 pub mod isolation;
 pub mod link;
 pub mod message;
@@ -54,6 +56,7 @@ pub mod router;
 pub mod segment;
 pub mod session;
 
+pub use bundle::{Bundle, BundleOutput};
 pub use crowd::Crowd;
 pub use exchange::{Exchange, ExchangeOutput};
 pub use link::{Link, LinkConfig, LinkOutput, LinkState, Neighbour, Quality};

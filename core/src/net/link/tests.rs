@@ -179,7 +179,7 @@ fn a_cable_that_flaps_proves_nothing() {
 fn a_link_whose_carrier_comes_and_goes_begins_its_proof_anew_each_time() {
     let mut cable = running();
     for _ in 0..20 {
-        cable.ends[0].handle_no_carrier(at(cable.now));
+        cable.ends[0].handle_no_carrier("no carrier", at(cable.now));
         cable.run_until(cable.now + 45);
         assert_eq!(cable.ends[0].state(), LinkState::Down);
     }
@@ -324,7 +324,7 @@ fn a_link_that_its_transport_gives_up_is_down_at_once() {
 fn a_link_whose_interface_lost_its_carrier_is_down_at_once_and_hellos_bring_it_back() {
     let mut cable = running();
 
-    cable.ends[0].handle_no_carrier(at(100));
+    cable.ends[0].handle_no_carrier("no carrier", at(100));
 
     assert_eq!(cable.ends[0].state(), LinkState::Down);
     cable.run_until(300);
