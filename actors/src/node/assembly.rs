@@ -296,7 +296,9 @@ fn make_networks(
         neighbours.extend(laid.neighbours);
         specs.push(laid.spec);
     }
-    let transports = specs.iter().map(|spec| spec.transport.close.clone()).collect();
+    let beacons = specs.iter().filter_map(|spec| spec.discovery.as_ref()?.beacons.as_ref());
+    let beacons = beacons.map(|(transport, _)| transport.close.clone());
+    let transports = specs.iter().map(|spec| spec.transport.close.clone()).chain(beacons).collect();
     let net_environment = NetEnvironment {
         node: node.clone(),
         incarnation,
