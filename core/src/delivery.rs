@@ -146,6 +146,13 @@ pub enum Why {
         /// The epoch that holds.
         epoch: u64,
     },
+    /// The value is set, and could not be kept for the node's next process. Make room on the disk, and write
+    /// again.
+    #[error("the value is set, but not kept over a restart of its node: {reason}")]
+    NotKept {
+        /// What the file system said.
+        reason: String,
+    },
     /// Nobody holds this name of the whole robot now. Try again when it is claimed.
     #[error("nobody holds the name {name}")]
     Unclaimed {
