@@ -78,6 +78,7 @@
 #[cfg(test)]
 extern crate self as blastema;
 
+mod asking;
 mod chain;
 mod claim;
 mod component;
@@ -126,7 +127,7 @@ pub use ports::{ListenPort, Ports};
 
 // Sending, and what becomes of messages.
 pub use blastema_core::dead_letters::DeadReason;
-pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
+pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, RetryRule, Why};
 pub use death_watch::{Down, Ending};
 pub use host::office::DeadLetterOffice;
 pub use lease::{ActuatorSpec, Commander};

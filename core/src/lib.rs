@@ -25,6 +25,7 @@ pub mod net;
 pub mod quarantine;
 pub mod random;
 pub mod recovery;
+pub mod retry;
 pub mod scanner;
 pub mod service;
 pub mod spelling;
@@ -46,6 +47,7 @@ pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
 pub use quarantine::MessageId;
+pub use retry::RetryRule;
 /// The codec's interface, for the code that the derives write.
 #[doc(hidden)]
 pub use serde;

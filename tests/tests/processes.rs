@@ -4,7 +4,7 @@
 //! is killed when its part is over.
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Link, Network, ServiceSpec, StandbyKind, Stateful};
+use blastema::{ActuatorSpec, Link, Network, Role, ServiceSpec, StandbyKind, Stateful};
 use std::net::{SocketAddr, UdpSocket};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -178,11 +178,40 @@ async fn carry_counter(number: usize) {
         _ => StandbyKind::Warm,
     };
     let counter = ServiceSpec::new("counter", members, Counter::default).standby(kind);
+    let (in_step, told) = tokio::sync::watch::channel(false);
     let node = Node::builder(&format!("module{number}"))
         .network(ethernet(&addresses(), number))
+        .child(ChildSpec::new("witness", move || Witness(told.clone())))
         .service(counter);
-    let _node = node.start().await.unwrap();
-    std::future::pending::<()>().await;
+    let node = node.start().await.unwrap();
+    loop {
+        let able = match node.service_role("counter") {
+            Some(Role::Primary { .. }) => true,
+            Some(Role::Standby { in_step, .. }) => in_step,
+            None => false,
+        };
+        in_step.send_replace(able);
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+}
+
+/// Whether this node serves, or could.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "counter/ready", reply = bool)]
+struct Ready;
+
+struct Witness(tokio::sync::watch::Receiver<bool>);
+
+impl Component for Witness {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Ready>();
+    }
+}
+
+impl Handle<Ready> for Witness {
+    async fn handle(&mut self, _: Ready, _: &mut Context<Self>) -> bool {
+        *self.0.borrow()
+    }
 }
 
 #[test]
@@ -214,6 +243,55 @@ fn a_service_goes_on_counting_when_the_processes_that_serve_it_are_killed() {
             // It is in step again when a majority could do without either of the others.
             while node.neighbourhood().await.len() < 3 {
                 tokio::task::yield_now().await;
+            }
+        }
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_standby_that_was_killed_has_everything_when_it_is_back_and_takes_over() {
+    let addresses = free_addresses(4);
+    let start = |number: usize| Process::start(&format!("carrier{number}"), &addresses);
+    let mut carriers = [start(1), start(2), start(3)];
+
+    blastema::run(async {
+        let node = Node::builder("module0").network(ethernet(&addresses, 0)).start().await.unwrap();
+        let counter = node.service::<Add>("counter").unwrap();
+        let ready = async |number: usize| {
+            let witness: Sender<Ready> = node.sender(&format!("module{number}:witness")).unwrap();
+            while !witness.ask(Ready).await.unwrap_or(false) {
+                tokio::task::yield_now().await;
+            }
+        };
+        let mut sum = 0;
+        for _ in 0..2 {
+            for _ in 0..20 {
+                sum += 1;
+                assert_eq!(counter.ask_within(Add, PATIENCE).await, Ok(sum));
+            }
+            let serving = primary(&counter).await;
+            let standby = serving % 3 + 1;
+            carriers[standby - 1].kill();
+            sum += 1;
+            assert_eq!(counter.ask_within(Add, PATIENCE).await, Ok(sum), "without the standby");
+            carriers[standby - 1] = start(standby);
+            ready(standby).await;
+
+            // The other one is out of the way: nobody has it all but the one that was killed.
+            let other = 6 - serving - standby;
+            carriers[other - 1].kill();
+            carriers[other - 1] = start(other);
+            let asking = counter.clone();
+            let asked =
+                tokio::task::spawn_local(async move { asking.ask_within(Add, PATIENCE).await });
+            tokio::task::yield_now().await;
+            carriers[serving - 1].kill();
+            sum += 1;
+            assert_eq!(asked.await.unwrap(), Ok(sum), "across both kills");
+            carriers[serving - 1] = start(serving);
+            for number in 1..=3 {
+                ready(number).await;
             }
         }
         node.shutdown().await;

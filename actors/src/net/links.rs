@@ -1,5 +1,9 @@
 //! The body of the links over one transport.
 
+mod learned;
+
+pub(super) use learned::{Forget, Learn, Seen, TellNeighbours};
+
 use super::LinkSpec;
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
@@ -36,6 +40,8 @@ pub(super) struct Wiring {
     pub(super) router_changes: Recipient<LinkChanged>,
     pub(super) router_loads: Recipient<Arrived>,
     pub(super) monitor: Option<Recipient<LinkReported>>,
+    /// Who tells others of our neighbours, and which network this is to it.
+    pub(super) discovery: Option<(usize, Recipient<Seen>)>,
 }
 
 /// The links of one network.
@@ -76,18 +82,22 @@ impl Links {
         self.crowd = Crowd::default();
         self.wake = Wake::default();
         for (number, spec) in &self.specs {
-            let Wiring { node, incarnation, .. } = &self.wiring;
-            let config = LinkConfig {
-                expected: spec.neighbour.clone(),
-                hello_interval: spec.hello_interval,
-                ..LinkConfig::new(node.clone(), *incarnation)
-            };
-            let mut link = Link::new(config, now);
-            if let Some(rate) = self.bytes_per_second {
-                link.handle_rate(rate);
-            }
-            self.crowd.insert(*number, link);
+            self.crowd.insert(*number, self.link(spec, now));
         }
+    }
+
+    fn link(&self, spec: &LinkSpec, now: Instant) -> Link {
+        let Wiring { node, incarnation, .. } = &self.wiring;
+        let config = LinkConfig {
+            expected: spec.neighbour.clone(),
+            hello_interval: spec.hello_interval,
+            ..LinkConfig::new(node.clone(), *incarnation)
+        };
+        let mut link = Link::new(config, now);
+        if let Some(rate) = self.bytes_per_second {
+            link.handle_rate(rate);
+        }
+        link
     }
 
     fn attach(&mut self, context: &mut Context<Self>) {
@@ -161,6 +171,7 @@ impl Links {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         info!(network = %self.wiring.network, %link, %state, reason, "link");
         self.tell_router(number);
+        self.tell_discovery(number, state);
         match state {
             LinkState::Up => self.tell_monitor(number, LinkCondition::Up),
             LinkState::Down => {
@@ -272,6 +283,7 @@ impl Handler<TransportReport> for Links {
             TransportReport::Opened { local, mtu } => {
                 info!(network = %self.wiring.network, %local, mtu, "open");
                 self.mtu = Some(mtu);
+                self.tell_port(&local);
                 self.tell_router_all();
                 self.tell_of_lonely_medium(LinkCondition::Up);
             }

@@ -6,6 +6,7 @@ use crate::platform;
 use actix::prelude::*;
 use blastema_contract::link::{AddLinks, Arrived, Carry, LinkChanged, Load, ReportLinks};
 use blastema_contract::monitor::NodeReported;
+use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::{
     AddSessions, KeepOut, PanicOnPurpose, PathReported, ReadRoutes, Routes, SegmentArrived,
     SendSegment,
@@ -14,7 +15,7 @@ use blastema_contract::strategy::Reroute;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::{self, LinkNumber, RouterConfig, RouterOutput};
 use blastema_core::recovery::{Done, Failed};
-use blastema_core::{Incarnation, NodeName, Place};
+use blastema_core::{FaultKind, Incarnation, NodeName, Place};
 use std::collections::{BTreeMap, BTreeSet};
 use tracing::{debug, error, info};
 
@@ -27,6 +28,7 @@ pub(super) struct Router {
     networks: Vec<Recipient<ReportLinks>>,
     sessions: Option<AddSessions>,
     monitor: Option<Recipient<NodeReported>>,
+    faults: Option<Recipient<FaultDeclared>>,
     /// Who can be reached, in which life: what a router that begins anew must find again.
     reached: BTreeMap<NodeName, Incarnation>,
     /// Who is isolated: a router that begins anew must know.
@@ -37,6 +39,7 @@ impl Router {
     pub(super) fn maker(
         (node, incarnation): (NodeName, Incarnation),
         monitor: Option<Recipient<NodeReported>>,
+        faults: Option<Recipient<FaultDeclared>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         move |_| {
             let config = RouterConfig::new(node, incarnation);
@@ -48,9 +51,20 @@ impl Router {
                 networks: Vec::new(),
                 sessions: None,
                 monitor,
+                faults,
                 reached: BTreeMap::new(),
                 kept_out: BTreeSet::new(),
             }
+        }
+    }
+
+    /// Names that are given twice: whoever gave them has to act.
+    fn declare(&self, detail: String) {
+        error!("{detail}");
+        if let Some(faults) = &self.faults {
+            let (object, kind) = (super::named("router"), FaultKind::NameTaken);
+            let incarnation = crate::guardian::alive().incarnation;
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
         }
     }
 
@@ -148,10 +162,24 @@ impl Body for Router {
             }
             RouterOutput::Lost { node, incarnation } => self.lost(node, incarnation),
             RouterOutput::NumberTaken { node, refused } => {
-                error!("the names {node} and {refused} give one node number: rename {refused}");
+                self.declare(format!(
+                    "the names {node} and {refused} give one node number: {refused} is kept out; \
+                     rename it"
+                ));
             }
-            RouterOutput::NameTaken { incarnation } => {
-                error!("another node called {} has come up as {incarnation}", self.config.node);
+            RouterOutput::NameTaken { incarnation, first: true } => {
+                let name = &self.config.node;
+                self.declare(format!(
+                    "another node called {name} has come up as {incarnation}: it is kept out; end \
+                     it, or give it another name"
+                ));
+            }
+            RouterOutput::NameTaken { incarnation, first: false } => {
+                let name = &self.config.node;
+                self.declare(format!(
+                    "another node called {name} was there before, as {incarnation}: this one is \
+                     kept out by all; give it another name, or end the other"
+                ));
             }
         }
     }

@@ -170,6 +170,7 @@ impl Robot {
                 transport: Transport::from(cable),
                 interface: None,
                 links: links.collect(),
+                discovery: None,
             }
         });
         let specs = specs.collect();
@@ -718,6 +719,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             transport: Transport::from(memory),
             interface: None,
             links: vec![link("left"), link("right")],
+            discovery: None,
         };
         let environment = NetEnvironment {
             node: NodeName::new("left").unwrap(),

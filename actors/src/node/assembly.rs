@@ -295,7 +295,9 @@ fn make_networks(
         neighbours.extend(laid.neighbours);
         specs.push(laid.spec);
     }
-    let transports = specs.iter().map(|spec| spec.transport.close.clone()).collect();
+    let beacons = specs.iter().filter_map(|spec| spec.discovery.as_ref()?.beacons.as_ref());
+    let beacons = beacons.map(|(transport, _)| transport.close.clone());
+    let transports = specs.iter().map(|spec| spec.transport.close.clone()).chain(beacons).collect();
     let net_environment = NetEnvironment {
         node: node.clone(),
         incarnation,
@@ -515,8 +517,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         environment.services.enter(carried.name.clone(), carried.config.members.clone());
         let place = networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
         let place = place.or(chain.arbiter.as_ref());
-        let (registry, services) = (&environment.registry, &environment.services);
-        let body = ReplicaBody::start(carried, registry, services, &guardian, place);
+        let body = ReplicaBody::start(carried, &environment, &guardian, place);
         let body = body.map_err(SpecError::from)?;
         enrolments.push(middleware(name, Some(body)));
     }

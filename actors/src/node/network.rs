@@ -2,12 +2,13 @@
 
 use super::builder::StartError;
 use crate::guardian::Guardian;
-use crate::net::{Interface, LinkSpec, NetworkSpec};
+use crate::net::{DiscoverySpec, Interface, LinkSpec, NetworkSpec};
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::transport::{
     Cut, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults, Restore, Transport,
 };
+use blastema_core::net::discovery::Admission;
 use blastema_core::{NodeName, ObjectName};
 use blastema_transports::frame_medium::FrameMedium;
 use blastema_transports::{
@@ -15,7 +16,7 @@ use blastema_transports::{
     SerialLine, SlcanBus, Tcp, TcpConfig, Udp, UdpConfig, Unix,
 };
 use std::fmt;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
 pub use blastema_contract::transport::Direction;
@@ -43,6 +44,15 @@ pub struct Network {
     links: Vec<Link>,
     faults: Option<u64>,
     interface: Option<Interface>,
+    admission: Option<Admitted>,
+    /// The group by which beacons are sent, as it was written.
+    beacons: Option<String>,
+}
+
+/// Who is admitted, as it was written.
+enum Admitted {
+    Anybody,
+    Only(Vec<String>),
 }
 
 enum Medium {
@@ -117,7 +127,15 @@ impl Network {
         };
         let by_address = || Interface::of(bind?.ip());
         let interface = named.map(Interface::Named).or_else(by_address);
-        Network { name: name.to_owned(), medium, links: Vec::new(), faults: None, interface }
+        Network {
+            name: name.to_owned(),
+            medium,
+            links: Vec::new(),
+            faults: None,
+            interface,
+            admission: None,
+            beacons: None,
+        }
     }
 
     /// One more neighbour, with everything usual: the node of this name, at this address as the medium
@@ -129,6 +147,30 @@ impl Network {
     /// One more neighbour.
     pub fn link(mut self, link: Link) -> Self {
         self.links.push(link);
+        self
+    }
+
+    /// Learns of neighbours that are not described, and tells neighbours of each other
+    /// ([gossip](crate::manual::networks#discovery)): nodes of these names get a link when a neighbour on
+    /// this network says where they are. Without any name, it only tells. Over UDP, TCP, Unix sockets and
+    /// memory; elsewhere there is nothing to learn, and this does nothing.
+    pub fn discover<'a>(mut self, nodes: impl IntoIterator<Item = &'a str>) -> Self {
+        let nodes = nodes.into_iter().map(str::to_owned);
+        self.admission = Some(Admitted::Only(nodes.collect()));
+        self
+    }
+
+    /// Learns of neighbours, whatever they are called, and tells neighbours of each other.
+    pub fn discover_anybody(mut self) -> Self {
+        self.admission = Some(Admitted::Anybody);
+        self
+    }
+
+    /// Says every second by multicast, to a group such as `239.255.0.1:7399`, where this node is, and learns of
+    /// others that do; neighbours need not be described at all then. Who is admitted is said by
+    /// [`discover`](Network::discover) or [`discover_anybody`](Network::discover_anybody). For UDP and TCP.
+    pub fn beacons(mut self, group: &str) -> Self {
+        self.beacons = Some(group.to_owned());
         self
     }
 
@@ -289,6 +331,18 @@ impl Medium {
         }
     }
 
+    /// How neighbours' addresses are written where they can be told to others.
+    fn learned_by(&self) -> Option<&'static str> {
+        match self {
+            Medium::At(Endpoint::Udp(config)) if config.group.is_some() => None,
+            Medium::At(Endpoint::Udp(_)) => Some("udp"),
+            Medium::At(Endpoint::Tcp(_)) => Some("tcp"),
+            Medium::At(Endpoint::Unix(_)) => Some("unix"),
+            Medium::At(Endpoint::Memory(_)) | Medium::Memory(_) => Some("memory"),
+            _ => None,
+        }
+    }
+
     /// How often a hello is sent unless the link says otherwise, on a network with so many links.
     fn hello_interval(&self, links: usize) -> Duration {
         // A bus is shared: each of its nodes says hello to each other.
@@ -366,6 +420,27 @@ impl Medium {
     }
 }
 
+/// Where beacons are sent from, and heard: the interface that the network itself uses.
+fn beacon_config(
+    network: &str,
+    (ip, interface): (IpAddr, Option<String>),
+    group: &str,
+) -> Result<UdpConfig, StartError> {
+    match format!("udp://{group}").parse() {
+        Ok(Endpoint::Udp(mut config)) if config.group.is_some() => {
+            (config.bind, config.interface) = (SocketAddr::new(ip, 0), interface);
+            Ok(config)
+        }
+        Ok(_) => {
+            let text = format!(
+                "network {network}: {group} is no multicast group: write one, as in 239.255.0.1:7399"
+            );
+            Err(StartError::Network(text))
+        }
+        Err(error) => Err(StartError::Endpoint { network: network.to_owned(), error }),
+    }
+}
+
 impl Network {
     /// Starts the transport.
     pub(super) fn lay(
@@ -373,7 +448,7 @@ impl Network {
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Laid, StartError> {
-        let Network { name, medium, links, faults, interface } = self;
+        let Network { name, medium, links, faults, interface, admission, beacons } = self;
         let object = ObjectName::new(&format!("transport/{name}"))?;
         let mut neighbours = Vec::new();
         let mut specs = Vec::new();
@@ -392,6 +467,46 @@ impl Network {
             specs.push(LinkSpec { name: link, remote, neighbour, cost, hello_interval });
         }
         let mut transports = vec![object.clone()];
+        let learned = medium.learned_by();
+        let at = match &medium {
+            Medium::At(Endpoint::Udp(config)) => Some((config.bind.ip(), config.interface.clone())),
+            Medium::At(Endpoint::Tcp(config)) => Some((config.bind.ip(), config.interface.clone())),
+            _ => None,
+        };
+        let beacons = match (beacons, at) {
+            (Some(group), Some(at)) => {
+                let object = ObjectName::new(&format!("beacons/{name}"))?;
+                let config = beacon_config(&name, at, &group)?;
+                let group = config.group;
+                let make = move |_: &mut Context<Udp>| Udp::new(config);
+                transports.push(object.clone());
+                let transport = Transport::from(guardian.start(object, arbiter, make));
+                group.map(|group| (transport, group))
+            }
+            (Some(_), _) => {
+                let text = format!("network {name}: beacons are for udp and tcp: leave them out");
+                return Err(StartError::Network(text));
+            }
+            (None, _) => None,
+        };
+        let admission = match admission {
+            None if beacons.is_some() => {
+                let text = format!("network {name}: say whom the beacons are for, by discover()");
+                return Err(StartError::Network(text));
+            }
+            None => None,
+            Some(Admitted::Anybody) => Some(Admission::Anybody),
+            Some(Admitted::Only(nodes)) => {
+                let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
+                Some(Admission::Only(nodes?))
+            }
+        };
+        let discovery = learned.zip(admission).map(|(medium, admission)| DiscoverySpec {
+            medium,
+            admission,
+            hello_interval: HELLO_INTERVAL,
+            beacons,
+        });
         let mut transport = medium.start(&name, object, guardian, arbiter)?;
         let cable = match faults {
             None => None,
@@ -408,7 +523,7 @@ impl Network {
                 Some(Cable { faulty, neighbours: specs.iter().filter_map(there).collect() })
             }
         };
-        let spec = NetworkSpec { name: name.into(), transport, interface, links: specs };
+        let spec = NetworkSpec { name: name.into(), transport, interface, links: specs, discovery };
         Ok(Laid { spec, cable, neighbours, transports })
     }
 }

@@ -71,6 +71,11 @@ impl Neighbourhood {
     ) -> Option<News> {
         let carries = !matches!(condition, LinkCondition::Down { .. });
         let before = self.links.remove(&(node.clone(), link.clone()));
+        if condition == LinkCondition::Forgotten {
+            let neighbour = before?.neighbour;
+            let (place, incarnation) = (Place::Link { node, link, neighbour }, Incarnation(0));
+            return Some(News { place, incarnation, finding: Finding::Link(condition) });
+        }
         let known = before.as_ref().map(|seen| discriminant(&seen.condition));
         let last_sign = if carries { Some(now) } else { before.as_ref().and_then(|b| b.last_sign) };
         // A link that is down does not say who was at its other end.
@@ -174,7 +179,7 @@ impl Neighbourhood {
     pub(super) fn rows(&self, now: Instant) -> impl Iterator<Item = Row> {
         let links = self.links.iter().map(move |((node, link), seen)| {
             let (opinion, note) = match &seen.condition {
-                LinkCondition::Up => (Opinion::Trusted, None),
+                LinkCondition::Up | LinkCondition::Forgotten => (Opinion::Trusted, None),
                 LinkCondition::Degraded { reason } => (Opinion::Suspect, Some(reason)),
                 LinkCondition::Down { reason } => {
                     let left = seen.neighbour.as_ref().is_some_and(|node| self.has_left(node));
@@ -252,6 +257,20 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_link_that_is_forgotten_has_no_row() {
+        let mut around = Neighbourhood::default();
+        let mut tell = |condition| {
+            around
+                .handle_link(node("a"), "eth/b".into(), Some(node("b")), condition, at(1))
+                .is_some()
+        };
+        assert!(!tell(LinkCondition::Forgotten), "it was never known");
+        assert!(tell(LinkCondition::Down { reason: "gone".into() }));
+        assert!(tell(LinkCondition::Forgotten));
+        assert_eq!(around.len(), 0);
     }
 
     #[test]

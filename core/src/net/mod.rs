@@ -41,6 +41,7 @@ pub mod advertisement;
 pub mod claims;
 pub mod complaints;
 pub mod crowd;
+pub mod discovery;
 pub mod exchange;
 pub mod frame;
 pub mod isolation;

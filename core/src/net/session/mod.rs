@@ -123,6 +123,10 @@ struct StreamState {
 /// In the order of their places.
 const STREAMS: [Stream; 3] = [Stream::Control, Stream::Data, Stream::Redundant];
 
+/// A path of smaller segments leads over a medium that is taken for slow until it is measured: a serial
+/// line, or CAN.
+const NARROW: usize = 1200;
+
 /// Which round trip and silence a stream has.
 fn lane(stream: Stream) -> usize {
     usize::from(stream == Stream::Redundant)
@@ -131,6 +135,12 @@ fn lane(stream: Stream) -> usize {
 impl Session {
     /// Parts on their way at first.
     const CONGESTION_INITIAL: usize = 32;
+    /// The same on a narrow path.
+    const CONGESTION_NARROW: usize = 4;
+    /// Parts that are on their way however long the queues are.
+    const CONGESTION_LEAST: usize = 2;
+    /// Time in queues above which less is sent. Control and hellos stand in the same queues.
+    const QUEUEING_MAX: Duration = Duration::from_millis(200);
     /// Parts that may always be on their way: fewer would wait for a timer at every loss.
     const CONGESTION_MIN: usize = 8;
     /// How long an unfinished message is kept.
@@ -288,7 +298,11 @@ impl Session {
     pub fn handle_path(&mut self, mtu: usize, now: Instant) {
         self.now = now;
         self.path = Some(mtu);
-        self.trips.iter_mut().for_each(RoundTrip::progress);
+        let narrow = mtu < NARROW;
+        self.trips.iter_mut().for_each(|trip| trip.change_path(narrow));
+        if narrow {
+            self.congestion = self.congestion.min(Self::CONGESTION_NARROW);
+        }
         match self.state {
             State::Idle => self.open(None),
             State::Opening { peer, pause, .. } => {
@@ -461,7 +475,10 @@ impl Session {
         let pieces = Assembly::new(assembly, Self::ASSEMBLY_PATIENCE);
         self.best_effort = BestEffort::new(self.config.channels_max, pieces);
         self.replicas = Replicas::default();
-        self.congestion = Self::CONGESTION_INITIAL;
+        self.congestion = match self.path {
+            Some(mtu) if mtu < NARROW => Self::CONGESTION_NARROW,
+            _ => Self::CONGESTION_INITIAL,
+        };
         self.reduced_until = self.orders[0];
         self.retransmit_at = [None; 2];
         self.owed_since = None;
