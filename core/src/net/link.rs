@@ -11,22 +11,27 @@
 //! Each end says in its hellos whether it would use the link, and uses it only while the other would:
 //! what one end sends, the other takes.
 //!
+//! What a hello says is believed at once where it goes on from the last one. Where it contradicts that, such
+//! as a new life of the neighbour's, it is believed when it has been confirmed both ways (see
+//! `acquaintance`): a frame that was changed on its way, made up, or late by a life takes nothing down.
+//!
 //! A link does not queue, repeat or order anything: that is the session's business, end to end.
 
 mod greeted;
+mod acquaintance;
 mod quality;
 mod vocabulary;
 
 pub use self::quality::Quality;
 pub use self::vocabulary::{LinkConfig, LinkOutput, LinkRefusal, LinkState, Neighbour};
 
+use self::acquaintance::Claimant;
 use self::quality::{Gauge, Limits};
 
 use super::arrival::{Arrival, Arrivals};
 use super::frame::{Echo, Frame, Hello, Stance};
-use super::node_id::NodeId;
 use super::wire::{Refusals, WireError};
-use crate::{Instant, Machine};
+use crate::{Incarnation, Instant, Machine};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -37,6 +42,8 @@ pub struct Link {
     config: LinkConfig,
     state: LinkState,
     neighbour: Option<Heard>,
+    /// Who says what contradicts that, and has not shown yet to hear us.
+    claimant: Option<Claimant>,
     next_hello: Instant,
     /// When the last hellos went out, for the round trip: number and time.
     sent: VecDeque<(u32, Instant)>,
@@ -53,6 +60,8 @@ pub struct Link {
     on_bus: bool,
     greeting: Option<u32>,
     gauge: Gauge,
+    /// Who was refused last, and who was told of last: what was heard once may be an accident.
+    doubted: Option<LinkRefusal>,
     refused: Option<LinkRefusal>,
     refusals: Refusals,
     outputs: VecDeque<LinkOutput>,
@@ -104,6 +113,7 @@ impl Link {
             config,
             state: LinkState::Connecting,
             neighbour: None,
+            claimant: None,
             next_hello: now,
             sent: VecDeque::with_capacity(Self::SENT_MAX),
             flaps: 0,
@@ -115,6 +125,7 @@ impl Link {
             on_bus: false,
             greeting: None,
             gauge: Gauge::default(),
+            doubted: None,
             refused: None,
             refusals: Refusals::default(),
             outputs: VecDeque::new(),
@@ -219,6 +230,16 @@ impl Link {
         let length = Frame::Hello(hello).encode().len() as u64 + Self::FRAMING;
         let nanos = (length * 20).saturating_mul(1_000_000_000) / bytes_per_second.max(1);
         self.slow_down(Duration::from_nanos(nanos));
+        let slowest = Duration::from_nanos(nanos).min(Self::INTERVAL_MAX);
+        if slowest > self.config.hello_interval {
+            self.config.hello_interval = slowest;
+            // Hellos are numbered by their interval: echoes of the old numbers say nothing any more.
+            self.sent.clear();
+            self.claimant = None;
+            if let Some(heard) = &mut self.neighbour {
+                heard.echoed = None;
+            }
+        }
     }
 
     /// How often hellos are said.
@@ -259,15 +280,8 @@ impl Link {
             self.refuse(refusal);
             return;
         }
-        self.refused = None;
-        let known = self.neighbour.as_ref().map(|heard| &heard.neighbour);
-        let ended = known
-            .is_some_and(|known| known.node == hello.node && hello.incarnation < known.incarnation);
-        let arrival = if ended { Arrival::Old } else { self.meet(&hello, interval, now) };
-        let Arrival::New { missed } = arrival else {
-            self.refusals.stale += 1;
-            return;
-        };
+        (self.doubted, self.refused) = (None, None);
+        let Arrival::New { missed } = self.meet(&hello, interval, now) else { return };
         self.calm = after(self.calm, missed);
         self.listen(&hello, missed, now);
         self.judge_quality(now);
@@ -469,8 +483,7 @@ impl Link {
         // Numbered and sent by the absolute schedule, never "an interval after the last one": a late
         // hello must not shift the later ones. Counted from the clock's origin, the number also
         // goes on rising when this machine is built anew in a running process.
-        let interval = self.config.hello_interval.max(Self::INTERVAL_MIN);
-        let nanos = interval.as_nanos() as u64;
+        let nanos = self.interval().as_nanos() as u64;
         let number = now.as_nanos() / nanos;
         self.next_hello = Instant::from_nanos((number + 1).saturating_mul(nanos));
         let hello = self.hello(now, number as u32);
@@ -485,19 +498,23 @@ impl Link {
         }
     }
 
+    fn interval(&self) -> Duration {
+        self.config.hello_interval.max(Self::INTERVAL_MIN)
+    }
+
     fn hello(&self, now: Instant, sequence: u32) -> Hello {
-        let echo = self.neighbour.as_ref().map(|heard| Echo {
-            incarnation: heard.neighbour.incarnation,
-            sequence: heard.arrivals.highest(),
-            held_us: u32::try_from((now - heard.last).as_micros()).unwrap_or(u32::MAX),
+        let echo = self.claimants_turn().or(self.neighbour.as_ref().map(Heard::last_heard));
+        let echo = echo.map(|(incarnation, sequence, at)| Echo {
+            incarnation,
+            sequence,
+            held_us: u32::try_from((now - at).as_micros()).unwrap_or(u32::MAX),
         });
-        let interval = self.config.hello_interval.max(Self::INTERVAL_MIN);
         let lost = self.neighbour.as_ref().and_then(|heard| heard.arrivals.loss_permille());
         Hello {
             node: self.config.node.clone(),
             incarnation: self.config.incarnation,
             sequence,
-            interval_us: u32::try_from(interval.as_micros()).unwrap_or(u32::MAX),
+            interval_us: u32::try_from(self.interval().as_micros()).unwrap_or(u32::MAX),
             stance: self.stance(),
             loss_permille: lost.unwrap_or(0),
             echo,
@@ -532,6 +549,11 @@ impl Link {
 }
 
 impl Heard {
+    /// In which life, which hello, and when.
+    fn last_heard(&self) -> (Incarnation, u32, Instant) {
+        (self.neighbour.incarnation, self.arrivals.highest(), self.last)
+    }
+
     fn forget_proof(&mut self) {
         self.proved = 0;
         self.echoed = None;
