@@ -171,7 +171,7 @@ impl DiscoveryBody {
             };
             let frame = beacon(&self.wiring.node, *port);
             let to = MediumAddress::Ip(*group);
-            transport.transmit.do_send(Transmit { to, frame });
+            transport.transmit.do_send(Transmit::new(to, frame));
         }
     }
 
@@ -409,7 +409,11 @@ impl Handler<TransportReport> for DiscoveryBody {
         match report {
             TransportReport::Opened { .. } => self.say_beacons(),
             TransportReport::Closed { reason } => warn!("no beacons: {reason}"),
-            TransportReport::Rate { .. } | TransportReport::PeerLost { .. } => {}
+            TransportReport::Rate { .. }
+            | TransportReport::PeerLost { .. }
+            | TransportReport::Bus { .. }
+            | TransportReport::NoCarrier { .. }
+            | TransportReport::Clash { .. } => {}
         }
     }
 }

@@ -36,6 +36,17 @@ const USUAL_COST: u64 = 10;
 /// What it costs at most for its medium's slowness: a way over many fast links may still be too long.
 const SLOW_COST: u64 = 1000;
 
+/// A link as it is described; the bundle tells it of the medium.
+fn link(wiring: &Wiring, spec: &LinkSpec, now: Instant) -> Link {
+    let Wiring { node, incarnation, .. } = wiring;
+    let config = LinkConfig {
+        expected: spec.neighbour.clone(),
+        hello_interval: spec.hello_interval,
+        ..LinkConfig::new(node.clone(), *incarnation)
+    };
+    Link::new(config, now)
+}
+
 /// Who stands around the links.
 pub(super) struct Wiring {
     pub(super) node: NodeName,
@@ -91,14 +102,8 @@ impl Links {
         self.bundle = Bundle::default();
         self.wake = Wake::default();
         for (number, spec) in &self.specs {
-            self.crowd.insert(*number, self.link(spec, now));
-            let Wiring { node, incarnation, .. } = &self.wiring;
-            let config = LinkConfig {
-                expected: spec.neighbour.clone(),
-                hello_interval: spec.hello_interval,
-                ..LinkConfig::new(node.clone(), *incarnation)
-            };
-            self.bundle.insert(*number, Link::new(config, now));
+            let link = link(&self.wiring, spec, now);
+            self.bundle.insert(*number, link);
         }
         if self.bus.is_some() {
             self.bundle.handle_bus();
@@ -107,20 +112,6 @@ impl Links {
         if let Some(rate) = self.bytes_per_second {
             self.bundle.handle_rate(rate);
         }
-    }
-
-    fn link(&self, spec: &LinkSpec, now: Instant) -> Link {
-        let Wiring { node, incarnation, .. } = &self.wiring;
-        let config = LinkConfig {
-            expected: spec.neighbour.clone(),
-            hello_interval: spec.hello_interval,
-            ..LinkConfig::new(node.clone(), *incarnation)
-        };
-        let mut link = Link::new(config, now);
-        if let Some(rate) = self.bytes_per_second {
-            link.handle_rate(rate);
-        }
-        link
     }
 
     fn attach(&mut self, context: &mut Context<Self>) {

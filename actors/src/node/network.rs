@@ -335,18 +335,6 @@ impl Medium {
         }
     }
 
-    /// How often a hello is sent unless the link says otherwise, on a network with so many links.
-    fn hello_interval(&self, links: usize) -> Duration {
-        // A bus is shared: each of its nodes says hello to each other.
-        let on_bus = |rate_hz: u32| {
-            let hellos = u32::try_from(links * (links + 1)).unwrap_or(u32::MAX);
-            let one = Duration::from_secs(1) * HELLO_BITS / rate_hz.max(1);
-            HELLO_INTERVAL.max(one.saturating_mul(hellos) * HELLO_SHARE).min(HELLO_LONGEST)
-        };
-        match self {
-            Medium::At(Endpoint::Can(_)) => on_bus(CAN_RATE_HZ),
-            Medium::At(Endpoint::Slcan(config)) => on_bus(config.bitrate),
-            _ => HELLO_INTERVAL,
     /// Whoever clashes with us there is to learn who we are.
     fn name_node(&mut self, own: &NodeName) {
         if let Medium::At(Endpoint::Can(CanConfig { node, .. }))
@@ -447,8 +435,7 @@ impl Network {
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Laid, StartError> {
-        let Network { name, medium, links, faults, interface, admission, beacons } = self;
-        let Network { name, mut medium, links, faults, interface } = self;
+        let Network { name, mut medium, links, faults, interface, admission, beacons } = self;
         medium.name_node(own);
         let object = ObjectName::new(&format!("transport/{name}"))?;
         let mut neighbours = Vec::new();

@@ -17,8 +17,8 @@
 //!
 //! A link does not queue, repeat or order anything: that is the session's business, end to end.
 
-mod greeted;
 mod acquaintance;
+mod greeted;
 mod quality;
 mod vocabulary;
 
@@ -230,16 +230,6 @@ impl Link {
         let length = Frame::Hello(hello).encode().len() as u64 + Self::FRAMING;
         let nanos = (length * 20).saturating_mul(1_000_000_000) / bytes_per_second.max(1);
         self.slow_down(Duration::from_nanos(nanos));
-        let slowest = Duration::from_nanos(nanos).min(Self::INTERVAL_MAX);
-        if slowest > self.config.hello_interval {
-            self.config.hello_interval = slowest;
-            // Hellos are numbered by their interval: echoes of the old numbers say nothing any more.
-            self.sent.clear();
-            self.claimant = None;
-            if let Some(heard) = &mut self.neighbour {
-                heard.echoed = None;
-            }
-        }
     }
 
     /// How often hellos are said.
@@ -289,75 +279,6 @@ impl Link {
             self.go_down("the neighbour has given it up", now);
         }
         self.rise(now);
-    }
-
-    fn check_name(&mut self, hello: &Hello) -> Result<(), Option<LinkRefusal>> {
-        let (ours, theirs) = (&self.config.node, &hello.node);
-        if ours == theirs {
-            // Our own hello may come back from a medium that echoes: no node, no refusal.
-            let echoed = hello.incarnation == self.config.incarnation;
-            return Err((!echoed).then(|| LinkRefusal::NameTaken { node: ours.clone() }));
-        }
-        if NodeId::of(ours) == NodeId::of(theirs) {
-            let (node, other) = (ours.clone(), theirs.clone());
-            return Err(Some(LinkRefusal::NumberTaken { node, other }));
-        }
-        let present = self.carries().then_some(self.neighbour.as_ref()).flatten();
-        let expected = self.config.expected.as_ref().or(present.map(|heard| &heard.neighbour.node));
-        match expected {
-            Some(expected) if expected != theirs => Err(Some(LinkRefusal::WrongNeighbour {
-                expected: expected.clone(),
-                found: theirs.clone(),
-            })),
-            _ => Ok(()),
-        }
-    }
-
-    /// Counts every refusal, and tells each only when it is another than the last.
-    fn refuse(&mut self, refusal: Option<LinkRefusal>) {
-        self.refusals.unexpected += 1;
-        if refusal.is_some() && refusal != self.refused {
-            self.refused.clone_from(&refusal);
-            self.outputs.extend(refusal.map(LinkOutput::Refused));
-        }
-    }
-
-    /// Who is there, and when is the next hello due? A new neighbour, or a new life of the old one,
-    /// begins from nothing. An old or doubled hello says nothing.
-    fn meet(&mut self, hello: &Hello, interval: Duration, now: Instant) -> Arrival {
-        let neighbour = Neighbour { node: hello.node.clone(), incarnation: hello.incarnation };
-        let arrivals = Arrivals::new(interval, hello.sequence, now);
-        match &mut self.neighbour {
-            Some(heard) if heard.neighbour == neighbour => {
-                if heard.arrivals.interval() == interval {
-                    return heard.arrivals.handle(hello.sequence, now);
-                }
-                heard.arrivals = arrivals;
-            }
-            _ => {
-                if self.carries() {
-                    self.go_down("the neighbour has restarted", now);
-                }
-                // That the link went down was the old life's end, and says nothing of the medium.
-                self.flaps = 0;
-                let excused_until = Instant::ORIGIN;
-                let heard = Heard {
-                    neighbour,
-                    arrivals,
-                    last: now,
-                    proved: 0,
-                    stance: hello.stance,
-                    loss_there: 0,
-                    turn: 1,
-                    echoed: None,
-                    excused_until,
-                    excuses: 0,
-                };
-                self.neighbour = Some(heard);
-                self.gauge = Gauge::default();
-            }
-        }
-        Arrival::New { missed: 0 }
     }
 
     fn listen(&mut self, hello: &Hello, missed: u32, now: Instant) {

@@ -197,6 +197,7 @@ impl Link {
             proved: 0,
             stance: hello.stance,
             loss_there: 0,
+            turn: 1,
             echoed: None,
             excused_until: Instant::ORIGIN,
             excuses: 0,
