@@ -129,6 +129,7 @@ impl DiscoveryBody {
             neighbour: Some(node.clone()),
             cost: None,
             hello_interval: field.spec.hello_interval,
+            expected_within: None,
         };
         self.made.insert((ground, node), (number, remote));
         links.learn.do_send(Learn { number, spec });

@@ -31,6 +31,8 @@ pub(super) struct Doors {
 pub(super) struct Gate {
     node: NodeName,
     condition: AtomicU8,
+    /// A path leads there, or perhaps the session waits for one.
+    path: AtomicBool,
     isolated: AtomicBool,
     under_way: AtomicUsize,
     bytes_under_way: AtomicUsize,
@@ -66,6 +68,12 @@ impl Gate {
 
     pub(super) fn set(&self, condition: Condition) {
         self.condition.store(condition as u8, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    /// A path leads there, or does no more.
+    pub(super) fn set_path(&self, path: bool) {
+        self.path.store(path, Relaxed);
         self.changed.notify_waiters();
     }
 
@@ -121,11 +129,11 @@ impl Gate {
         }
     }
 
-    /// Completes when a session is open.
+    /// Completes when a session is open, and a path leads there.
     async fn opened(&self) {
         loop {
             let changed = self.changed.notified();
-            if self.has_session() {
+            if self.has_session() && self.path.load(Relaxed) {
                 return;
             }
             changed.await;
@@ -165,7 +173,7 @@ impl Doors {
         self.gates.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Completes when a session with this node is open.
+    /// Completes when a session with this node is open, and a path leads there.
     pub(super) async fn opened(&self, node: &NodeName) {
         self.gate(node).opened().await;
     }
@@ -177,6 +185,7 @@ impl Doors {
             Arc::new(Gate {
                 node: node.clone(),
                 condition: AtomicU8::new(Condition::Unreachable as u8),
+                path: AtomicBool::new(false),
                 isolated: AtomicBool::new(false),
                 under_way: AtomicUsize::new(0),
                 bytes_under_way: AtomicUsize::new(0),

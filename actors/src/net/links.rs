@@ -29,6 +29,7 @@ use blastema_core::{FaultKind, Incarnation, Instant, NodeName};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 use tracing::{error, info, warn};
 
 /// What a link costs that nobody has given a cost, over a medium of a megabyte per second and more.
@@ -109,6 +110,17 @@ impl Links {
             self.bundle.handle_bus();
         }
         self.bundle.handle_mtu(self.mtu.unwrap_or(0));
+    }
+
+    fn link(&self, spec: &LinkSpec, now: Instant) -> Link {
+        let Wiring { node, incarnation, .. } = &self.wiring;
+        let config = LinkConfig {
+            expected: spec.neighbour.clone(),
+            expected_within: spec.expected_within.unwrap_or(Duration::MAX),
+            hello_interval: spec.hello_interval,
+            ..LinkConfig::new(node.clone(), *incarnation)
+        };
+        let mut link = Link::new(config, now);
         if let Some(rate) = self.bytes_per_second {
             self.bundle.handle_rate(rate);
         }
@@ -237,6 +249,21 @@ impl Links {
                 detail,
             });
         }
+    /// Nobody came. Told as any link that is down; that it is up is told when somebody comes.
+    fn missing(&self, number: LinkNumber, heard: bool) {
+        let Some(spec) = self.specs.get(&number) else { return };
+        let who = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
+        let remote = &spec.remote;
+        let reason = match heard {
+            true => format!(
+                "{who} is heard since the start, and does not hear us: check its address for us"
+            ),
+            false => format!(
+                "never heard since the start: check the address {remote}, the cable, and that {who} runs"
+            ),
+        };
+        warn!(network = %self.wiring.network, link = %spec.name, "{reason}");
+        self.tell_monitor(number, LinkCondition::Down { reason });
     }
 
     fn refused(&self, number: LinkNumber, refusal: &LinkRefusal) {
@@ -300,6 +327,7 @@ impl Body for Links {
             LinkOutput::Routing(bytes) => arrived(Load::Routing(bytes)),
             LinkOutput::Packet(bytes) => arrived(Load::Packet(bytes)),
             LinkOutput::Changed { state, reason, .. } => self.changed(link, state, reason),
+            LinkOutput::Missing { heard } => self.missing(link, heard),
             LinkOutput::Quality(quality) => self.quality(link, quality),
             LinkOutput::Refused(refusal) => self.refused(link, &refusal),
         }

@@ -199,6 +199,7 @@ pub struct Link {
     remote: Remote,
     cost: Option<u16>,
     hello_interval: Option<Duration>,
+    expected_within: Duration,
 }
 
 /// Where a neighbour is.
@@ -230,7 +231,8 @@ impl Link {
 
     fn at(neighbour: &str, remote: Remote) -> Self {
         let neighbour = neighbour.to_owned();
-        Link { name: None, neighbour, remote, cost: None, hello_interval: None }
+        let expected_within = Duration::from_secs(5);
+        Link { name: None, neighbour, remote, cost: None, hello_interval: None, expected_within }
     }
 
     /// How people call it. Unless this says otherwise, it has the network's name where it is the only
@@ -253,6 +255,14 @@ impl Link {
     /// neighbour finds this end dead after three and a half of them.
     pub fn hello_every(mut self, interval: Duration) -> Self {
         self.hello_interval = Some(interval);
+        self
+    }
+
+    /// How soon after the node's start the neighbour must have been heard, 5 s unless this says
+    /// otherwise; on a slow medium, five hellos more. After that the link is a fault, *link down*, until
+    /// it comes. [`Duration::MAX`] is for a neighbour that need not come at all.
+    pub fn expected_within(mut self, span: Duration) -> Self {
+        self.expected_within = span;
         self
     }
 }
@@ -441,7 +451,7 @@ impl Network {
         let mut neighbours = Vec::new();
         let mut specs = Vec::new();
         let alone = links.len() == 1;
-        for Link { name: own, neighbour, remote, cost, hello_interval } in links {
+        for Link { name: own, neighbour, remote, cost, hello_interval, expected_within } in links {
             let node = NodeName::new(&neighbour)?;
             let usual = if alone { name.clone() } else { format!("{name}/{neighbour}") };
             let link = own.unwrap_or(usual).into();
@@ -451,7 +461,15 @@ impl Network {
             let hello_interval = hello_interval.unwrap_or(HELLO_INTERVAL);
             neighbours.push(node.clone());
             let neighbour = Some(node);
-            specs.push(LinkSpec { name: link, remote, neighbour, cost, hello_interval });
+            let expected_within = Some(expected_within);
+            specs.push(LinkSpec {
+                name: link,
+                remote,
+                neighbour,
+                cost,
+                hello_interval,
+                expected_within,
+            });
         }
         let mut transports = vec![object.clone()];
         let learned = medium.learned_by();

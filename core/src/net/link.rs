@@ -45,6 +45,8 @@ pub struct Link {
     /// Who says what contradicts that, and has not shown yet to hear us.
     claimant: Option<Claimant>,
     next_hello: Instant,
+    /// By when somebody should have proved to be there; `None` once that has been told.
+    expected_by: Option<Instant>,
     /// When the last hellos went out, for the round trip: number and time.
     sent: VecDeque<(u32, Instant)>,
     /// How often it went down lately, and when last.
@@ -102,6 +104,8 @@ impl Link {
     const EXCUSES_MAX: u32 = 4;
     /// Remembered hellos: enough for round trips of so many intervals.
     const SENT_MAX: usize = 64;
+    /// Nobody is missing before so many hellos were said in vain beyond the time that was set.
+    const ABSENT_HELLOS: u32 = 5;
     /// A link that stayed up for so long has proved itself; earlier flaps are forgotten.
     const FLAP_MEMORY: Duration = Duration::from_secs(10);
     /// 16 times the usual proof at most, so that a repaired link comes back within seconds.
@@ -110,6 +114,7 @@ impl Link {
     /// A link that says its first hello at once.
     pub fn new(config: LinkConfig, now: Instant) -> Self {
         Link {
+            expected_by: Some(now + config.expected_within),
             config,
             state: LinkState::Connecting,
             neighbour: None,
@@ -442,6 +447,18 @@ impl Link {
         }
     }
 
+    fn judge_absence(&mut self, now: Instant) {
+        // A slow medium needs its time.
+        let patience = |by: Instant| by + self.interval().saturating_mul(Self::ABSENT_HELLOS);
+        let due = self.expected_by.filter(|by| *by <= now);
+        if self.state != LinkState::Connecting || due.is_none_or(|by| patience(by) > now) {
+            return;
+        }
+        self.expected_by = None;
+        let heard = self.neighbour.is_some();
+        self.outputs.push_back(LinkOutput::Missing { heard });
+    }
+
     fn judge_silence(&mut self, now: Instant) {
         let past = |due: Option<Instant>| due.is_some_and(|due| due <= now);
         let down = past(self.due(self.down_after_percent()));
@@ -512,6 +529,7 @@ impl Machine for Link {
         if self.next_hello <= now {
             self.say_hello(now);
         }
+        self.judge_absence(now);
         self.judge_silence(now);
     }
 }

@@ -83,6 +83,22 @@ fn a_link_is_up_once_both_ends_have_proved_that_they_hear_each_other() {
 }
 
 #[test]
+fn a_neighbour_that_never_comes_is_told_as_missing_once() {
+    let mut cable = Cable::new(config("left", 1), config("right", 1));
+    cable.cut = [true, false];
+
+    cable.run_until(5_040);
+    assert_eq!(cable.told, []);
+    cable.run_until(10_000);
+
+    let missing = |at, end, heard| (at, end, LinkOutput::Missing { heard });
+    assert_eq!(cable.told, [missing(5_050, 0, true), missing(5_050, 1, false)]);
+    cable.cut = [false; 2];
+    cable.run_until(10_100);
+    assert_eq!(cable.states(), [LinkState::Up; 2]);
+}
+
+#[test]
 fn a_cut_cable_is_suspect_after_two_intervals_and_down_after_three_and_a_half() {
     let mut cable = running();
 
