@@ -9,23 +9,31 @@ use blastema_contract::link::{
     Arrived, CarrierChanged, Carry, LinkChanged, LinkRow, Load, ReadLinks, ReportLinks,
 };
 use blastema_contract::monitor::LinkReported;
+use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{
     Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
 use blastema_core::detection::LinkCondition;
+use blastema_core::net::complaints::Complaints;
 use blastema_core::net::link::LinkRefusal;
 use blastema_core::net::router::{Health, LinkStatus};
-use blastema_core::net::{Crowd, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality};
-use blastema_core::{Incarnation, Instant, NodeName};
+use blastema_core::net::{
+    Crowd, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
+};
+use blastema_core::{FaultKind, Incarnation, Instant, NodeName};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 use tracing::{error, info, warn};
 
 /// What a link costs that nobody has given a cost, over a medium of a megabyte per second and more.
 const USUAL_COST: u64 = 10;
 /// What it costs at most for its medium's slowness: a way over many fast links may still be too long.
 const SLOW_COST: u64 = 1000;
+
+/// How often it is looked at what was refused.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// Who stands around the links.
 pub(super) struct Wiring {
@@ -36,6 +44,7 @@ pub(super) struct Wiring {
     pub(super) router_changes: Recipient<LinkChanged>,
     pub(super) router_loads: Recipient<Arrived>,
     pub(super) monitor: Option<Recipient<LinkReported>>,
+    pub(super) faults: Option<Recipient<FaultDeclared>>,
 }
 
 /// The links of one network.
@@ -51,7 +60,9 @@ pub(super) struct Links {
     bytes_per_second: Option<u64>,
     /// What the router was told last: it must be taken back when the links begin anew.
     told: BTreeMap<LinkNumber, LinkStatus>,
-    strangers: u64,
+    /// What came from addresses that no link leads to.
+    strangers: Refusals,
+    complaints: Complaints<Option<LinkNumber>>,
 }
 
 impl Links {
@@ -66,7 +77,8 @@ impl Links {
             mtu: None,
             bytes_per_second: None,
             told: BTreeMap::new(),
-            strangers: 0,
+            strangers: Refusals::default(),
+            complaints: Complaints::default(),
         };
         links.build(platform::now());
         links
@@ -185,6 +197,31 @@ impl Links {
         self.tell_monitor(number, condition);
     }
 
+    /// What must be refused for seconds is a fault: somebody else speaks with the neighbour's address, or
+    /// the neighbour is broken.
+    fn look_at_refusals(&mut self) {
+        let links = self.crowd.iter().map(|(number, link)| (Some(number), link.refusals()));
+        let looks: Vec<_> = links.chain([(None, self.strangers)]).collect();
+        for (number, refusals) in looks {
+            let Some(since) = self.complaints.handle_look(number, refusals) else { continue };
+            let network = &self.wiring.network;
+            let from = match number.and_then(|number| self.specs.get(&number)) {
+                Some(LinkSpec { name, remote, .. }) => format!("{remote}, by link {name},"),
+                None => format!("addresses that no link of {network} leads to"),
+            };
+            let detail = format!("what comes from {from} is refused all the time: {since}");
+            warn!(%network, "{detail}");
+            if let Some(faults) = &self.wiring.faults {
+                faults.do_send(FaultDeclared {
+                    object: super::named(&format!("links/{network}")),
+                    incarnation: crate::guardian::alive().incarnation,
+                    kind: FaultKind::CheckFailed,
+                    detail,
+                });
+            }
+        }
+    }
+
     fn refused(&self, number: LinkNumber, refusal: &LinkRefusal) {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         error!(network = %self.wiring.network, %link, "{refusal}");
@@ -198,6 +235,7 @@ impl Actor for Links {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
+        context.run_interval(LOOK, |links, _| links.look_at_refusals());
         self.attach(context);
         self.drive(context);
     }
@@ -210,8 +248,7 @@ impl Supervised for Links {
             self.wiring.router_changes.do_send(LinkChanged { link, status });
         }
         self.build(platform::now());
-        self.attach(context);
-        self.drive(context);
+        self.started(context);
     }
 }
 
@@ -252,10 +289,10 @@ impl Handler<Received> for Links {
         let Received { from, frame } = message;
         let link = self.by_remote.get(&from).and_then(|link| self.crowd.get_mut(*link));
         let Some(link) = link else {
-            if self.strangers == 0 {
+            if self.strangers.total() == 0 {
                 warn!(network = %self.wiring.network, %from, "a stranger speaks; no link leads there");
             }
-            self.strangers += 1;
+            self.strangers.unexpected += 1;
             return;
         };
         link.handle_frame(frame, platform::now());

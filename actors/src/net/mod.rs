@@ -216,6 +216,7 @@ pub(crate) fn start(
             router_changes: router.clone().recipient(),
             router_loads: router.clone().recipient(),
             monitor: environment.links.clone(),
+            faults: environment.faults.clone(),
         };
         let address =
             guardian.start(name.clone(), place, move |_| links::Links::new(wiring, links));

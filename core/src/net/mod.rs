@@ -52,6 +52,7 @@ pub mod packet;
 pub mod router;
 pub mod segment;
 pub mod session;
+pub mod waiting_room;
 
 pub use crowd::Crowd;
 pub use exchange::{Exchange, ExchangeOutput};
@@ -61,4 +62,5 @@ pub use packet::Class;
 pub use router::{LinkNumber, Router, RouterConfig, RouterOutput};
 pub use session::{Session, SessionConfig, SessionOutput};
 pub use topology::Route;
+pub use waiting_room::WaitingRoom;
 pub use wire::{Refusals, WireError};
