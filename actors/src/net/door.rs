@@ -5,9 +5,10 @@ use crate::platform;
 use crate::registry::{Asked, RemoteDoor, RemoteDoors};
 use actix::Recipient;
 use blastema_contract::session::{Credit, Lender};
-use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, Why};
+use blastema_core::net::session::PAYLOAD_MAX;
+use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, ObjectName, Why};
 use bytes::Bytes;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering::Relaxed};
@@ -36,6 +37,10 @@ pub(super) struct Gate {
     isolated: AtomicBool,
     under_way: AtomicUsize,
     bytes_under_way: AtomicUsize,
+    /// Its objects that have no room: as many as this node sends to at most.
+    full: Mutex<BTreeSet<ObjectName>>,
+    /// There are some; to be looked at without the lock.
+    any_full: AtomicBool,
     changed: Notify,
 }
 
@@ -96,6 +101,36 @@ impl Gate {
         matches!(self.condition(), Condition::Open | Condition::Full)
     }
 
+    fn lock_full(&self) -> MutexGuard<'_, BTreeSet<ObjectName>> {
+        self.full.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// This object there has no room, or has it again.
+    pub(super) fn set_room(&self, object: ObjectName, room: bool) {
+        let mut full = self.lock_full();
+        if room {
+            full.remove(&object);
+        } else {
+            full.insert(object);
+        }
+        self.any_full.store(!full.is_empty(), Relaxed);
+        drop(full);
+        if room {
+            self.changed.notify_waiters();
+        }
+    }
+
+    /// What was said of objects there does not count any more.
+    pub(super) fn forget_rooms(&self) {
+        self.lock_full().clear();
+        self.any_full.store(false, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    fn is_full(&self, object: &ObjectName) -> bool {
+        self.any_full.load(Relaxed) && self.lock_full().contains(object)
+    }
+
     /// More may be under way, up to this share of all.
     fn has_room(&self, share: usize) -> bool {
         self.under_way.load(Relaxed) < UNDER_WAY_MAX / share
@@ -115,7 +150,7 @@ impl Gate {
         (messages < UNDER_WAY_MAX && before < BYTES_UNDER_WAY_MAX).then_some(credit)
     }
 
-    fn check(&self) -> Result<(), Why> {
+    fn check(&self, object: &ObjectName) -> Result<(), Why> {
         if self.is_isolated() {
             return Err(Why::Isolated);
         }
@@ -124,7 +159,7 @@ impl Gate {
             Condition::Opening => Err(Why::Restarting),
             Condition::Full => Err(Why::Full),
             Condition::Left => Err(Why::Left { node: self.node.to_string() }),
-            Condition::Open if !self.has_room(1) => Err(Why::Full),
+            Condition::Open if !self.has_room(1) || self.is_full(object) => Err(Why::Full),
             Condition::Open => Ok(()),
         }
     }
@@ -140,10 +175,10 @@ impl Gate {
         }
     }
 
-    async fn room(&self) {
+    async fn room(&self, object: &ObjectName) {
         loop {
             let changed = self.changed.notified();
-            match self.check() {
+            match self.check(object) {
                 Err(Why::Full | Why::Restarting) => changed.await,
                 // Whatever else stands in the way is told by the next attempt.
                 _ => return,
@@ -189,6 +224,8 @@ impl Doors {
                 isolated: AtomicBool::new(false),
                 under_way: AtomicUsize::new(0),
                 bytes_under_way: AtomicUsize::new(0),
+                full: Mutex::default(),
+                any_full: AtomicBool::new(false),
                 changed: Notify::new(),
             })
         });
@@ -214,10 +251,16 @@ struct Door {
 
 impl RemoteDoor for Door {
     fn send(&self, message: Bytes, asked: Option<Asked>) -> Result<(), Why> {
-        match self.gate.check() {
+        if message.len() > PAYLOAD_MAX {
+            return Err(Why::TooLargeForSession { limit: PAYLOAD_MAX });
+        }
+        let object = &self.to.object;
+        match self.gate.check(object) {
             // What waits in order keeps nobody who does not.
             Err(Why::Full)
-                if self.contract.delivery == Delivery::Newest && self.gate.has_room(1) => {}
+                if self.contract.delivery == Delivery::Newest
+                    && self.gate.has_room(1)
+                    && !self.gate.is_full(object) => {}
             checked => checked?,
         }
         let gateway = self.gateway.as_ref().ok_or(Why::Stopped)?;
@@ -241,6 +284,6 @@ impl RemoteDoor for Door {
     }
 
     fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
-        Box::pin(self.gate.room())
+        Box::pin(self.gate.room(&self.to.object))
     }
 }

@@ -27,6 +27,13 @@ use blastema_core::net::{
 };
 use blastema_core::{FaultKind, Incarnation, Instant, NodeName};
 use bytes::Bytes;
+use blastema_core::net::complaints::Complaints;
+use blastema_core::net::link::LinkRefusal;
+use blastema_core::net::router::{Health, LinkStatus};
+use blastema_core::net::{
+    Crowd, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
+};
+use blastema_core::{FaultKind, Incarnation, Instant, NodeName};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -47,6 +54,8 @@ fn link(wiring: &Wiring, spec: &LinkSpec, now: Instant) -> Link {
     };
     Link::new(config, now)
 }
+/// How often it is looked at what was refused.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// Who stands around the links.
 pub(super) struct Wiring {
@@ -77,7 +86,9 @@ pub(super) struct Links {
     bus: Option<MediumAddress>,
     /// What the router was told last: it must be taken back when the links begin anew.
     told: BTreeMap<LinkNumber, LinkStatus>,
-    strangers: u64,
+    /// What came from addresses that no link leads to.
+    strangers: Refusals,
+    complaints: Complaints<Option<LinkNumber>>,
 }
 
 impl Links {
@@ -93,7 +104,8 @@ impl Links {
             bytes_per_second: None,
             bus: None,
             told: BTreeMap::new(),
-            strangers: 0,
+            strangers: Refusals::default(),
+            complaints: Complaints::default(),
         };
         links.build(platform::now());
         links
@@ -227,6 +239,27 @@ impl Links {
         for number in numbers {
             if let Some(link) = self.bundle.get_mut(number) {
                 link.handle_no_carrier(reason, now);
+    /// What must be refused for seconds is a fault: somebody else speaks with the neighbour's address, or
+    /// the neighbour is broken.
+    fn look_at_refusals(&mut self) {
+        let links = self.crowd.iter().map(|(number, link)| (Some(number), link.refusals()));
+        let looks: Vec<_> = links.chain([(None, self.strangers)]).collect();
+        for (number, refusals) in looks {
+            let Some(since) = self.complaints.handle_look(number, refusals) else { continue };
+            let network = &self.wiring.network;
+            let from = match number.and_then(|number| self.specs.get(&number)) {
+                Some(LinkSpec { name, remote, .. }) => format!("{remote}, by link {name},"),
+                None => format!("addresses that no link of {network} leads to"),
+            };
+            let detail = format!("what comes from {from} is refused all the time: {since}");
+            warn!(%network, "{detail}");
+            if let Some(faults) = &self.wiring.faults {
+                faults.do_send(FaultDeclared {
+                    object: super::named(&format!("links/{network}")),
+                    incarnation: crate::guardian::alive().incarnation,
+                    kind: FaultKind::CheckFailed,
+                    detail,
+                });
             }
         }
     }
@@ -279,6 +312,7 @@ impl Actor for Links {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
+        context.run_interval(LOOK, |links, _| links.look_at_refusals());
         self.attach(context);
         self.drive(context);
     }
@@ -291,8 +325,7 @@ impl Supervised for Links {
             self.wiring.router_changes.do_send(LinkChanged { link, status });
         }
         self.build(platform::now());
-        self.attach(context);
-        self.drive(context);
+        self.started(context);
     }
 }
 
@@ -341,10 +374,10 @@ impl Handler<Received> for Links {
         let Received { from, frame } = message;
         let link = self.by_remote.get(&from).and_then(|link| self.bundle.get_mut(*link));
         let Some(link) = link else {
-            if self.strangers == 0 {
+            if self.strangers.total() == 0 {
                 warn!(network = %self.wiring.network, %from, "a stranger speaks; no link leads there");
             }
-            self.strangers += 1;
+            self.strangers.unexpected += 1;
             return;
         };
         link.handle_frame(frame, platform::now());

@@ -55,6 +55,7 @@ pub mod packet;
 pub mod router;
 pub mod segment;
 pub mod session;
+pub mod waiting_room;
 
 pub use bundle::{Bundle, BundleOutput};
 pub use crowd::Crowd;
@@ -65,4 +66,5 @@ pub use packet::Class;
 pub use router::{LinkNumber, Router, RouterConfig, RouterOutput};
 pub use session::{Session, SessionConfig, SessionOutput};
 pub use topology::Route;
+pub use waiting_room::WaitingRoom;
 pub use wire::{Refusals, WireError};

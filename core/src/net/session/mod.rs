@@ -35,7 +35,7 @@ mod round_trip;
 mod tag;
 mod transmission;
 
-pub use self::config::SessionConfig;
+pub use self::config::{PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
 
 use self::assembly::Assembly;
@@ -228,7 +228,7 @@ impl Session {
     ///
     /// # Errors
     /// [`Why::Full`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`] tells when the
-    /// stream takes more. [`Why::TooLarge`], [`Why::Unreachable`], [`Why::Stopped`] after
+    /// stream takes more. [`Why::TooLargeForSession`], [`Why::Unreachable`], [`Why::Stopped`] after
     /// [`handle_close`](Session::handle_close). The message comes back.
     pub fn handle_send(
         &mut self,
@@ -283,7 +283,7 @@ impl Session {
             State::Closing { .. } | State::Closed => refuse(Why::Stopped),
             State::Idle => refuse(self.unreachable()),
             _ if message.len() > self.config.message_max => {
-                refuse(Why::TooLarge { limit: self.config.message_max })
+                refuse(Why::TooLargeForSession { limit: self.config.message_max })
             }
             _ => Ok(()),
         }

@@ -521,7 +521,7 @@ fn a_message_larger_than_the_limit_is_refused_before_it_is_sent() {
     let limit = pair.ends[0].config.message_max;
     let huge = Bytes::from(vec![0; limit + 1]);
     let refused = pair.ends[0].handle_send(Stream::Data, huge, at(pair.now)).unwrap_err();
-    assert_eq!(refused.0, Why::TooLarge { limit });
+    assert_eq!(refused.0, Why::TooLargeForSession { limit });
 }
 
 #[test]
