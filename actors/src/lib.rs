@@ -127,8 +127,9 @@ pub use ports::{ListenPort, Ports};
 
 // Sending, and what becomes of messages.
 pub use blastema_core::dead_letters::DeadReason;
-pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, RetryRule, Why};
-pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, Why};
+pub use blastema_core::{
+    Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, RetryRule, Why,
+};
 pub use death_watch::{Down, Ending};
 pub use host::office::DeadLetterOffice;
 pub use lease::{ActuatorSpec, Commander};

@@ -3,8 +3,7 @@
 use crate::asking;
 use crate::host::life::LifeToken;
 use crate::reply::Reply;
-use blastema_core::{Contract, MessageId, RetryRule, Why};
-use blastema_core::{Contract, MessageId, Outcome, Why};
+use blastema_core::{Contract, MessageId, Outcome, RetryRule, Why};
 use std::fmt;
 use std::future::Future;
 use std::pin::Pin;

@@ -222,7 +222,7 @@ impl Why {
             | Why::DeadlinePassed
             | Why::PeerDied { .. }
             | Why::OutcomeUnknown { .. } => Outcome::Unknown,
-            Why::ReplyTooLarge { .. } => Outcome::TookEffect,
+            Why::ReplyTooLarge { .. } | Why::NotKept { .. } => Outcome::TookEffect,
         }
     }
 }

@@ -19,21 +19,15 @@ use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
 use blastema_core::detection::LinkCondition;
+use blastema_core::net::complaints::Complaints;
 use blastema_core::net::frame::is_urgent;
 use blastema_core::net::link::LinkRefusal;
 use blastema_core::net::router::{Health, LinkStatus};
 use blastema_core::net::{
-    Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality,
+    Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
 };
 use blastema_core::{FaultKind, Incarnation, Instant, NodeName};
 use bytes::Bytes;
-use blastema_core::net::complaints::Complaints;
-use blastema_core::net::link::LinkRefusal;
-use blastema_core::net::router::{Health, LinkStatus};
-use blastema_core::net::{
-    Crowd, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
-};
-use blastema_core::{FaultKind, Incarnation, Instant, NodeName};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -49,11 +43,13 @@ fn link(wiring: &Wiring, spec: &LinkSpec, now: Instant) -> Link {
     let Wiring { node, incarnation, .. } = wiring;
     let config = LinkConfig {
         expected: spec.neighbour.clone(),
+        expected_within: spec.expected_within.unwrap_or(Duration::MAX),
         hello_interval: spec.hello_interval,
         ..LinkConfig::new(node.clone(), *incarnation)
     };
     Link::new(config, now)
 }
+
 /// How often it is looked at what was refused.
 const LOOK: Duration = Duration::from_secs(1);
 
@@ -122,17 +118,6 @@ impl Links {
             self.bundle.handle_bus();
         }
         self.bundle.handle_mtu(self.mtu.unwrap_or(0));
-    }
-
-    fn link(&self, spec: &LinkSpec, now: Instant) -> Link {
-        let Wiring { node, incarnation, .. } = &self.wiring;
-        let config = LinkConfig {
-            expected: spec.neighbour.clone(),
-            expected_within: spec.expected_within.unwrap_or(Duration::MAX),
-            hello_interval: spec.hello_interval,
-            ..LinkConfig::new(node.clone(), *incarnation)
-        };
-        let mut link = Link::new(config, now);
         if let Some(rate) = self.bytes_per_second {
             self.bundle.handle_rate(rate);
         }
@@ -239,10 +224,14 @@ impl Links {
         for number in numbers {
             if let Some(link) = self.bundle.get_mut(number) {
                 link.handle_no_carrier(reason, now);
+            }
+        }
+    }
+
     /// What must be refused for seconds is a fault: somebody else speaks with the neighbour's address, or
     /// the neighbour is broken.
     fn look_at_refusals(&mut self) {
-        let links = self.crowd.iter().map(|(number, link)| (Some(number), link.refusals()));
+        let links = self.bundle.iter().map(|(number, link)| (Some(number), link.refusals()));
         let looks: Vec<_> = links.chain([(None, self.strangers)]).collect();
         for (number, refusals) in looks {
             let Some(since) = self.complaints.handle_look(number, refusals) else { continue };
@@ -282,6 +271,8 @@ impl Links {
                 detail,
             });
         }
+    }
+
     /// Nobody came. Told as any link that is down; that it is up is told when somebody comes.
     fn missing(&self, number: LinkNumber, heard: bool) {
         let Some(spec) = self.specs.get(&number) else { return };
