@@ -1,5 +1,9 @@
 //! The body of the links over one transport.
 
+mod learned;
+
+pub(super) use learned::{Forget, Learn, Seen, TellNeighbours};
+
 use super::LinkSpec;
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
@@ -15,22 +19,39 @@ use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
 use blastema_core::detection::LinkCondition;
+use blastema_core::net::complaints::Complaints;
 use blastema_core::net::frame::is_urgent;
 use blastema_core::net::link::LinkRefusal;
 use blastema_core::net::router::{Health, LinkStatus};
 use blastema_core::net::{
-    Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality,
+    Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
 };
 use blastema_core::{FaultKind, Incarnation, Instant, NodeName};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 use tracing::{error, info, warn};
 
 /// What a link costs that nobody has given a cost, over a medium of a megabyte per second and more.
 const USUAL_COST: u64 = 10;
 /// What it costs at most for its medium's slowness: a way over many fast links may still be too long.
 const SLOW_COST: u64 = 1000;
+
+/// A link as it is described; the bundle tells it of the medium.
+fn link(wiring: &Wiring, spec: &LinkSpec, now: Instant) -> Link {
+    let Wiring { node, incarnation, .. } = wiring;
+    let config = LinkConfig {
+        expected: spec.neighbour.clone(),
+        expected_within: spec.expected_within.unwrap_or(Duration::MAX),
+        hello_interval: spec.hello_interval,
+        ..LinkConfig::new(node.clone(), *incarnation)
+    };
+    Link::new(config, now)
+}
+
+/// How often it is looked at what was refused.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// Who stands around the links.
 pub(super) struct Wiring {
@@ -41,6 +62,8 @@ pub(super) struct Wiring {
     pub(super) router_changes: Recipient<LinkChanged>,
     pub(super) router_loads: Recipient<Arrived>,
     pub(super) monitor: Option<Recipient<LinkReported>>,
+    /// Who tells others of our neighbours, and which network this is to it.
+    pub(super) discovery: Option<(usize, Recipient<Seen>)>,
     pub(super) faults: Option<Recipient<FaultDeclared>>,
 }
 
@@ -59,7 +82,9 @@ pub(super) struct Links {
     bus: Option<MediumAddress>,
     /// What the router was told last: it must be taken back when the links begin anew.
     told: BTreeMap<LinkNumber, LinkStatus>,
-    strangers: u64,
+    /// What came from addresses that no link leads to.
+    strangers: Refusals,
+    complaints: Complaints<Option<LinkNumber>>,
 }
 
 impl Links {
@@ -75,7 +100,8 @@ impl Links {
             bytes_per_second: None,
             bus: None,
             told: BTreeMap::new(),
-            strangers: 0,
+            strangers: Refusals::default(),
+            complaints: Complaints::default(),
         };
         links.build(platform::now());
         links
@@ -85,13 +111,8 @@ impl Links {
         self.bundle = Bundle::default();
         self.wake = Wake::default();
         for (number, spec) in &self.specs {
-            let Wiring { node, incarnation, .. } = &self.wiring;
-            let config = LinkConfig {
-                expected: spec.neighbour.clone(),
-                hello_interval: spec.hello_interval,
-                ..LinkConfig::new(node.clone(), *incarnation)
-            };
-            self.bundle.insert(*number, Link::new(config, now));
+            let link = link(&self.wiring, spec, now);
+            self.bundle.insert(*number, link);
         }
         if self.bus.is_some() {
             self.bundle.handle_bus();
@@ -173,6 +194,7 @@ impl Links {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         info!(network = %self.wiring.network, %link, %state, reason, "link");
         self.tell_router(number);
+        self.tell_discovery(number, state);
         match state {
             LinkState::Up => self.tell_monitor(number, LinkCondition::Up),
             LinkState::Down => {
@@ -206,6 +228,31 @@ impl Links {
         }
     }
 
+    /// What must be refused for seconds is a fault: somebody else speaks with the neighbour's address, or
+    /// the neighbour is broken.
+    fn look_at_refusals(&mut self) {
+        let links = self.bundle.iter().map(|(number, link)| (Some(number), link.refusals()));
+        let looks: Vec<_> = links.chain([(None, self.strangers)]).collect();
+        for (number, refusals) in looks {
+            let Some(since) = self.complaints.handle_look(number, refusals) else { continue };
+            let network = &self.wiring.network;
+            let from = match number.and_then(|number| self.specs.get(&number)) {
+                Some(LinkSpec { name, remote, .. }) => format!("{remote}, by link {name},"),
+                None => format!("addresses that no link of {network} leads to"),
+            };
+            let detail = format!("what comes from {from} is refused all the time: {since}");
+            warn!(%network, "{detail}");
+            if let Some(faults) = &self.wiring.faults {
+                faults.do_send(FaultDeclared {
+                    object: super::named(&format!("links/{network}")),
+                    incarnation: crate::guardian::alive().incarnation,
+                    kind: FaultKind::CheckFailed,
+                    detail,
+                });
+            }
+        }
+    }
+
     fn transmit(&self, to: MediumAddress, frame: Bytes) {
         let lane = if is_urgent(&frame) { Lane::Urgent } else { Lane::Usual };
         self.wiring.transport.transmit.do_send(Transmit { to, frame, lane });
@@ -226,6 +273,23 @@ impl Links {
         }
     }
 
+    /// Nobody came. Told as any link that is down; that it is up is told when somebody comes.
+    fn missing(&self, number: LinkNumber, heard: bool) {
+        let Some(spec) = self.specs.get(&number) else { return };
+        let who = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
+        let remote = &spec.remote;
+        let reason = match heard {
+            true => format!(
+                "{who} is heard since the start, and does not hear us: check its address for us"
+            ),
+            false => format!(
+                "never heard since the start: check the address {remote}, the cable, and that {who} runs"
+            ),
+        };
+        warn!(network = %self.wiring.network, link = %spec.name, "{reason}");
+        self.tell_monitor(number, LinkCondition::Down { reason });
+    }
+
     fn refused(&self, number: LinkNumber, refusal: &LinkRefusal) {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         error!(network = %self.wiring.network, %link, "{refusal}");
@@ -239,6 +303,7 @@ impl Actor for Links {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
+        context.run_interval(LOOK, |links, _| links.look_at_refusals());
         self.attach(context);
         self.drive(context);
     }
@@ -251,8 +316,7 @@ impl Supervised for Links {
             self.wiring.router_changes.do_send(LinkChanged { link, status });
         }
         self.build(platform::now());
-        self.attach(context);
-        self.drive(context);
+        self.started(context);
     }
 }
 
@@ -287,6 +351,7 @@ impl Body for Links {
             LinkOutput::Routing(bytes) => arrived(Load::Routing(bytes)),
             LinkOutput::Packet(bytes) => arrived(Load::Packet(bytes)),
             LinkOutput::Changed { state, reason, .. } => self.changed(link, state, reason),
+            LinkOutput::Missing { heard } => self.missing(link, heard),
             LinkOutput::Quality(quality) => self.quality(link, quality),
             LinkOutput::Refused(refusal) => self.refused(link, &refusal),
         }
@@ -300,10 +365,10 @@ impl Handler<Received> for Links {
         let Received { from, frame } = message;
         let link = self.by_remote.get(&from).and_then(|link| self.bundle.get_mut(*link));
         let Some(link) = link else {
-            if self.strangers == 0 {
+            if self.strangers.total() == 0 {
                 warn!(network = %self.wiring.network, %from, "a stranger speaks; no link leads there");
             }
-            self.strangers += 1;
+            self.strangers.unexpected += 1;
             return;
         };
         link.handle_frame(frame, platform::now());
@@ -320,6 +385,7 @@ impl Handler<TransportReport> for Links {
             TransportReport::Opened { local, mtu } => {
                 info!(network = %self.wiring.network, %local, mtu, "open");
                 self.mtu = Some(mtu);
+                self.tell_port(&local);
                 self.bundle.handle_mtu(mtu);
                 self.tell_router_all();
                 self.tell_of_lonely_medium(LinkCondition::Up);

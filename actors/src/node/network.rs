@@ -2,12 +2,13 @@
 
 use super::builder::StartError;
 use crate::guardian::Guardian;
-use crate::net::{Interface, LinkSpec, NetworkSpec};
+use crate::net::{DiscoverySpec, Interface, LinkSpec, NetworkSpec};
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::transport::{
     Cut, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults, Restore, Transport,
 };
+use blastema_core::net::discovery::Admission;
 use blastema_core::{NodeName, ObjectName};
 use blastema_transports::frame_medium::FrameMedium;
 use blastema_transports::{
@@ -15,7 +16,7 @@ use blastema_transports::{
     SerialLine, SlcanBus, SlcanConfig, Tcp, TcpConfig, Udp, UdpConfig, Unix,
 };
 use std::fmt;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
 pub use blastema_contract::transport::Direction;
@@ -43,6 +44,15 @@ pub struct Network {
     links: Vec<Link>,
     faults: Option<u64>,
     interface: Option<Interface>,
+    admission: Option<Admitted>,
+    /// The group by which beacons are sent, as it was written.
+    beacons: Option<String>,
+}
+
+/// Who is admitted, as it was written.
+enum Admitted {
+    Anybody,
+    Only(Vec<String>),
 }
 
 enum Medium {
@@ -117,7 +127,15 @@ impl Network {
         };
         let by_address = || Interface::of(bind?.ip());
         let interface = named.map(Interface::Named).or_else(by_address);
-        Network { name: name.to_owned(), medium, links: Vec::new(), faults: None, interface }
+        Network {
+            name: name.to_owned(),
+            medium,
+            links: Vec::new(),
+            faults: None,
+            interface,
+            admission: None,
+            beacons: None,
+        }
     }
 
     /// One more neighbour, with everything usual: the node of this name, at this address as the medium
@@ -129,6 +147,30 @@ impl Network {
     /// One more neighbour.
     pub fn link(mut self, link: Link) -> Self {
         self.links.push(link);
+        self
+    }
+
+    /// Learns of neighbours that are not described, and tells neighbours of each other
+    /// ([gossip](crate::manual::networks#discovery)): nodes of these names get a link when a neighbour on
+    /// this network says where they are. Without any name, it only tells. Over UDP, TCP, Unix sockets and
+    /// memory; elsewhere there is nothing to learn, and this does nothing.
+    pub fn discover<'a>(mut self, nodes: impl IntoIterator<Item = &'a str>) -> Self {
+        let nodes = nodes.into_iter().map(str::to_owned);
+        self.admission = Some(Admitted::Only(nodes.collect()));
+        self
+    }
+
+    /// Learns of neighbours, whatever they are called, and tells neighbours of each other.
+    pub fn discover_anybody(mut self) -> Self {
+        self.admission = Some(Admitted::Anybody);
+        self
+    }
+
+    /// Says every second by multicast, to a group such as `239.255.0.1:7399`, where this node is, and learns of
+    /// others that do; neighbours need not be described at all then. Who is admitted is said by
+    /// [`discover`](Network::discover) or [`discover_anybody`](Network::discover_anybody). For UDP and TCP.
+    pub fn beacons(mut self, group: &str) -> Self {
+        self.beacons = Some(group.to_owned());
         self
     }
 
@@ -157,6 +199,7 @@ pub struct Link {
     remote: Remote,
     cost: Option<u16>,
     hello_interval: Option<Duration>,
+    expected_within: Duration,
 }
 
 /// Where a neighbour is.
@@ -188,7 +231,8 @@ impl Link {
 
     fn at(neighbour: &str, remote: Remote) -> Self {
         let neighbour = neighbour.to_owned();
-        Link { name: None, neighbour, remote, cost: None, hello_interval: None }
+        let expected_within = Duration::from_secs(5);
+        Link { name: None, neighbour, remote, cost: None, hello_interval: None, expected_within }
     }
 
     /// How people call it. Unless this says otherwise, it has the network's name where it is the only
@@ -211,6 +255,14 @@ impl Link {
     /// neighbour finds this end dead after three and a half of them.
     pub fn hello_every(mut self, interval: Duration) -> Self {
         self.hello_interval = Some(interval);
+        self
+    }
+
+    /// How soon after the node's start the neighbour must have been heard, 5 s unless this says
+    /// otherwise; on a slow medium, five hellos more. After that the link is a fault, *link down*, until
+    /// it comes. [`Duration::MAX`] is for a neighbour that need not come at all.
+    pub fn expected_within(mut self, span: Duration) -> Self {
+        self.expected_within = span;
         self
     }
 }
@@ -278,6 +330,18 @@ impl Medium {
             }
             (Remote::Written(text), Medium::Own(_)) if text.is_empty() => Ok(MediumAddress::Line),
             (Remote::Written(text), Medium::Own(_)) => Ok(MediumAddress::Own(text.as_str().into())),
+        }
+    }
+
+    /// How neighbours' addresses are written where they can be told to others.
+    fn learned_by(&self) -> Option<&'static str> {
+        match self {
+            Medium::At(Endpoint::Udp(config)) if config.group.is_some() => None,
+            Medium::At(Endpoint::Udp(_)) => Some("udp"),
+            Medium::At(Endpoint::Tcp(_)) => Some("tcp"),
+            Medium::At(Endpoint::Unix(_)) => Some("unix"),
+            Medium::At(Endpoint::Memory(_)) | Medium::Memory(_) => Some("memory"),
+            _ => None,
         }
     }
 
@@ -352,6 +416,27 @@ impl Medium {
     }
 }
 
+/// Where beacons are sent from, and heard: the interface that the network itself uses.
+fn beacon_config(
+    network: &str,
+    (ip, interface): (IpAddr, Option<String>),
+    group: &str,
+) -> Result<UdpConfig, StartError> {
+    match format!("udp://{group}").parse() {
+        Ok(Endpoint::Udp(mut config)) if config.group.is_some() => {
+            (config.bind, config.interface) = (SocketAddr::new(ip, 0), interface);
+            Ok(config)
+        }
+        Ok(_) => {
+            let text = format!(
+                "network {network}: {group} is no multicast group: write one, as in 239.255.0.1:7399"
+            );
+            Err(StartError::Network(text))
+        }
+        Err(error) => Err(StartError::Endpoint { network: network.to_owned(), error }),
+    }
+}
+
 impl Network {
     /// Starts the transport, of this node.
     pub(super) fn lay(
@@ -360,13 +445,13 @@ impl Network {
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Laid, StartError> {
-        let Network { name, mut medium, links, faults, interface } = self;
+        let Network { name, mut medium, links, faults, interface, admission, beacons } = self;
         medium.name_node(own);
         let object = ObjectName::new(&format!("transport/{name}"))?;
         let mut neighbours = Vec::new();
         let mut specs = Vec::new();
         let alone = links.len() == 1;
-        for Link { name: own, neighbour, remote, cost, hello_interval } in links {
+        for Link { name: own, neighbour, remote, cost, hello_interval, expected_within } in links {
             let node = NodeName::new(&neighbour)?;
             let usual = if alone { name.clone() } else { format!("{name}/{neighbour}") };
             let link = own.unwrap_or(usual).into();
@@ -376,9 +461,57 @@ impl Network {
             let hello_interval = hello_interval.unwrap_or(HELLO_INTERVAL);
             neighbours.push(node.clone());
             let neighbour = Some(node);
-            specs.push(LinkSpec { name: link, remote, neighbour, cost, hello_interval });
+            let expected_within = Some(expected_within);
+            specs.push(LinkSpec {
+                name: link,
+                remote,
+                neighbour,
+                cost,
+                hello_interval,
+                expected_within,
+            });
         }
         let mut transports = vec![object.clone()];
+        let learned = medium.learned_by();
+        let at = match &medium {
+            Medium::At(Endpoint::Udp(config)) => Some((config.bind.ip(), config.interface.clone())),
+            Medium::At(Endpoint::Tcp(config)) => Some((config.bind.ip(), config.interface.clone())),
+            _ => None,
+        };
+        let beacons = match (beacons, at) {
+            (Some(group), Some(at)) => {
+                let object = ObjectName::new(&format!("beacons/{name}"))?;
+                let config = beacon_config(&name, at, &group)?;
+                let group = config.group;
+                let make = move |_: &mut Context<Udp>| Udp::new(config);
+                transports.push(object.clone());
+                let transport = Transport::from(guardian.start(object, arbiter, make));
+                group.map(|group| (transport, group))
+            }
+            (Some(_), _) => {
+                let text = format!("network {name}: beacons are for udp and tcp: leave them out");
+                return Err(StartError::Network(text));
+            }
+            (None, _) => None,
+        };
+        let admission = match admission {
+            None if beacons.is_some() => {
+                let text = format!("network {name}: say whom the beacons are for, by discover()");
+                return Err(StartError::Network(text));
+            }
+            None => None,
+            Some(Admitted::Anybody) => Some(Admission::Anybody),
+            Some(Admitted::Only(nodes)) => {
+                let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
+                Some(Admission::Only(nodes?))
+            }
+        };
+        let discovery = learned.zip(admission).map(|(medium, admission)| DiscoverySpec {
+            medium,
+            admission,
+            hello_interval: HELLO_INTERVAL,
+            beacons,
+        });
         let mut transport = medium.start(&name, object, guardian, arbiter)?;
         let cable = match faults {
             None => None,
@@ -395,7 +528,7 @@ impl Network {
                 Some(Cable { faulty, neighbours: specs.iter().filter_map(there).collect() })
             }
         };
-        let spec = NetworkSpec { name: name.into(), transport, interface, links: specs };
+        let spec = NetworkSpec { name: name.into(), transport, interface, links: specs, discovery };
         Ok(Laid { spec, cable, neighbours, transports })
     }
 }

@@ -67,6 +67,14 @@ impl Bundle {
         self.pace();
     }
 
+    /// Takes a link out.
+    pub fn remove(&mut self, number: LinkNumber) {
+        self.crowd.remove(number);
+        if let Some(bus) = &mut self.bus {
+            bus.remove(&number);
+        }
+    }
+
     /// Looks at a link.
     pub fn get(&self, number: LinkNumber) -> Option<&Link> {
         self.crowd.get(number)

@@ -59,6 +59,7 @@ impl Link {
             self.config.hello_interval = interval;
             // Hellos are numbered by their interval: echoes of the old numbers say nothing any more.
             self.sent.clear();
+            self.claimant = None;
             if let Some(heard) = &mut self.neighbour {
                 heard.echoed = None;
             }
