@@ -168,4 +168,70 @@ pub enum Why {
         /// The name.
         name: String,
     },
+    /// The message is larger than what a session carries to another node, whatever its contract
+    /// allows. It was not sent: send it in parts.
+    #[error(
+        "the message is larger than the {limit} bytes that go to another node at once, whatever its \
+         contract allows: send it in parts"
+    )]
+    TooLargeForSession {
+        /// The session's limit in bytes.
+        limit: usize,
+    },
+    /// The request took effect, and its reply is larger than its contract allows, or than a session
+    /// carries to another node. Asking again changes nothing: answer in parts, or raise `max_size`.
+    #[error(
+        "the request took effect, but its reply is larger than the {limit} bytes that its contract, \
+         or the way to another node, allows"
+    )]
+    ReplyTooLarge {
+        /// The limit in bytes.
+        limit: usize,
+    },
+}
+
+/// What is known of a request that got no reply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// It did not take effect, and never will: it may be asked again.
+    NotTaken,
+    /// It may have taken effect, or be about to: ask again only what may be done twice.
+    Unknown,
+    /// It took effect; only its reply is missing.
+    TookEffect,
+}
+
+impl Why {
+    /// What is known of a request that failed for this reason, and did not come back.
+    pub fn outcome(&self) -> Outcome {
+        match self {
+            Why::Full
+            | Why::Restarting
+            | Why::ContractDiffers { .. }
+            | Why::Quarantined { .. }
+            | Why::Expired
+            | Why::Unknown { .. }
+            | Why::Unreachable { .. }
+            | Why::TooLarge { .. }
+            | Why::TooLargeForSession { .. }
+            | Why::Left { .. }
+            | Why::Undecided { .. }
+            | Why::Changed { .. }
+            | Why::CheckFailed { .. }
+            | Why::Held { .. }
+            | Why::LeaseEnded
+            | Why::Superseded { .. }
+            | Why::Unclaimed { .. } => Outcome::NotTaken,
+            // The callee may have been stopped, or shut out, while it served; and what cannot be decoded
+            // may be the reply.
+            Why::Stopped
+            | Why::Fenced
+            | Why::Isolated
+            | Why::Undecodable { .. }
+            | Why::DeadlinePassed
+            | Why::PeerDied { .. }
+            | Why::OutcomeUnknown { .. } => Outcome::Unknown,
+            Why::ReplyTooLarge { .. } | Why::NotKept { .. } => Outcome::TookEffect,
+        }
+    }
 }

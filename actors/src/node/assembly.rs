@@ -288,7 +288,7 @@ fn make_networks(
     let (mut specs, mut cables) = (Vec::new(), BTreeMap::new());
     let (mut neighbours, mut enrolments) = (BTreeSet::new(), Vec::new());
     for network in networks {
-        let laid = network.lay(guardian, arbiter.as_ref())?;
+        let laid = network.lay(node, guardian, arbiter.as_ref())?;
         if let Some(cable) = laid.cable {
             cables.insert(laid.spec.name.to_string(), cable);
         }
