@@ -212,6 +212,7 @@ impl Why {
             | Why::Expired
             | Why::Unknown { .. }
             | Why::Unreachable { .. }
+            | Why::Undelivered { .. }
             | Why::TooLarge { .. }
             | Why::TooLargeForSession { .. }
             | Why::Left { .. }
