@@ -296,8 +296,8 @@ impl Replica {
 
     fn refuse_state(&mut self, why: &Why) {
         // That a component dies is told by others.
-        if matches!(why, Why::TooLarge { .. }) && !std::mem::replace(&mut self.state_refused, true)
-        {
+        let large = matches!(why, Why::TooLarge { .. } | Why::ReplyTooLarge { .. });
+        if large && !std::mem::replace(&mut self.state_refused, true) {
             let detail = format!(
                 "its state cannot be kept for its standbys, of which none can take over: {why}; let it \
                  be smaller, or keep large things elsewhere"
