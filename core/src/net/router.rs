@@ -55,6 +55,9 @@ pub struct Router {
     /// The other node of our name that was told of last, and when we last said that we are here.
     usurper: Option<Incarnation>,
     defended_at: Instant,
+    /// A greater life of our name that others know of, its last word, and since when we have known:
+    /// perhaps an earlier one of ours, before the clock was set back.
+    rumour: Option<(Stamp, Instant)>,
     /// Names of which a later life is kept out; at most as many as nodes are remembered.
     disputes: BTreeMap<NodeId, Dispute>,
     /// Links to those lives. They carry, and are not used.
@@ -118,6 +121,7 @@ impl Router {
             forged: (now, 0),
             usurper: None,
             defended_at: Instant::ORIGIN,
+            rumour: None,
             disputes: BTreeMap::new(),
             contested: BTreeMap::new(),
             remembered: None,

@@ -329,6 +329,12 @@ impl Router {
         {
             let neighbour = adjacent.neighbour.node.clone();
             self.outputs.push_back(RouterOutput::Forged { neighbour, times });
+            let alive = self.is_more_than_a_rumour(theirs);
+            self.defend(theirs.incarnation, alive);
+        } else if theirs > ours || theirs == ours && *advertisement != self.own {
+            // This router was built anew within its node's life: it continues the old one's count.
+            self.own.stamp.sequence = theirs.sequence;
+            self.renew();
         }
     }
 

@@ -376,16 +376,21 @@ fn a_router_built_anew_counts_on_and_tells_what_it_cannot_find_again() {
 }
 
 #[test]
-fn a_second_node_of_our_name_is_told_once() {
+fn a_second_node_of_our_name_is_told_once_and_an_earlier_life_of_ours_never() {
     let mut router = between_two();
     let mut usurper = advertisement("own", 1, &[]);
     usurper.stamp.incarnation = Incarnation(9);
 
-    for now in [1020, 1030, 1040] {
+    for now in [1020, 1030, 1040, 3000] {
+        tell(&mut router, FIRST, usurper.clone(), now);
+        assert_eq!(without_routing(outputs(&mut router, now)), [], "it is only repeated");
+    }
+    for now in [3020, 3030, 3040] {
+        usurper.stamp.sequence += 1;
         tell(&mut router, FIRST, usurper.clone(), now);
     }
 
-    let told = without_routing(outputs(&mut router, 1050));
+    let told = without_routing(outputs(&mut router, 3050));
     assert_eq!(told, [RouterOutput::NameTaken { incarnation: Incarnation(9), first: true }]);
 }
 
