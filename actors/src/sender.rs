@@ -3,7 +3,7 @@
 use crate::asking;
 use crate::host::life::LifeToken;
 use crate::reply::Reply;
-use blastema_core::{Contract, MessageId, RetryRule, Why};
+use blastema_core::{Contract, MessageId, Outcome, RetryRule, Why};
 use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
@@ -64,7 +64,8 @@ impl<M: Contract> Sender<M> {
         self.0.tell(message)
     }
 
-    /// Hands the message to the receiver's queue, and waits while it has no room.
+    /// Hands the message to the receiver's queue, and waits while it has no room. What goes to another
+    /// node waits there, once it has been accepted here, until the receiver has room.
     ///
     /// # Errors
     /// The reason, and the message as it was; never [`Why::Full`] or [`Why::Restarting`].
@@ -240,6 +241,16 @@ pub struct RequestError<M> {
     pub why: Why,
     /// The message as it was, where the receiver did not take it up.
     pub message: Option<M>,
+}
+
+impl<M> RequestError<M> {
+    /// What is known of the request: whether it took effect, did not, or may have.
+    pub fn outcome(&self) -> Outcome {
+        match self.message {
+            Some(_) => Outcome::NotTaken,
+            None => self.why.outcome(),
+        }
+    }
 }
 
 // By hand, so that nobody asks the user's message for `Debug`.

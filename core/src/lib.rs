@@ -36,7 +36,7 @@ pub use codec::{DecodeError, EncodeError};
 pub use contract::{
     Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,
 };
-pub use delivery::{Delivery, Why};
+pub use delivery::{Delivery, Outcome, Why};
 pub use description::{DescriptionError, LayoutDescription};
 pub use difference::Difference;
 pub use fault::{Fault, FaultId, FaultKind, Place, Severity};

@@ -11,6 +11,8 @@ use crate::topic::Topics;
 use crate::variable::Store;
 use actix::Recipient;
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
+use blastema_core::{FaultKind, ObjectName};
+use tracing::warn;
 
 /// Who is told what guards and components report. Whoever is not named is not told.
 #[derive(Clone, Default)]
@@ -35,7 +37,28 @@ pub(crate) struct HostEnvironment {
     pub(crate) names: Names,
 }
 
+impl Reports {
+    /// A fault of one of the middleware's own objects.
+    pub(crate) fn declare(&self, object: &str, detail: String) {
+        warn!(object, "{detail}");
+        if let (Some(faults), Ok(object)) = (&self.faults, ObjectName::new(object)) {
+            let (incarnation, kind) =
+                (crate::guardian::alive().incarnation, FaultKind::CheckFailed);
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        }
+    }
+}
+
+/// Under this name stands what is wrong with the variables' file.
+pub(crate) const KEPT_VARIABLES: &str = "variables";
+
 impl HostEnvironment {
+    /// What was wrong with values that were to be restored.
+    pub(crate) fn declare_complaints(&self) {
+        let complaints = self.variables.complaints();
+        complaints.into_iter().for_each(|detail| self.reports.declare(KEPT_VARIABLES, detail));
+    }
+
     /// An environment of its own, whose components live on `arbiters`.
     pub(crate) fn new(arbiters: Arbiters, reports: Reports) -> Self {
         let dead_letters = DeadLetterOffice::default();

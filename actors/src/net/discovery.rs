@@ -129,6 +129,7 @@ impl DiscoveryBody {
             neighbour: Some(node.clone()),
             cost: None,
             hello_interval: field.spec.hello_interval,
+            expected_within: None,
         };
         self.made.insert((ground, node), (number, remote));
         links.learn.do_send(Learn { number, spec });
@@ -171,7 +172,7 @@ impl DiscoveryBody {
             };
             let frame = beacon(&self.wiring.node, *port);
             let to = MediumAddress::Ip(*group);
-            transport.transmit.do_send(Transmit { to, frame });
+            transport.transmit.do_send(Transmit::new(to, frame));
         }
     }
 
@@ -409,7 +410,11 @@ impl Handler<TransportReport> for DiscoveryBody {
         match report {
             TransportReport::Opened { .. } => self.say_beacons(),
             TransportReport::Closed { reason } => warn!("no beacons: {reason}"),
-            TransportReport::Rate { .. } | TransportReport::PeerLost { .. } => {}
+            TransportReport::Rate { .. }
+            | TransportReport::PeerLost { .. }
+            | TransportReport::Bus { .. }
+            | TransportReport::NoCarrier { .. }
+            | TransportReport::Clash { .. } => {}
         }
     }
 }

@@ -85,6 +85,8 @@ pub(crate) struct LinkSpec {
     pub(crate) cost: Option<u16>,
     /// How often we say hello, unless the medium is too slow for that. A dead link is found after three and a half of the neighbour's.
     pub(crate) hello_interval: Duration,
+    /// How soon after the start the neighbour must be there; `None` where nobody need be.
+    pub(crate) expected_within: Option<Duration>,
 }
 
 impl LinkSpec {
@@ -97,6 +99,7 @@ impl LinkSpec {
             neighbour: None,
             cost: None,
             hello_interval: Duration::from_millis(50),
+            expected_within: Some(Duration::from_secs(5)),
         }
     }
 }
@@ -241,6 +244,7 @@ pub(crate) fn start(
             router_loads: router.clone().recipient(),
             monitor: environment.links.clone(),
             discovery: told.clone().map(|told| (grounds.len(), told)),
+            faults: environment.faults.clone(),
         };
         let address =
             guardian.start(name.clone(), place, move |_| links::Links::new(wiring, links));

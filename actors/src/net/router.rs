@@ -13,10 +13,11 @@ use blastema_contract::router::{
 };
 use blastema_contract::strategy::Reroute;
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::{self, LinkNumber, RouterConfig, RouterOutput};
+use blastema_core::net::{self, LinkNumber, NodeId, RouterConfig, RouterOutput};
 use blastema_core::recovery::{Done, Failed};
 use blastema_core::{FaultKind, Incarnation, NodeName, Place};
 use std::collections::{BTreeMap, BTreeSet};
+use tokio::sync::oneshot;
 use tracing::{debug, error, info};
 
 /// Forwards for this node.
@@ -31,6 +32,9 @@ pub(super) struct Router {
     faults: Option<Recipient<FaultDeclared>>,
     /// Who can be reached, in which life: what a router that begins anew must find again.
     reached: BTreeMap<NodeName, Incarnation>,
+    /// Who wants to know whether there is another way to a node, until that is certain: as many as the
+    /// recoverer has under way, which gives each two seconds.
+    inquirers: Vec<(NodeName, oneshot::Sender<Result<Done, Failed>>)>,
     /// Who is isolated: a router that begins anew must know.
     kept_out: BTreeSet<NodeName>,
 }
@@ -53,6 +57,7 @@ impl Router {
                 monitor,
                 faults,
                 reached: BTreeMap::new(),
+                inquirers: Vec::new(),
                 kept_out: BTreeSet::new(),
             }
         }
@@ -95,6 +100,21 @@ impl Router {
             }
         }
         self.report_path(PathReported::Reachable { node, incarnation, mtu });
+    }
+
+    fn answer_inquirers(&mut self, context: &mut Context<Self>) {
+        for (node, inquirer) in std::mem::take(&mut self.inquirers) {
+            // Nobody minds an answer that is not waited for any more.
+            let _ = match self.machine.verdict(NodeId::of(&node), platform::now()) {
+                Some(true) => inquirer.send(Ok(Done::default())),
+                Some(false) => inquirer.send(Err(format!("no other way leads to {node}").into())),
+                None => {
+                    self.inquirers.push((node, inquirer));
+                    Ok(())
+                }
+            };
+        }
+        self.drive(context);
     }
 
     fn lost(&mut self, node: NodeName, incarnation: Incarnation) {
@@ -211,6 +231,7 @@ impl Handler<LinkChanged> for Router {
         let LinkChanged { link, status } = message;
         self.machine.handle_link(link, status, platform::now());
         self.drive(context);
+        self.answer_inquirers(context);
     }
 }
 
@@ -275,18 +296,23 @@ impl Handler<PanicOnPurpose> for Router {
 }
 
 /// The alternative was chosen before it was needed: what is left to do is to say whether there is one.
+/// Where the only one may have failed as well, the answer waits until its link says so or recovers.
 impl Handler<Reroute> for Router {
-    type Result = Result<Done, Failed>;
+    type Result = ResponseFuture<Result<Done, Failed>>;
 
-    fn handle(&mut self, message: Reroute, _: &mut Context<Self>) -> Self::Result {
+    fn handle(&mut self, message: Reroute, context: &mut Context<Self>) -> Self::Result {
         let Reroute { place } = message;
         let node = match place {
             Place::Link { neighbour: Some(node), .. } | Place::Node(node) => node,
-            other => return Err(format!("nobody is known to be behind {other}").into()),
+            other => {
+                let error = format!("nobody is known to be behind {other}");
+                return Box::pin(async { Err(error.into()) });
+            }
         };
-        match self.reached.contains_key(&node) {
-            true => Ok(Done::default()),
-            false => Err(format!("no other way leads to {node}").into()),
-        }
+        let (answer, verdict) = oneshot::channel();
+        self.inquirers.retain(|(_, inquirer)| !inquirer.is_closed());
+        self.inquirers.push((node, answer));
+        self.answer_inquirers(context);
+        Box::pin(async { verdict.await.unwrap_or_else(|_| Err("the router began anew".into())) })
     }
 }

@@ -4,6 +4,7 @@
 mod calls;
 mod delivery;
 mod hostile;
+mod pressure;
 mod versions;
 
 use super::{LinkSpec, NetEnvironment, NetHandle, NetworkSpec, start};

@@ -13,7 +13,7 @@ use crate::chain::recoverer::{Recoverer, RecovererSetup};
 use crate::chain::strategy::{ToolBox, Tools};
 use crate::guardian::Guardian;
 use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
-use crate::host::environment::{HostEnvironment, Reports};
+use crate::host::environment::{HostEnvironment, KEPT_VARIABLES, Reports};
 use crate::host::spec::SpecError;
 use crate::host::watch::{self as lookout, WatchGuard};
 use crate::net::claims::{ClaimsBody, ClaimsSetup};
@@ -39,6 +39,7 @@ use blastema_core::{
     Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
 };
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
@@ -287,7 +288,7 @@ fn make_networks(
     let (mut specs, mut cables) = (Vec::new(), BTreeMap::new());
     let (mut neighbours, mut enrolments) = (BTreeSet::new(), Vec::new());
     for network in networks {
-        let laid = network.lay(guardian, arbiter.as_ref())?;
+        let laid = network.lay(node, guardian, arbiter.as_ref())?;
         if let Some(cable) = laid.cable {
             cables.insert(laid.spec.name.to_string(), cable);
         }
@@ -427,6 +428,13 @@ fn check_service(carried: &Carried) -> Result<(), StartError> {
     Err(StartError::Service { name: name.clone(), reason })
 }
 
+fn keep_variables(environment: &HostEnvironment, file: PathBuf) -> Result<(), StartError> {
+    let told = environment.reports.clone();
+    let failed = move |detail| told.declare(KEPT_VARIABLES, detail);
+    let kept = environment.variables.keep_in(file.clone(), failed);
+    kept.map_err(|error| StartError::Variables { file, reason: error.to_string() })
+}
+
 /// Whose word isolates a node.
 fn judges(wardens: &[String]) -> Result<Judges, NameError> {
     if wardens.is_empty() {
@@ -454,7 +462,7 @@ fn check_service_order(carried: &[Carried]) -> Result<(), StartError> {
     }
 }
 
-pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
+pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
     let node = NodeName::new(&builder.name)?;
     let incarnation = platform::node_incarnation();
@@ -476,6 +484,10 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     let own = parts.chain.arbiter.iter().cloned().collect();
     let mut undone = Undone { arbiters: arbiters.clone(), own, kept: false };
     let environment = HostEnvironment { registry, ..HostEnvironment::new(arbiters, reports) };
+    let kept = builder.kept_in.is_some();
+    if let Some(file) = builder.kept_in.take() {
+        keep_variables(&environment, file)?;
+    }
     let (networks, network_enrolments) = if builder.networks.is_empty() {
         let setup = claims_setup((&node, incarnation), &parts, &environment);
         let arbiter = parts.chain.arbiter.as_ref();
@@ -521,6 +533,9 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         let body = body.map_err(SpecError::from)?;
         enrolments.push(middleware(name, Some(body)));
     }
+    if kept {
+        enrolments.push(middleware(named(KEPT_VARIABLES), None));
+    }
     let leases = environment.actuators.start(named("leases"), &guardian, chain.arbiter.as_ref());
     enrolments.push(middleware(named("leases"), Some(leases)));
     for (name, inquiries) in chain.inquiries.iter().cloned() {
@@ -564,6 +579,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         plan,
     };
     let node = Node(Arc::new(shared));
+    node.0.environment.declare_complaints();
     // From here on the node ends its threads itself.
     undone.kept = true;
     match keeper.send(StartRoot(root)).await {

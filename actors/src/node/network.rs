@@ -12,8 +12,8 @@ use blastema_core::net::discovery::Admission;
 use blastema_core::{NodeName, ObjectName};
 use blastema_transports::frame_medium::FrameMedium;
 use blastema_transports::{
-    Endpoint, EndpointError, Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig,
-    SerialLine, SlcanBus, Tcp, TcpConfig, Udp, UdpConfig, Unix,
+    CanConfig, Endpoint, EndpointError, Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig,
+    SerialLine, SlcanBus, SlcanConfig, Tcp, TcpConfig, Udp, UdpConfig, Unix,
 };
 use std::fmt;
 use std::net::{IpAddr, SocketAddr};
@@ -199,6 +199,7 @@ pub struct Link {
     remote: Remote,
     cost: Option<u16>,
     hello_interval: Option<Duration>,
+    expected_within: Duration,
 }
 
 /// Where a neighbour is.
@@ -230,7 +231,8 @@ impl Link {
 
     fn at(neighbour: &str, remote: Remote) -> Self {
         let neighbour = neighbour.to_owned();
-        Link { name: None, neighbour, remote, cost: None, hello_interval: None }
+        let expected_within = Duration::from_secs(5);
+        Link { name: None, neighbour, remote, cost: None, hello_interval: None, expected_within }
     }
 
     /// How people call it. Unless this says otherwise, it has the network's name where it is the only
@@ -253,6 +255,14 @@ impl Link {
     /// neighbour finds this end dead after three and a half of them.
     pub fn hello_every(mut self, interval: Duration) -> Self {
         self.hello_interval = Some(interval);
+        self
+    }
+
+    /// How soon after the node's start the neighbour must have been heard, 5 s unless this says
+    /// otherwise; on a slow medium, five hellos more. After that the link is a fault, *link down*, until
+    /// it comes. [`Duration::MAX`] is for a neighbour that need not come at all.
+    pub fn expected_within(mut self, span: Duration) -> Self {
+        self.expected_within = span;
         self
     }
 }
@@ -307,14 +317,6 @@ pub(super) struct Laid {
 /// A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so long
 /// looks dead to its neighbours; on a computer that is never overloaded, less is fine.
 const HELLO_INTERVAL: Duration = Duration::from_millis(50);
-/// What a hello takes on a CAN bus, in bits: eight frames, and the receiver's word on how to go on.
-const HELLO_BITS: u32 = 1_200;
-/// How fast an interface of the system is taken to be, in bits a second: it does not say.
-const CAN_RATE_HZ: u32 = 500_000;
-/// The longest that a link accepts of its neighbour is 15 s.
-const HELLO_LONGEST: Duration = Duration::from_secs(10);
-/// Hellos may take so much of a slow line: one part in ten.
-const HELLO_SHARE: u32 = 10;
 
 impl Medium {
     /// The address of a neighbour as this medium has it.
@@ -343,18 +345,12 @@ impl Medium {
         }
     }
 
-    /// How often a hello is sent unless the link says otherwise, on a network with so many links.
-    fn hello_interval(&self, links: usize) -> Duration {
-        // A bus is shared: each of its nodes says hello to each other.
-        let on_bus = |rate_hz: u32| {
-            let hellos = u32::try_from(links * (links + 1)).unwrap_or(u32::MAX);
-            let one = Duration::from_secs(1) * HELLO_BITS / rate_hz.max(1);
-            HELLO_INTERVAL.max(one.saturating_mul(hellos) * HELLO_SHARE).min(HELLO_LONGEST)
-        };
-        match self {
-            Medium::At(Endpoint::Can(_)) => on_bus(CAN_RATE_HZ),
-            Medium::At(Endpoint::Slcan(config)) => on_bus(config.bitrate),
-            _ => HELLO_INTERVAL,
+    /// Whoever clashes with us there is to learn who we are.
+    fn name_node(&mut self, own: &NodeName) {
+        if let Medium::At(Endpoint::Can(CanConfig { node, .. }))
+        | Medium::At(Endpoint::Slcan(SlcanConfig { node, .. })) = self
+        {
+            node.name = own.to_string();
         }
     }
 
@@ -442,29 +438,38 @@ fn beacon_config(
 }
 
 impl Network {
-    /// Starts the transport.
+    /// Starts the transport, of this node.
     pub(super) fn lay(
         self,
+        own: &NodeName,
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Laid, StartError> {
-        let Network { name, medium, links, faults, interface, admission, beacons } = self;
+        let Network { name, mut medium, links, faults, interface, admission, beacons } = self;
+        medium.name_node(own);
         let object = ObjectName::new(&format!("transport/{name}"))?;
         let mut neighbours = Vec::new();
         let mut specs = Vec::new();
-        let usual_interval = medium.hello_interval(links.len());
         let alone = links.len() == 1;
-        for Link { name: own, neighbour, remote, cost, hello_interval } in links {
+        for Link { name: own, neighbour, remote, cost, hello_interval, expected_within } in links {
             let node = NodeName::new(&neighbour)?;
             let usual = if alone { name.clone() } else { format!("{name}/{neighbour}") };
             let link = own.unwrap_or(usual).into();
             let remote = medium
                 .remote(remote)
                 .map_err(|error| StartError::Endpoint { network: name.clone(), error })?;
-            let hello_interval = hello_interval.unwrap_or(usual_interval);
+            let hello_interval = hello_interval.unwrap_or(HELLO_INTERVAL);
             neighbours.push(node.clone());
             let neighbour = Some(node);
-            specs.push(LinkSpec { name: link, remote, neighbour, cost, hello_interval });
+            let expected_within = Some(expected_within);
+            specs.push(LinkSpec {
+                name: link,
+                remote,
+                neighbour,
+                cost,
+                hello_interval,
+                expected_within,
+            });
         }
         let mut transports = vec![object.clone()];
         let learned = medium.learned_by();

@@ -95,7 +95,7 @@ impl Neighbourhood {
     }
 
     /// The router reports how a node is. The same condition again is no news, a newer life is. What is
-    /// heard of a life that has left, is none. Answers an error for a life that is over.
+    /// heard of a life that has left, is none. Answers an error for the end of a life that is over.
     pub(super) fn handle_node(
         &mut self,
         node: NodeName,
@@ -108,8 +108,15 @@ impl Neighbourhood {
             return Ok(self.handle_conduct(node, condition));
         }
         let before = self.nodes.get(&node);
+        // Which life is there, those say who can reach it, whatever its number: the clock that numbers
+        // lives may have been set back. That another one has ended is no news.
+        let here = matches!(condition, NodeCondition::Reachable | NodeCondition::Restarted);
         if let Some(seen) = before
-            && incarnation < seen.incarnation
+            && !here
+            && (incarnation < seen.incarnation
+                || incarnation != seen.incarnation
+                    && seen.incarnation != Incarnation::default()
+                    && seen.standing == Standing::Here)
         {
             return Err(seen.incarnation);
         }
@@ -120,7 +127,7 @@ impl Neighbourhood {
         // The first that is heard of a node is no restart, whatever it is called; nor is a life of which
         // nothing but the loss was ever known, nor one after another that had left.
         let restarted = before.is_some_and(|seen| {
-            incarnation > seen.incarnation && seen.incarnation != Incarnation::default() && !left
+            incarnation != seen.incarnation && seen.incarnation != Incarnation::default() && !left
         });
         let condition = match condition {
             NodeCondition::Reachable | NodeCondition::Restarted if restarted => {

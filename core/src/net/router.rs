@@ -140,6 +140,20 @@ impl Router {
         heard.any(|heard| heard.node == *node && heard.incarnation == incarnation)
     }
 
+    /// Whether a way leads to a node as of now, all that is known taken into account; `None` while the
+    /// only ones lead over links that may have failed as well, which is known in a moment.
+    pub fn verdict(&mut self, node: NodeId, now: Instant) -> Option<bool> {
+        self.now = now;
+        if self.compute_at.is_some() {
+            self.compute();
+        }
+        let Some(chosen) = self.routes.get(&node).and_then(|route| route.chosen) else {
+            return Some(false);
+        };
+        let health = self.links.get(&chosen).map_or(Health::Down, |link| link.health);
+        (health < Health::Suspect).then_some(true)
+    }
+
     /// Every node that can be reached, with the route to it.
     pub fn routes(&self) -> impl Iterator<Item = (NodeId, &Route)> {
         self.routes.iter().map(|(node, route)| (*node, route))

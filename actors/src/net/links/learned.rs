@@ -56,7 +56,7 @@ impl Links {
             LinkState::Down => false,
             LinkState::Connecting | LinkState::Suspect => return,
         };
-        let heard = self.crowd.get(number).and_then(|link| link.neighbour());
+        let heard = self.bundle.get(number).and_then(|link| link.neighbour());
         let node = heard.map(|heard| heard.node.clone()).or(spec.neighbour.clone());
         if let Some(node) = node {
             let (ground, remote) = (*ground, spec.remote.clone());
@@ -83,9 +83,9 @@ impl Handler<Learn> for Links {
             return;
         }
         self.by_remote.insert(spec.remote.clone(), number);
-        let link = self.link(&spec, platform::now());
+        let link = super::link(&self.wiring, &spec, platform::now());
         self.specs.insert(number, spec);
-        self.crowd.insert(number, link);
+        self.bundle.insert(number, link);
         self.drive(context);
     }
 }
@@ -99,7 +99,7 @@ impl Handler<Forget> for Links {
             self.wiring.router_changes.do_send(LinkChanged { link: number, status });
         }
         self.tell_monitor(number, LinkCondition::Forgotten);
-        self.crowd.remove(number);
+        self.bundle.remove(number);
         if let Some(spec) = self.specs.remove(&number) {
             self.by_remote.remove(&spec.remote);
         }
@@ -111,7 +111,7 @@ impl Handler<TellNeighbours> for Links {
     type Result = ();
 
     fn handle(&mut self, _: TellNeighbours, _: &mut Context<Self>) {
-        for (number, link) in self.crowd.iter() {
+        for (number, link) in self.bundle.iter() {
             self.tell_discovery(number, link.state());
         }
     }

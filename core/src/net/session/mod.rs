@@ -9,8 +9,9 @@
 //! ```
 //!
 //! * Both may open at once; the handshake is the same from both ends.
-//! * A peer's session is known by its incarnation and a number that rises within it. A greater pair
-//!   ends the old session; a smaller one is refused. Tags keep apart what belongs to which.
+//! * A peer's session is known by its incarnation and a number that rises within it. A greater number
+//!   ends the old session; a smaller one is refused. Which incarnation is the present one, the router
+//!   says. Tags keep apart what belongs to which.
 //! * Within a session each message of the ordered streams is delivered exactly once and in order.
 //!   When a session ends, every message that was not acknowledged is handed back with the reason: it
 //!   was delivered at most once, perhaps not at all.
@@ -34,7 +35,7 @@ mod round_trip;
 mod tag;
 mod transmission;
 
-pub use self::config::SessionConfig;
+pub use self::config::{PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
 
 use self::assembly::Assembly;
@@ -227,7 +228,7 @@ impl Session {
     ///
     /// # Errors
     /// [`Why::Full`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`] tells when the
-    /// stream takes more. [`Why::TooLarge`], [`Why::Unreachable`], [`Why::Stopped`] after
+    /// stream takes more. [`Why::TooLargeForSession`], [`Why::Unreachable`], [`Why::Stopped`] after
     /// [`handle_close`](Session::handle_close). The message comes back.
     pub fn handle_send(
         &mut self,
@@ -282,7 +283,7 @@ impl Session {
             State::Closing { .. } | State::Closed => refuse(Why::Stopped),
             State::Idle => refuse(self.unreachable()),
             _ if message.len() > self.config.message_max => {
-                refuse(Why::TooLarge { limit: self.config.message_max })
+                refuse(Why::TooLargeForSession { limit: self.config.message_max })
             }
             _ => Ok(()),
         }
@@ -329,11 +330,12 @@ impl Session {
         self.owed_since.get_or_insert(now);
     }
 
-    /// The router has heard of this life of the peer: sessions with earlier ones are over.
+    /// The router says that this is the peer's present life: sessions with any other are over, whichever
+    /// number is greater.
     pub fn handle_incarnation(&mut self, incarnation: Incarnation, now: Instant) {
         self.now = now;
-        self.known = self.known.max(Some(incarnation));
-        if self.newest < (incarnation, 0) {
+        self.known = Some(incarnation);
+        if self.newest.0 != incarnation {
             self.newest = (incarnation, 0);
             self.end_with_old_peer(incarnation);
         }

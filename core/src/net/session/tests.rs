@@ -348,6 +348,28 @@ fn the_routers_word_of_a_new_life_ends_the_session_before_the_peer_says_anything
 }
 
 #[test]
+fn a_peer_whose_new_life_has_a_smaller_number_is_talked_to_and_the_old_one_is_refused() {
+    let mut pair = Pair::open();
+    for life in [9, 3, 2] {
+        let old: Vec<_> = pair.sent.iter().filter(|(end, _)| *end == 1).cloned().collect();
+        pair.ends[0].handle_incarnation(Incarnation(life), at(pair.now));
+        pair.ends[1] = Session::new(config("right", life, "left"), at(pair.now));
+        pair.ends[1].handle_path(1389, at(pair.now));
+        pair.run(30);
+        assert_eq!(pair.take(0).last(), Some(&opened(life)));
+        assert_eq!(pair.take(1), [opened(1)]);
+
+        for (_, segment) in old {
+            pair.ends[0].handle_segment(segment.encode(), at(pair.now));
+        }
+        pair.send(0, text("a"));
+        pair.run(30);
+
+        assert_eq!((pair.take(0), pair.take(1)), (vec![], vec![message(text("a"))]));
+    }
+}
+
+#[test]
 fn what_was_said_to_an_earlier_session_is_never_taken_for_the_present_one() {
     let mut pair = Pair::open();
     pair.send(0, text("old"));
@@ -499,7 +521,7 @@ fn a_message_larger_than_the_limit_is_refused_before_it_is_sent() {
     let limit = pair.ends[0].config.message_max;
     let huge = Bytes::from(vec![0; limit + 1]);
     let refused = pair.ends[0].handle_send(Stream::Data, huge, at(pair.now)).unwrap_err();
-    assert_eq!(refused.0, Why::TooLarge { limit });
+    assert_eq!(refused.0, Why::TooLargeForSession { limit });
 }
 
 #[test]
