@@ -337,7 +337,6 @@ impl World {
                     self.liars.insert((node.name.clone(), neighbour));
                 }
                 RouterOutput::NameTaken { .. } => {}
-                RouterOutput::NameTaken { .. } if self.flips > 0.0 => {}
                 other => panic!("{other:?}"),
             }
         }

@@ -264,7 +264,8 @@ impl Router {
         if advertisement.node != self.own.node {
             self.tell_collision(Some(self.own.node.clone()), advertisement.node.clone());
         } else if theirs.incarnation > ours.incarnation {
-            self.defend(theirs.incarnation);
+            let alive = self.is_more_than_a_rumour(theirs);
+            self.defend(theirs.incarnation, alive);
             return false;
         } else if theirs < ours {
             return false;
@@ -329,12 +330,6 @@ impl Router {
         {
             let neighbour = adjacent.neighbour.node.clone();
             self.outputs.push_back(RouterOutput::Forged { neighbour, times });
-            let alive = self.is_more_than_a_rumour(theirs);
-            self.defend(theirs.incarnation, alive);
-        } else if theirs > ours || theirs == ours && *advertisement != self.own {
-            // This router was built anew within its node's life: it continues the old one's count.
-            self.own.stamp.sequence = theirs.sequence;
-            self.renew();
         }
     }
 
