@@ -73,6 +73,8 @@ pub(crate) struct World {
     pub(crate) count: u64,
     /// How often some traffic went another way.
     pub(crate) path_changes: u64,
+    /// In whose name lies were told, and by way of whom.
+    pub(crate) liars: BTreeSet<(NodeName, NodeName)>,
     pub(crate) trace: DefaultHasher,
     pub(crate) sent: BTreeMap<(usize, u64, usize), u64>,
     /// What arrived, and in which life of the receiver.
@@ -110,6 +112,7 @@ impl World {
             frames: BTreeMap::new(),
             count: 0,
             path_changes: 0,
+            liars: BTreeSet::new(),
             trace: DefaultHasher::new(),
             sent: BTreeMap::new(),
             delivered: BTreeMap::new(),
@@ -330,7 +333,10 @@ impl World {
                         session.handle_undelivered(reason, now);
                     }
                 }
-                RouterOutput::NameTaken { .. } if self.flips > 0.0 => {}
+                RouterOutput::Forged { neighbour, .. } => {
+                    self.liars.insert((node.name.clone(), neighbour));
+                }
+                RouterOutput::NameTaken { .. } => {}
                 other => panic!("{other:?}"),
             }
         }
