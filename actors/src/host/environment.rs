@@ -10,7 +10,11 @@ use crate::service::Roster;
 use crate::topic::Topics;
 use crate::variable::Store;
 use actix::Recipient;
-use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
+use blastema_contract::reports::{Exited, FaultDeclared, FaultMended, StateReported};
+use blastema_core::spelling::nearest;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use tracing::error;
 
 /// Who is told what guards and components report. Whoever is not named is not told.
 #[derive(Clone, Default)]
@@ -18,6 +22,7 @@ pub(crate) struct Reports {
     pub(crate) exits: Option<Recipient<Exited>>,
     pub(crate) states: Option<Recipient<StateReported>>,
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
+    pub(crate) mended: Option<Recipient<FaultMended>>,
 }
 
 /// What all components of a node share. Clones share it too.
@@ -33,9 +38,31 @@ pub(crate) struct HostEnvironment {
     pub(crate) actuators: Yard,
     pub(crate) services: Roster,
     pub(crate) names: Names,
+    /// The codes of the application's own list of faults.
+    pub(crate) fault_codes: Arc<BTreeSet<Arc<str>>>,
 }
 
 impl HostEnvironment {
+    /// What is told of a fault of the application's own, and that nobody declared its code.
+    pub(crate) fn checked_detail(&self, code: &str, detail: String) -> String {
+        if self.fault_codes.contains(code) {
+            return detail;
+        }
+        let known: Vec<&str> = self.fault_codes.iter().map(|known| &**known).collect();
+        let listed = match known.as_slice() {
+            [] => "none is declared".to_owned(),
+            known => format!("declared are {}", known.join(", ")),
+        };
+        let hint = nearest(code, known).map(|known| format!("; did you mean {known:?}?"));
+        let hint = hint.unwrap_or_default();
+        let text = format!("the code {code:?} was never declared, {listed}{hint}");
+        error!(code, "a fault is only observed: {text}");
+        match detail.is_empty() {
+            true => text,
+            false => format!("{detail} ({text})"),
+        }
+    }
+
     /// An environment of its own, whose components live on `arbiters`.
     pub(crate) fn new(arbiters: Arbiters, reports: Reports) -> Self {
         let dead_letters = DeadLetterOffice::default();
@@ -50,6 +77,7 @@ impl HostEnvironment {
             actuators: Yard::default(),
             services: Roster::default(),
             names: Names::default(),
+            fault_codes: Arc::default(),
         }
     }
 }

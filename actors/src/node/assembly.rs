@@ -1,7 +1,8 @@
 //! How a node is put together: the one place that knows all actors.
 
 use super::builder::{NodeBuilder, Placement, StartError};
-use super::keeper::{Keeper, NodeState, StartRoot};
+use super::keeper::NodeState;
+use super::keeper::{Keeper, StartRoot};
 use super::network::{Cable, Network};
 use super::tree::{Ground, Harvest, Planted};
 use super::{Node, Root, Shared};
@@ -176,7 +177,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
     });
     guardian.report_to(monitor.clone().recipient());
 
-    let (told, state) = watch::channel(NodeState::Starting);
+    let (told, state) = (builder.state.clone(), builder.state.subscribe());
     let (of, outputs) = (node.clone(), builder.safe_outputs.clone());
     let keeper = guardian.start(named("keeper"), place, move |_: &mut Context<Keeper>| {
         Keeper::new(of, told, outputs)
@@ -434,6 +435,22 @@ fn judges(wardens: &[String]) -> Result<Judges, NameError> {
     Ok(Judges::Wardens(wardens.collect::<Result<_, _>>()?))
 }
 
+/// Every network and every neighbour there can be what it is said to be.
+fn check_networks(networks: &[Network], node: &NodeName) -> Result<(), StartError> {
+    let mut names = BTreeSet::new();
+    for network in networks {
+        if !names.insert(network.name()) {
+            let text = format!(
+                "two networks are called {}: give one of them another name",
+                network.name()
+            );
+            return Err(StartError::Network(text));
+        }
+        network.check(node)?;
+    }
+    Ok(())
+}
+
 /// Of services that wait for each other, none would ever serve.
 fn check_service_order(carried: &[Carried]) -> Result<(), StartError> {
     let mut open: Vec<_> = carried.iter().collect();
@@ -454,10 +471,16 @@ fn check_service_order(carried: &[Carried]) -> Result<(), StartError> {
 
 pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
-    let node = NodeName::new(&builder.name)?;
+    let named_so = StartError::name_of("the name of the node");
+    let node = NodeName::new(&builder.name).map_err(named_so)?;
     let incarnation = platform::node_incarnation();
-    let judges = judges(&builder.wardens)?;
+    let judges = judges(&builder.wardens)
+        .map_err(StartError::name_of("the name of a node that isolates others"))?;
+    check_networks(&builder.networks, &node)?;
     let parts = make_chain(&builder, &node)?;
+    for listener in builder.listeners {
+        listener.listen(&parts.chain.subscribe);
+    }
 
     let arbiters = match builder.placement {
         Placement::Threads { shared } => Arbiters::pool(shared),
@@ -467,13 +490,17 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         exits: Some(parts.monitor.clone().recipient()),
         states: Some(parts.monitor.clone().recipient()),
         faults: Some(parts.monitor.clone().recipient()),
+        mended: Some(parts.monitor.clone().recipient()),
     };
     let registry = parts.registry.clone();
     // Its own objects may be named in full, with or without a network.
     registry.connect(node.clone(), None);
     let own = parts.chain.arbiter.iter().cloned().collect();
     let mut undone = Undone { arbiters: arbiters.clone(), own, kept: false };
-    let environment = HostEnvironment { registry, ..HostEnvironment::new(arbiters, reports) };
+    let plan = Arc::new(builder.plan);
+    let fault_codes = Arc::new(plan.codes());
+    let environment =
+        HostEnvironment { registry, fault_codes, ..HostEnvironment::new(arbiters, reports) };
     let (networks, network_enrolments) = if builder.networks.is_empty() {
         let setup = claims_setup((&node, incarnation), &parts, &environment);
         let arbiter = parts.chain.arbiter.as_ref();
@@ -488,7 +515,6 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     };
     let Parts { guardian, chain, monitor, keeper, state, directory, .. } = parts;
 
-    let plan = Arc::new(builder.plan);
     let ground = Ground {
         environment: &environment,
         guardian: &guardian,
@@ -532,7 +558,9 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     let mut actors: BTreeMap<ObjectName, _> = BTreeMap::new();
     for facts in harvest.components {
         let (name, watch) = (&facts.name, facts.watch);
-        let mut enrol = enrolment(&node, name, watch, &facts.depends_on, facts.inquiries)?;
+        let enrolled = enrolment(&node, name, watch, &facts.depends_on, facts.inquiries);
+        let of = || format!("what {name} depends on");
+        let mut enrol = enrolled.map_err(|error| StartError::name_of(of())(error))?;
         enrol.enrolment.may_end = facts.restart != Restart::Permanent;
         enrolments.push(enrol);
         actors.insert(facts.name, facts.actor);

@@ -16,6 +16,7 @@ use blastema_transports::{
 };
 use std::fmt;
 use std::net::SocketAddr;
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 pub use blastema_contract::transport::Direction;
@@ -366,7 +367,46 @@ impl Medium {
     }
 }
 
+/// How often a hello may be said: more often is taken for an attack by the neighbour, and a link must be
+/// known to be dead within a minute.
+const HELLO_RANGE: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_secs(15);
+
 impl Network {
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Finds what can be known to be wrong before anything is started.
+    pub(super) fn check(&self, node: &NodeName) -> Result<(), StartError> {
+        let network = &self.name;
+        for Link { neighbour, remote, hello_interval, .. } in &self.links {
+            if neighbour == node.as_str() {
+                let text = format!(
+                    "network {network}: {neighbour} is this node itself, and no neighbour: write \
+                     the neighbour's name, or leave the link out"
+                );
+                return Err(StartError::Network(text));
+            }
+            if let Some(interval) = hello_interval
+                && !HELLO_RANGE.contains(interval)
+            {
+                let text = format!(
+                    "network {network}: the hello to {neighbour} cannot be said every {interval:?}: \
+                     1 ms to 15 s"
+                );
+                return Err(StartError::Network(text));
+            }
+            if let (Remote::At(address), Medium::At(endpoint)) = (remote, &self.medium)
+                && let Some(why) = endpoint.objection(address)
+            {
+                let text =
+                    format!("network {network}: {address} is not where {neighbour} is: {why}");
+                return Err(StartError::Network(text));
+            }
+        }
+        Ok(())
+    }
+
     /// Starts the transport.
     pub(super) fn lay(
         self,
@@ -374,13 +414,16 @@ impl Network {
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Laid, StartError> {
         let Network { name, medium, links, faults, interface } = self;
-        let object = ObjectName::new(&format!("transport/{name}"))?;
+        let of = format!("the name of network {name:?}");
+        let object =
+            ObjectName::new(&format!("transport/{name}")).map_err(StartError::name_of(of))?;
         let mut neighbours = Vec::new();
         let mut specs = Vec::new();
         let usual_interval = medium.hello_interval(links.len());
         let alone = links.len() == 1;
         for Link { name: own, neighbour, remote, cost, hello_interval } in links {
-            let node = NodeName::new(&neighbour)?;
+            let of = format!("the name of a neighbour on network {name}");
+            let node = NodeName::new(&neighbour).map_err(StartError::name_of(of))?;
             let usual = if alone { name.clone() } else { format!("{name}/{neighbour}") };
             let link = own.unwrap_or(usual).into();
             let remote = medium
@@ -396,7 +439,9 @@ impl Network {
         let cable = match faults {
             None => None,
             Some(seed) => {
-                let object = ObjectName::new(&format!("cable/{name}"))?;
+                let of = format!("the name of network {name:?}");
+                let object =
+                    ObjectName::new(&format!("cable/{name}")).map_err(StartError::name_of(of))?;
                 transports.push(object.clone());
                 let (inner, config) = (transport.clone(), FaultyConfig::new(seed, platform::now));
                 let make = move |_: &mut Context<Faulty>| Faulty::new(inner, config);

@@ -20,6 +20,7 @@ mod names;
 mod networks;
 mod panics;
 mod puppet;
+mod refusals;
 mod sending;
 mod services;
 mod silence;
