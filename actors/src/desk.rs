@@ -4,6 +4,7 @@
 //! belong to, and can be reached while it hangs. They are served on the thread of whoever asks.
 
 use crate::host::pulse;
+use crate::platform;
 use crate::registry::{Doorway, Postmark, ReplyTo, encoded_reply};
 use crate::reply::{Answer, Reply};
 use crate::sender::{Inlet, RequestError, SendError};
@@ -46,12 +47,13 @@ impl<M: Contract> Inlet<M> for Desk<M> {
         &self,
         message: M,
         _: Option<MessageId>,
-        _: Option<Duration>,
+        within: Option<Duration>,
     ) -> Result<Reply<M>, RequestError<M>> {
         if let Some(why) = pulse::forbidden() {
             return Err(RequestError { why, message: Some(message) });
         }
-        let (answer, reply) = Answer::awaited();
+        let until = within.map(|within| platform::now() + within);
+        let (answer, reply) = Answer::awaited_until(until);
         (self.0)(message, answer);
         Ok(reply)
     }

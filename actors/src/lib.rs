@@ -62,7 +62,7 @@
 //! | write a component | [`Component`], [`Handle`], [`Ports`], [`Context`], [`Failure`] |
 //! | describe messages | [`Event`](derive@Event), [`Request`](derive@Request), [`Structure`] |
 //! | run components | [`Node`], [`NodeBuilder`], [`ChildSpec`], [`SupervisorSpec`] |
-//! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`Why`] |
+//! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`Why`], [`Outcome`] |
 //! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`], [`Transaction`] |
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
 //! | find whoever it is | [`Node::claim`], [`ChildSpec::claim`], [`Claim`], [`NameWatch`] |
@@ -80,6 +80,7 @@ extern crate self as blastema;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+mod asking;
 mod chain;
 mod claim;
 mod component;
@@ -129,7 +130,9 @@ pub use ports::{ListenPort, Ports};
 
 // Sending, and what becomes of messages.
 pub use blastema_core::dead_letters::DeadReason;
-pub use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
+pub use blastema_core::{
+    Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, RetryRule, Why,
+};
 pub use death_watch::{Down, Ending};
 pub use host::office::DeadLetterOffice;
 pub use lease::{ActuatorSpec, Commander};

@@ -1,5 +1,6 @@
 //! A reference to one component, of which the sender knows the type.
 
+use crate::asking;
 use crate::component::{Component, Handle};
 use crate::host::Control;
 use crate::host::anchor::Anchor;
@@ -74,6 +75,9 @@ impl<C: Component> ActorRef<C> {
     where
         C: Handle<M>,
     {
+        if M::IDEMPOTENT {
+            return asking::ask_idempotent::<M>(&*self.0, message, deadline).await;
+        }
         Inlet::ask(&*self.0, message, None, Some(deadline))?.within(deadline).await
     }
 

@@ -51,16 +51,29 @@ pub(crate) struct Asked {
     pub(crate) reply_to: ReplyTo,
 }
 
+/// Waits for room.
+pub(crate) type Room = Pin<Box<dyn Future<Output = ()> + Send>>;
+
 /// The way into an object for messages that come from outside the process.
 pub(crate) trait Doorway: Send + Sync {
     /// Decodes the message and hands it over. Where `reply_to` is given it is called in every case; the
-    /// error then repeats what it was told.
+    /// error then repeats what it was told. Where it is not, and there is [`room`](Self::room) to wait
+    /// for, a message that is refused as [`Why::Full`] or [`Why::Restarting`] remains the caller's: to be
+    /// tried again, or [buried](Self::bury).
     fn deliver(
         &self,
         message: &[u8],
         postmark: Postmark,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), Why>;
+
+    /// Completes when there may be room for a message that was refused; `None` where nothing waits.
+    fn room(&self) -> Option<Room> {
+        None
+    }
+
+    /// Counts a message that was refused for want of room, and is given up.
+    fn bury(&self, _why: &Why) {}
 
     /// The way for a sender with an earlier version of the contract, if it is understood.
     fn former(&self, _theirs: &PeerIdentity) -> Option<Arc<dyn Doorway>> {
@@ -155,7 +168,10 @@ impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
             None => {
                 let posted_at = arrived_posting_time::<M>(age);
                 self.anchor.tell_at(message, posted_at).map_err(|SendError { why, .. }| {
-                    self.anchor.record.bury(M::NAME, &why);
+                    // For want of room it may wait.
+                    if !matches!(why, Why::Full | Why::Restarting) {
+                        self.anchor.record.bury(M::NAME, &why);
+                    }
                     why
                 })
             }
@@ -180,7 +196,10 @@ pub(crate) fn encoded_reply<M: Contract>(
         None => codec::encode_reply::<M>(&reply, &mut bytes),
         Some(former) => former.answer(reply, &mut bytes),
     };
-    encoded.map_err(|error| encoding(error, M::MAX_SIZE))?;
+    encoded.map_err(|error| match encoding(error, M::MAX_SIZE) {
+        Why::TooLarge { limit } => Why::ReplyTooLarge { limit },
+        other => other,
+    })?;
     Ok(bytes.into())
 }
 
@@ -213,6 +232,15 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
                 Err(why)
             }
         }
+    }
+
+    fn room(&self) -> Option<Room> {
+        let anchor = self.anchor.clone();
+        Some(Box::pin(async move { anchor.lane.room().await }))
+    }
+
+    fn bury(&self, why: &Why) {
+        self.anchor.record.bury(M::NAME, why);
     }
 
     fn former(&self, theirs: &PeerIdentity) -> Option<Arc<dyn Doorway>> {

@@ -85,8 +85,13 @@ impl<M: Contract> Answer<M> {
     /// A slot whose result is awaited.
     #[inline]
     pub(crate) fn awaited() -> (Answer<M>, Reply<M>) {
+        Answer::awaited_until(None)
+    }
+
+    /// A slot whose result is awaited until then.
+    pub(crate) fn awaited_until(until: Option<Instant>) -> (Answer<M>, Reply<M>) {
         let state = Mutex::new(State::Open(Listener::Nobody));
-        let slot = Arc::new(ReplySlot { state, open: AtomicBool::new(true), until: None });
+        let slot = Arc::new(ReplySlot { state, open: AtomicBool::new(true), until });
         (Answer(Some(slot.clone())), Reply { slot, limit: Limit::None, done: false })
     }
 
@@ -116,6 +121,11 @@ impl<M: Contract> Answer<M> {
     #[inline]
     pub(crate) fn revocable(&self) -> Option<Arc<dyn Revocable>> {
         self.0.clone().map(|slot| slot as Arc<dyn Revocable>)
+    }
+
+    /// When nobody wants the answer any more, if that is known.
+    pub(crate) fn until(&self) -> Option<Instant> {
+        self.0.as_ref().and_then(|slot| slot.until)
     }
 
     /// The asker still waits, as far as is known.

@@ -1,8 +1,9 @@
 //! Where messages of one contract can be sent, whoever is behind it and wherever it lives.
 
+use crate::asking;
 use crate::host::life::LifeToken;
 use crate::reply::Reply;
-use blastema_core::{Contract, MessageId, Why};
+use blastema_core::{Contract, MessageId, Outcome, RetryRule, Why};
 use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
@@ -63,7 +64,8 @@ impl<M: Contract> Sender<M> {
         self.0.tell(message)
     }
 
-    /// Hands the message to the receiver's queue, and waits while it has no room.
+    /// Hands the message to the receiver's queue, and waits while it has no room. What goes to another
+    /// node waits there, once it has been accepted here, until the receiver has room.
     ///
     /// # Errors
     /// The reason, and the message as it was; never [`Why::Full`] or [`Why::Restarting`].
@@ -80,7 +82,7 @@ impl<M: Contract> Sender<M> {
     /// A receiver on another node does not begin a request whose deadline has passed. Where the way
     /// to it was lost after the request had been sent, the outcome is not known, which is said by
     /// [`Why::OutcomeUnknown`]; a contract that is declared `idempotent` is then asked again by itself
-    /// as soon as there is a way, within the deadline.
+    /// as soon as there is a way, and where the receiver died while it served it, within the deadline.
     pub async fn ask(&self, message: M) -> Result<M::Reply, RequestError<M>> {
         self.ask_within(message, DEFAULT_DEADLINE).await
     }
@@ -94,7 +96,29 @@ impl<M: Contract> Sender<M> {
         message: M,
         deadline: Duration,
     ) -> Result<M::Reply, RequestError<M>> {
+        if M::IDEMPOTENT {
+            return asking::ask_idempotent(&*self.0, message, deadline).await;
+        }
         self.0.ask(message, None, Some(deadline))?.within(deadline).await
+    }
+
+    /// Asks, and asks again by this rule where the request was not taken up, or, if its contract is
+    /// declared `idempotent`, where it may have taken effect.
+    ///
+    /// ```
+    /// use blastema::RetryRule;
+    /// # use blastema::prelude::*;
+    /// # #[derive(Debug, Request)] #[contract(reply = u32)] struct Count;
+    /// # async fn f(counter: Sender<Count>) -> Result<(), Box<dyn std::error::Error>> {
+    /// let rule = RetryRule { attempts: 3, ..RetryRule::default() };
+    /// let count = counter.ask_by(Count, &rule).await?;
+    /// # let _ = count; Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// What stood in the way of the last attempt.
+    pub async fn ask_by(&self, message: M, rule: &RetryRule) -> Result<M::Reply, RequestError<M>> {
+        asking::ask_by(&*self.0, message, rule).await
     }
 
     /// Prepares a request that may be sent more than once and stays the same message: if it has
@@ -217,6 +241,16 @@ pub struct RequestError<M> {
     pub why: Why,
     /// The message as it was, where the receiver did not take it up.
     pub message: Option<M>,
+}
+
+impl<M> RequestError<M> {
+    /// What is known of the request: whether it took effect, did not, or may have.
+    pub fn outcome(&self) -> Outcome {
+        match self.message {
+            Some(_) => Outcome::NotTaken,
+            None => self.why.outcome(),
+        }
+    }
 }
 
 // By hand, so that nobody asks the user's message for `Debug`.

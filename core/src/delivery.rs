@@ -146,10 +146,83 @@ pub enum Why {
         /// The epoch that holds.
         epoch: u64,
     },
+    /// The value is set, and could not be kept for the node's next process. Make room on the disk, and write
+    /// again.
+    #[error("the value is set, but not kept over a restart of its node: {reason}")]
+    NotKept {
+        /// What the file system said.
+        reason: String,
+    },
     /// Nobody holds this name of the whole robot now. Try again when it is claimed.
     #[error("nobody holds the name {name}")]
     Unclaimed {
         /// The name.
         name: String,
     },
+    /// The message is larger than what a session carries to another node, whatever its contract
+    /// allows. It was not sent: send it in parts.
+    #[error(
+        "the message is larger than the {limit} bytes that go to another node at once, whatever its \
+         contract allows: send it in parts"
+    )]
+    TooLargeForSession {
+        /// The session's limit in bytes.
+        limit: usize,
+    },
+    /// The request took effect, and its reply is larger than its contract allows, or than a session
+    /// carries to another node. Asking again changes nothing: answer in parts, or raise `max_size`.
+    #[error(
+        "the request took effect, but its reply is larger than the {limit} bytes that its contract, \
+         or the way to another node, allows"
+    )]
+    ReplyTooLarge {
+        /// The limit in bytes.
+        limit: usize,
+    },
+}
+
+/// What is known of a request that got no reply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// It did not take effect, and never will: it may be asked again.
+    NotTaken,
+    /// It may have taken effect, or be about to: ask again only what may be done twice.
+    Unknown,
+    /// It took effect; only its reply is missing.
+    TookEffect,
+}
+
+impl Why {
+    /// What is known of a request that failed for this reason, and did not come back.
+    pub fn outcome(&self) -> Outcome {
+        match self {
+            Why::Full
+            | Why::Restarting
+            | Why::ContractDiffers { .. }
+            | Why::Quarantined { .. }
+            | Why::Expired
+            | Why::Unknown { .. }
+            | Why::Unreachable { .. }
+            | Why::TooLarge { .. }
+            | Why::TooLargeForSession { .. }
+            | Why::Left { .. }
+            | Why::Undecided { .. }
+            | Why::Changed { .. }
+            | Why::CheckFailed { .. }
+            | Why::Held { .. }
+            | Why::LeaseEnded
+            | Why::Superseded { .. }
+            | Why::Unclaimed { .. } => Outcome::NotTaken,
+            // The callee may have been stopped, or shut out, while it served; and what cannot be decoded
+            // may be the reply.
+            Why::Stopped
+            | Why::Fenced
+            | Why::Isolated
+            | Why::Undecodable { .. }
+            | Why::DeadlinePassed
+            | Why::PeerDied { .. }
+            | Why::OutcomeUnknown { .. } => Outcome::Unknown,
+            Why::ReplyTooLarge { .. } | Why::NotKept { .. } => Outcome::TookEffect,
+        }
+    }
 }

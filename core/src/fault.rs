@@ -40,7 +40,8 @@ pub enum FaultKind {
     /// Another node does harm: what it sends must be refused, or it dies again and again. Or it was
     /// isolated by others.
     NodeFaulty,
-    /// Two have one name: two nodes, or two claimants that were out of each other's sight.
+    /// Two have one name: two nodes, or two claimants that were out of each other's sight; or two nodes have
+    /// one address on a bus.
     NameTaken,
     /// Whoever commanded an actuator went without giving it back, and nobody has claimed it since.
     CommanderGone,

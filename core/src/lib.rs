@@ -25,6 +25,7 @@ pub mod net;
 pub mod quarantine;
 pub mod random;
 pub mod recovery;
+pub mod retry;
 pub mod scanner;
 pub mod service;
 pub mod spelling;
@@ -35,7 +36,7 @@ pub use codec::{DecodeError, EncodeError};
 pub use contract::{
     Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,
 };
-pub use delivery::{Delivery, Why};
+pub use delivery::{Delivery, Outcome, Why};
 pub use description::{DescriptionError, LayoutDescription};
 pub use difference::Difference;
 pub use fault::{Fault, FaultId, FaultKind, Place, Severity};
@@ -46,6 +47,7 @@ pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
 pub use quarantine::MessageId;
+pub use retry::RetryRule;
 /// The codec's interface, for the code that the derives write.
 #[doc(hidden)]
 pub use serde;

@@ -9,6 +9,7 @@
 
 use crate::{Instant, ObjectName, Why};
 use bytes::Bytes;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
@@ -92,6 +93,17 @@ pub struct Declaration {
     pub policy: RestorePolicy,
 }
 
+/// A value as it is kept for the node's next process.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct KeptValue {
+    /// Whose, and which.
+    pub variable: VariableKey,
+    /// Of the contract under which it was written: under another, its bytes mean something else.
+    pub fingerprint: u64,
+    /// The value.
+    pub value: Vec<u8>,
+}
+
 /// An answer to somebody who watches.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Watched {
@@ -141,8 +153,15 @@ impl Variables {
         self.outputs.pop_front()
     }
 
-    /// An object has this variable from now on.
-    pub fn handle_declared(&mut self, variable: VariableKey, declared: Declaration, now: Instant) {
+    /// An object has this variable from now on. `kept` is its value from before the node's process began:
+    /// what is left of it is what a life's end would have left.
+    pub fn handle_declared(
+        &mut self,
+        variable: VariableKey,
+        declared: Declaration,
+        kept: Option<Bytes>,
+        now: Instant,
+    ) {
         self.last_revision += 1;
         let entry = Entry {
             value: declared.default.clone(),
@@ -151,7 +170,18 @@ impl Variables {
             state: ValueState::Current,
             since: now,
         };
-        self.entries.insert(variable, entry);
+        self.entries.insert(variable.clone(), entry);
+        if kept.is_some() {
+            self.set(&variable, kept, ValueState::Current, now);
+            self.end_life_of(&variable, now);
+        }
+    }
+
+    /// What is worth keeping for the next process.
+    pub fn kept(&self) -> impl Iterator<Item = (&VariableKey, &Bytes)> {
+        let restored = |entry: &Entry| entry.declaration.policy != RestorePolicy::Default;
+        let entries = self.entries.iter().filter(move |(_, entry)| restored(entry));
+        entries.map(|(variable, entry)| (variable, &entry.value))
     }
 
     /// An object has gone for good.
@@ -220,19 +250,21 @@ impl Variables {
     pub fn handle_owner_ended(&mut self, object: &ObjectName, now: Instant) {
         let own = |(key, _): &(&VariableKey, &Entry)| &key.0 == object;
         let keys: Vec<_> = self.entries.iter().filter(own).map(|(key, _)| key.clone()).collect();
-        for key in keys {
-            let Some(entry) = self.entries.get(&key) else { continue };
-            let (value, state) = match entry.declaration.policy {
-                RestorePolicy::Restore => continue,
-                RestorePolicy::Default => {
-                    (Some(entry.declaration.default.clone()), ValueState::Current)
-                }
-                RestorePolicy::Hold => (None, ValueState::Held),
-                RestorePolicy::AskFirst => (None, ValueState::Undecided),
-            };
-            self.last_revision += 1;
-            self.set(&key, value, state, now);
-        }
+        keys.iter().for_each(|key| self.end_life_of(key, now));
+    }
+
+    fn end_life_of(&mut self, key: &VariableKey, now: Instant) {
+        let Some(entry) = self.entries.get(key) else { return };
+        let (value, state) = match entry.declaration.policy {
+            RestorePolicy::Restore => return,
+            RestorePolicy::Default => {
+                (Some(entry.declaration.default.clone()), ValueState::Current)
+            }
+            RestorePolicy::Hold => (None, ValueState::Held),
+            RestorePolicy::AskFirst => (None, ValueState::Undecided),
+        };
+        self.last_revision += 1;
+        self.set(key, value, state, now);
     }
 
     /// Somebody has decided what a variable is to be.
@@ -337,7 +369,7 @@ mod tests {
         let mut variables = Variables::new(100);
         for &(name, policy) in all {
             let declaration = Declaration { default: value(0), policy };
-            variables.handle_declared(key(name), declaration, NOW);
+            variables.handle_declared(key(name), declaration, None, NOW);
         }
         variables
     }
@@ -367,6 +399,26 @@ mod tests {
         assert_eq!(now_is(&variables, "target"), undecided);
         variables.handle_write(vec![write("height", 8)], NOW).unwrap();
         assert_eq!(now_is(&variables, "height"), Ok((8, ValueState::Current)));
+    }
+
+    #[test]
+    fn what_was_kept_over_the_process_is_left_as_each_policy_says() {
+        let expected = [
+            (RestorePolicy::Restore, Ok((7, ValueState::Current))),
+            (RestorePolicy::Default, Ok((0, ValueState::Current))),
+            (RestorePolicy::Hold, Ok((7, ValueState::Held))),
+            (RestorePolicy::AskFirst, Err(Why::Undecided { variable: "it of arm".into() })),
+        ];
+        for (policy, left) in expected {
+            let mut variables = Variables::new(100);
+            let declaration = Declaration { default: value(0), policy };
+            variables.handle_declared(key("it"), declaration, Some(value(7)), NOW);
+
+            assert_eq!(now_is(&variables, "it"), left, "{policy:?}");
+            let kept: Vec<_> = variables.kept().map(|(_, value)| value[0]).collect();
+            let worth = policy != RestorePolicy::Default;
+            assert_eq!(kept, if worth { vec![7] } else { vec![] }, "{policy:?}");
+        }
     }
 
     #[test]

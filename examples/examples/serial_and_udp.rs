@@ -5,13 +5,10 @@
 //! as `/dev/serial/by-id/…`.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
-#[path = "../../transports/tests/cable/mod.rs"]
-mod cable;
-
 use blastema::core::net::LinkState;
 use blastema::prelude::*;
 use blastema::{Direction, FaultEvents, Link, Network};
-use cable::Cable;
+use blastema_ptys::Cable;
 use std::net::UdpSocket;
 use std::path::Path;
 use std::time::Duration;

@@ -176,6 +176,11 @@ fn two_nodes_lose_nothing_when_a_cable_is_cut() {
 }
 
 #[test]
+fn names_are_taken_over_by_a_standby_that_was_found_by_itself() {
+    check("names", &["map is at module1:cartographer", "map is at module2:cartographer"]);
+}
+
+#[test]
 fn cable_pulled_leaves_the_arm_moving() {
     check(
         "cable_pulled",

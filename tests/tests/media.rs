@@ -1,14 +1,8 @@
 //! Whole nodes over every medium, on real sockets and ptys, described by endpoint strings.
 
-#[path = "../../transports/tests/adapters/mod.rs"]
-mod adapters;
-#[path = "../../transports/tests/cable/mod.rs"]
-mod cable;
-
-use adapters::Adapters;
 use blastema::prelude::*;
 use blastema::{EndpointProblem, Link, Network};
-use cable::Cable;
+use blastema_ptys::{Adapters, Cable};
 use std::net::{SocketAddr, TcpListener, UdpSocket};
 use std::path::Path;
 use std::time::Duration;
@@ -303,5 +297,41 @@ fn two_nodes_speak_over_can_adapters_whatever_else_these_say() {
         };
 
         speak_over(network(1, "module2", "2"), network(2, "module1", "1")).await;
+    });
+}
+
+#[test]
+fn two_nodes_with_one_address_on_a_bus_are_a_fault_on_both_that_names_them() {
+    blastema::run(async {
+        let bus = Adapters::new();
+        [1, 2].into_iter().for_each(|number| bus.plug(number));
+        let start = async |own: &str, number: u8, peer: &str| {
+            let port = bus.port(number);
+            let endpoint = format!("slcan://{}?bitrate=1000000&address=1", port.display());
+            let network = Network::new("bus", &endpoint).peer(peer, "2");
+            Node::builder(own).network(network).start().await.expect("it starts")
+        };
+        let first = start("module1", 1, "module2").await;
+        let second = start("module2", 2, "module1").await;
+
+        for (node, expected) in [
+            (&first, "node module2 claims the address 1, which this node, module1, has and keeps"),
+            (&second, "node module1 has the address 1, which this node, module2, claims"),
+        ] {
+            let found = async {
+                loop {
+                    let record = node.faults().await;
+                    let mut faults = record.entries.into_iter().map(|entry| entry.fault.detail);
+                    if let Some(detail) = faults.find(|detail| detail.contains(expected)) {
+                        return detail;
+                    }
+                    tokio::task::yield_now().await;
+                }
+            };
+            let detail = tokio::time::timeout(PATIENCE, found).await.expect(expected);
+            assert!(detail.contains("slcan ") && detail.contains("give one of the two another"));
+        }
+        second.shutdown().await;
+        first.shutdown().await;
     });
 }

@@ -4,7 +4,10 @@
 //! is killed when its part is over.
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Link, Network, ServiceSpec, StandbyKind, Stateful};
+use blastema::{
+    ActuatorSpec, Decision, Link, Network, RestorePolicy, Role, ServiceSpec, StandbyKind, Stateful,
+    Transaction,
+};
 use std::net::{SocketAddr, UdpSocket};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -21,12 +24,17 @@ struct Process(Child);
 
 impl Process {
     fn start(role: &str, addresses: &[SocketAddr]) -> Self {
+        Process::start_with(role, addresses, &[])
+    }
+
+    fn start_with(role: &str, addresses: &[SocketAddr], more: &[(&str, &String)]) -> Self {
         let addresses: Vec<String> = addresses.iter().map(SocketAddr::to_string).collect();
         let program = std::env::current_exe().expect("a running program has a path");
         let child = Command::new(program)
             .args(["--exact", "a_process_plays_its_role", "--nocapture"])
             .env(ROLE, role)
             .env(ADDRESSES, addresses.join(","))
+            .envs(more.iter().copied())
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .spawn();
@@ -79,6 +87,7 @@ fn a_process_plays_its_role() {
             "carrier1" => carry_counter(1).await,
             "carrier2" => carry_counter(2).await,
             "carrier3" => carry_counter(3).await,
+            "keeper" => keep_books().await,
             other => panic!("there is no role {other}"),
         }
     });
@@ -178,11 +187,40 @@ async fn carry_counter(number: usize) {
         _ => StandbyKind::Warm,
     };
     let counter = ServiceSpec::new("counter", members, Counter::default).standby(kind);
+    let (in_step, told) = tokio::sync::watch::channel(false);
     let node = Node::builder(&format!("module{number}"))
         .network(ethernet(&addresses(), number))
+        .child(ChildSpec::new("witness", move || Witness(told.clone())))
         .service(counter);
-    let _node = node.start().await.unwrap();
-    std::future::pending::<()>().await;
+    let node = node.start().await.unwrap();
+    loop {
+        let able = match node.service_role("counter") {
+            Some(Role::Primary { .. }) => true,
+            Some(Role::Standby { in_step, .. }) => in_step,
+            None => false,
+        };
+        in_step.send_replace(able);
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+}
+
+/// Whether this node serves, or could.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "counter/ready", reply = bool)]
+struct Ready;
+
+struct Witness(tokio::sync::watch::Receiver<bool>);
+
+impl Component for Witness {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Ready>();
+    }
+}
+
+impl Handle<Ready> for Witness {
+    async fn handle(&mut self, _: Ready, _: &mut Context<Self>) -> bool {
+        *self.0.borrow()
+    }
 }
 
 #[test]
@@ -220,6 +258,55 @@ fn a_service_goes_on_counting_when_the_processes_that_serve_it_are_killed() {
     });
 }
 
+#[test]
+fn a_standby_that_was_killed_has_everything_when_it_is_back_and_takes_over() {
+    let addresses = free_addresses(4);
+    let start = |number: usize| Process::start(&format!("carrier{number}"), &addresses);
+    let mut carriers = [start(1), start(2), start(3)];
+
+    blastema::run(async {
+        let node = Node::builder("module0").network(ethernet(&addresses, 0)).start().await.unwrap();
+        let counter = node.service::<Add>("counter").unwrap();
+        let ready = async |number: usize| {
+            let witness: Sender<Ready> = node.sender(&format!("module{number}:witness")).unwrap();
+            while !witness.ask(Ready).await.unwrap_or(false) {
+                tokio::task::yield_now().await;
+            }
+        };
+        let mut sum = 0;
+        for _ in 0..2 {
+            for _ in 0..20 {
+                sum += 1;
+                assert_eq!(counter.ask_within(Add, PATIENCE).await, Ok(sum));
+            }
+            let serving = primary(&counter).await;
+            let standby = serving % 3 + 1;
+            carriers[standby - 1].kill();
+            sum += 1;
+            assert_eq!(counter.ask_within(Add, PATIENCE).await, Ok(sum), "without the standby");
+            carriers[standby - 1] = start(standby);
+            ready(standby).await;
+
+            // The other one is out of the way: nobody has it all but the one that was killed.
+            let other = 6 - serving - standby;
+            carriers[other - 1].kill();
+            carriers[other - 1] = start(other);
+            let asking = counter.clone();
+            let asked =
+                tokio::task::spawn_local(async move { asking.ask_within(Add, PATIENCE).await });
+            tokio::task::yield_now().await;
+            carriers[serving - 1].kill();
+            sum += 1;
+            assert_eq!(asked.await.unwrap(), Ok(sum), "across both kills");
+            carriers[serving - 1] = start(serving);
+            for number in 1..=3 {
+                ready(number).await;
+            }
+        }
+        node.shutdown().await;
+    });
+}
+
 /// The number of the node that serves.
 async fn primary(counter: &blastema::ServiceRef<Add>) -> usize {
     loop {
@@ -228,4 +315,145 @@ async fn primary(counter: &blastema::ServiceRef<Add>) -> usize {
         }
         tokio::task::yield_now().await;
     }
+}
+
+/// How much came in, and how much is there: always the same, since they are written together.
+#[derive(Clone, Debug, PartialEq, Variable)]
+#[contract(name = "books/income")]
+struct Income(u64);
+
+#[derive(Clone, Debug, PartialEq, Variable)]
+#[contract(name = "books/balance")]
+struct Balance(u64);
+
+/// What may not be used after a restart until somebody has looked.
+#[derive(Clone, Debug, PartialEq, Variable)]
+#[contract(name = "books/plan")]
+struct Intention(u64);
+
+struct Books;
+
+impl Component for Books {
+    fn ports(ports: &mut Ports<Self>) {
+        let plan = VariableSpec::new(Intention(0)).after_restart(RestorePolicy::AskFirst);
+        let refused = |balance: &Balance| match balance.0 {
+            0..1_000_000 => Ok(()),
+            _ => Err("nobody has so much".to_owned()),
+        };
+        let balance = VariableSpec::new(Balance(0)).check(refused);
+        ports.variable(VariableSpec::new(Income(0))).variable(balance).variable(plan);
+    }
+}
+
+fn books(number: usize, addresses: &[SocketAddr], file: &str) -> blastema::NodeBuilder {
+    Node::builder(&format!("module{number}"))
+        .network(ethernet(addresses, number))
+        .child(ChildSpec::new("books", || Books))
+        .keep_variables(file)
+}
+
+async fn keep_books() {
+    let file = std::env::var("BLASTEMA_TEST_FILE").expect("whoever gives the role gives a file");
+    let _node = books(1, &addresses(), &file).start().await.unwrap();
+    std::future::pending::<()>().await;
+}
+
+#[test]
+fn values_that_were_written_are_there_after_the_process_was_killed_in_the_middle_of_writing() {
+    let addresses = free_addresses(2);
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("variables").display().to_string();
+    let start = || Process::start_with("keeper", &addresses, &[("BLASTEMA_TEST_FILE", &file)]);
+    let mut keeper = start();
+
+    blastema::run(async {
+        let node = Node::builder("module0").network(ethernet(&addresses, 0)).start().await.unwrap();
+        let income = node.variable::<Income>("module1:books").unwrap();
+        let balance = node.variable::<Balance>("module1:books").unwrap();
+        let plan = node.variable::<Intention>("module1:books").unwrap();
+        let mut acknowledged = 0;
+        for round in 0..8 {
+            let left = loop {
+                match income.read().await {
+                    Ok(reading) => break reading.value.0,
+                    Err(_) => tokio::task::yield_now().await,
+                }
+            };
+            assert_eq!(balance.read().await.unwrap().value.0, left, "round {round}: together");
+            assert!(left == acknowledged || left == acknowledged + 1, "round {round}: {left}");
+            if round > 0 {
+                let undecided = plan.read().await;
+                assert!(matches!(undecided, Err(Why::Undecided { .. })), "{undecided:?}");
+                plan.decide(Decision::Restore).await.unwrap();
+                assert_eq!(plan.read().await.unwrap().value, Intention(7));
+            }
+            plan.write(Intention(7)).await.unwrap();
+            acknowledged = left;
+            let write = async |sum: u64| {
+                let both = Transaction::new().write(&income, Income(sum));
+                both.write(&balance, Balance(sum)).commit().await
+            };
+            for _ in 0..=round {
+                write(acknowledged + 1).await.unwrap();
+                acknowledged += 1;
+            }
+            // Killed while one more is under way, at another moment each time.
+            let a_while = async {
+                for _ in 0..round * 3 {
+                    tokio::task::yield_now().await;
+                }
+            };
+            tokio::select! {
+                biased;
+                written = write(acknowledged + 1) => {
+                    written.unwrap();
+                    acknowledged += 1;
+                }
+                () = a_while => {}
+            }
+            keeper.kill();
+            keeper = start();
+        }
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_file_of_variables_that_is_damaged_is_set_aside_and_a_fault() {
+    let addresses = free_addresses(2);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("variables");
+    let file = path.display().to_string();
+
+    blastema::run(async {
+        let node = books(1, &addresses, &file).start().await.unwrap();
+        let income = node.variable::<Income>("books").unwrap();
+        income.write(Income(5)).await.unwrap();
+        node.shutdown().await;
+        drop(node);
+        let mut bytes = std::fs::read(&path).unwrap();
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 1;
+        std::fs::write(&path, bytes).unwrap();
+
+        let node = books(1, &addresses, &file).start().await.unwrap();
+        let income = node.variable::<Income>("books").unwrap();
+        assert_eq!(income.read().await.unwrap().value, Income(0), "not what may be wrong");
+        let told = async {
+            loop {
+                let record = node.faults().await;
+                let mut details = record.entries.iter().map(|entry| entry.fault.detail.to_string());
+                if let Some(detail) = details.find(|detail| detail.contains("set aside")) {
+                    break detail;
+                }
+                tokio::task::yield_now().await;
+            }
+        };
+        let detail = tokio::time::timeout(PATIENCE, told).await.expect("the fault list tells");
+        assert!(detail.contains("checksum"), "{detail}");
+        assert!(folder.path().join("variables.damaged").exists());
+        income.write(Income(6)).await.unwrap();
+        assert!(path.exists(), "and it is kept again");
+        node.shutdown().await;
+    });
 }

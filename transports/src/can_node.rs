@@ -9,22 +9,27 @@
 //! frame some bytes, without which the standard cannot send it.
 //!
 //! A frame to [`BusAddress::ALL`] goes to all nodes, once, with nobody's confirmation.
+//!
+//! Before it is open, a node claims its address for a quarter of a second ([`AddressClaim`]). Claims are
+//! messages to all whose checksum is inverted, so that nobody takes them for frames.
 
 use crate::endpoint::CanNodeConfig;
 use crate::frame_medium::{Arrival, FrameMedium, Opening, QueueLimits, Sending};
 use blastema_contract::transport::MediumAddress;
-use blastema_core::can::isotp::{IsoTpRefusals, Separation};
+use blastema_core::can::isotp::{IsoTpRefusals, Separation, TakeError};
 use blastema_core::can::{
-    Addressing, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput,
+    AddressClaim, Addressing, BusAddress, CanFrame, Claim, ClaimOutput, Format, IsoTp, IsoTpConfig,
+    IsoTpOutput, bits_on_bus,
 };
 use blastema_core::{Instant, Machine};
 use bytes::{BufMut, Bytes, BytesMut};
 use crc::{CRC_32_ISCSI, Crc};
 use std::collections::VecDeque;
 use std::future::Future;
+use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::pin::Pin;
-use std::task::{Context, Poll};
+use std::task::{self, Context, Poll};
 use tokio::time::Sleep;
 
 static CHECK: Crc<u32> = Crc::<u32>::new(&CRC_32_ISCSI);
@@ -38,6 +43,9 @@ const TURN: usize = 160;
 pub trait CanPort: Send + 'static {
     /// How people call it; it stands at the beginning of errors.
     fn name(&self) -> String;
+
+    /// How fast the bus is, in bits a second.
+    fn bitrate(&self) -> u32;
 
     /// Opens it, or opens it again after it was closed.
     ///
@@ -75,6 +83,11 @@ pub trait CanPort: Send + 'static {
         now: Instant,
     ) -> Poll<io::Result<Option<CanFrame>>>;
 
+    /// What it has learned of the bus since, if that is as good as cut off, and what helps.
+    fn poll_trouble(&mut self) -> Option<&'static str> {
+        None
+    }
+
     /// Lets go of it.
     fn close(&mut self);
 }
@@ -87,12 +100,23 @@ pub struct CanNode<P> {
     /// The clock on which this arbiter's timers run.
     now: fn() -> Instant,
     machine: Option<IsoTp>,
+    /// Whose the address is.
+    claim: Option<AddressClaim>,
+    standing: Standing,
     /// What the machine had refused when it was last looked at.
     refusals: IsoTpRefusals,
     /// A frame that the bus has not taken yet.
     ready: Option<CanFrame>,
     arrivals: VecDeque<Arrival>,
     timer: Option<(Instant, Pin<Box<Sleep>>)>,
+}
+
+/// How it stands with our address.
+enum Standing {
+    Claiming,
+    Held,
+    /// Another has it.
+    Lost(Claim),
 }
 
 impl<P: CanPort> CanNode<P> {
@@ -108,6 +132,8 @@ impl<P: CanPort> CanNode<P> {
             format,
             now,
             machine: None,
+            claim: None,
+            standing: Standing::Claiming,
             refusals: IsoTpRefusals::default(),
             ready: None,
             arrivals: VecDeque::new(),
@@ -135,12 +161,21 @@ impl<P: CanPort> CanNode<P> {
 
     /// Looks at what the machine has to say.
     fn settle(&mut self) {
-        let Some(machine) = &mut self.machine else { return };
+        let (own, now) = (BusAddress(self.config.address), (self.now)());
+        let (Some(machine), Some(claim)) = (&mut self.machine, &mut self.claim) else { return };
         while let Some(output) = machine.poll_output() {
             let arrival = match output {
                 IsoTpOutput::Received { from, message } => match unseal(message) {
-                    Some(frame) => Arrival::Frame { from: MediumAddress::Can(from.0), frame },
-                    None => Arrival::Refused,
+                    Ok(_) if from == own => continue,
+                    Ok(frame) => Arrival::Frame { from: MediumAddress::Can(from.0), frame },
+                    Err(message) => match unseal_claim(&message) {
+                        Some(found) if from == own => {
+                            claim.handle_claim(found, now);
+                            continue;
+                        }
+                        Some(_) => continue,
+                        None => Arrival::Refused,
+                    },
                 },
                 IsoTpOutput::Sent { .. } => continue,
                 IsoTpOutput::NotSent { to, error, with_it } => {
@@ -152,12 +187,7 @@ impl<P: CanPort> CanNode<P> {
                     Arrival::Refused
                 }
                 IsoTpOutput::AddressTaken => {
-                    let (port, address) = (self.port.name(), self.config.address);
-                    tracing::error!(
-                        %port,
-                        address,
-                        "another node of the bus has our address: give one of the two another"
-                    );
+                    claim.handle_intruder(now);
                     continue;
                 }
             };
@@ -167,6 +197,81 @@ impl<P: CanPort> CanNode<P> {
         let before = std::mem::replace(&mut self.refusals, machine.refusals());
         let more = malformed + unasked + forged - before.malformed - before.unasked - before.forged;
         self.arrivals.extend((0..more).map(|_| Arrival::Refused));
+        self.follow_claim(now);
+    }
+
+    /// Does what the claim to our address wants done.
+    fn follow_claim(&mut self, now: Instant) {
+        let (Some(machine), Some(claim)) = (&mut self.machine, &mut self.claim) else { return };
+        while let Some(output) = claim.poll_output() {
+            match output {
+                ClaimOutput::Say(claim) => {
+                    // Where the queue to all is full, whoever is there is heard anyway.
+                    let _ = machine.handle_urgent(BusAddress::ALL, seal_claim(&claim), now);
+                }
+                ClaimOutput::Held => self.standing = Standing::Held,
+                ClaimOutput::Kept { from } => {
+                    let (address, own) = (self.config.address, own(&self.config));
+                    let text = format!(
+                        "{from} claims the address {address}, which {own} has and keeps: give one \
+                         of the two another, and let its neighbours know"
+                    );
+                    self.arrivals.push_back(Arrival::Clash { text });
+                }
+                ClaimOutput::Lost { to } => self.standing = Standing::Lost(to),
+            }
+        }
+    }
+
+    /// Whether the address is ours.
+    ///
+    /// # Errors
+    /// It is another node's.
+    fn may_speak(&self) -> io::Result<bool> {
+        match &self.standing {
+            Standing::Claiming => Ok(false),
+            Standing::Held => Ok(true),
+            Standing::Lost(to) => {
+                let (address, own) = (self.config.address, own(&self.config));
+                Err(io::Error::other(format!(
+                    "{to} has the address {address}, which {own} claims: give one of the two \
+                     another, and let its neighbours know"
+                )))
+            }
+        }
+    }
+
+    fn send(
+        &mut self,
+        task: &mut Context<'_>,
+        to: &MediumAddress,
+        frame: &Bytes,
+        take: impl FnOnce(&mut IsoTp, BusAddress, Bytes, Instant) -> Result<(), TakeError>,
+    ) -> io::Result<Sending> {
+        let (MediumAddress::Can(to), Some(machine)) = (to, &mut self.machine) else {
+            return Ok(Sending::Dropped);
+        };
+        if let Err(error) = take(machine, BusAddress(*to), seal(frame), (self.now)()) {
+            tracing::trace!(%error, "a frame was not taken for CAN");
+            return Ok(Sending::Dropped);
+        }
+        if self.write(task)? {
+            task.waker().wake_by_ref();
+        }
+        self.settle();
+        Ok(Sending::Sent)
+    }
+
+    /// Moves what can be moved, within a turn. Says whether there may be more.
+    fn carry_on(&mut self, task: &mut Context<'_>) -> io::Result<bool> {
+        let more = self.write(task)?;
+        self.settle();
+        let more = self.read(task)? | more;
+        let more = self.keep_time(task) | more;
+        let trouble = self.port.poll_trouble();
+        self.arrivals.extend(trouble.map(|reason| Arrival::NoCarrier { reason }));
+        self.may_speak()?;
+        Ok(more)
     }
 
     /// Gives the bus what it takes, up to a turn's worth. Says whether there may be more.
@@ -214,14 +319,18 @@ impl<P: CanPort> CanNode<P> {
     /// Lets the machine act on what is due, and leaves a timer for what will be. Says whether anything
     /// was due.
     fn keep_time(&mut self, task: &mut Context<'_>) -> bool {
-        let Some(machine) = &mut self.machine else { return false };
+        let (Some(machine), Some(claim)) = (&mut self.machine, &mut self.claim) else {
+            return false;
+        };
         let now = (self.now)();
-        let Some(due) = machine.poll_timeout() else {
+        let due = machine.poll_timeout().into_iter().chain(claim.poll_timeout()).min();
+        let Some(due) = due else {
             self.timer = None;
             return false;
         };
         if due <= now {
             machine.handle_timeout(now);
+            claim.handle_timeout(now);
             self.settle();
             return true;
         }
@@ -248,6 +357,18 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         QueueLimits { frames: self.config.queue_frames, ..QueueLimits::default() }
     }
 
+    fn bytes_per_second(&self) -> Option<u64> {
+        // Of each part of a message all but one byte is the message's. A faster rate for the data of
+        // CAN FD is not counted on.
+        let part = self.format.capacity();
+        let bits = bits_on_bus(!self.config.short_ids, part);
+        Some((part as u64 - 1) * u64::from(self.port.bitrate()) / bits)
+    }
+
+    fn to_all(&self) -> Option<MediumAddress> {
+        Some(MediumAddress::Can(BusAddress::ALL.0))
+    }
+
     fn open(&mut self) -> io::Result<Opening> {
         self.close();
         let machine = self.build()?;
@@ -258,7 +379,26 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
     }
 
     fn poll_ready(&mut self, task: &mut Context<'_>) -> Poll<io::Result<()>> {
-        self.port.poll_ready(task, (self.now)())
+        let now = (self.now)();
+        task::ready!(self.port.poll_ready(task, now))?;
+        if self.claim.is_none() {
+            let number = RandomState::new().hash_one(0u64) as u32;
+            self.claim = Some(AddressClaim::new(&self.config.name, number, now));
+            self.follow_claim(now);
+        }
+        for _ in 0..TURN {
+            let more = self.carry_on(task)?;
+            // What others say before the address is ours is not for us.
+            self.arrivals.retain(|arrival| matches!(arrival, Arrival::Clash { .. }));
+            if self.may_speak()? {
+                return Poll::Ready(Ok(()));
+            }
+            if !more {
+                return Poll::Pending;
+            }
+        }
+        task.waker().wake_by_ref();
+        Poll::Pending
     }
 
     fn knows(&self, address: &MediumAddress) -> bool {
@@ -271,19 +411,16 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         to: &MediumAddress,
         frame: &Bytes,
     ) -> Poll<io::Result<Sending>> {
-        let (MediumAddress::Can(to), Some(machine)) = (to, &mut self.machine) else {
-            return Poll::Ready(Ok(Sending::Dropped));
-        };
-        let taken = machine.handle_message(BusAddress(*to), seal(frame), (self.now)());
-        if let Err(error) = &taken {
-            tracing::trace!(%error, "a frame was not taken for CAN");
-            return Poll::Ready(Ok(Sending::Dropped));
-        }
-        if self.write(task)? {
-            task.waker().wake_by_ref();
-        }
-        self.settle();
-        Poll::Ready(Ok(Sending::Sent))
+        Poll::Ready(self.send(task, to, frame, IsoTp::handle_message))
+    }
+
+    fn poll_send_urgent(
+        &mut self,
+        task: &mut Context<'_>,
+        to: &MediumAddress,
+        frame: &Bytes,
+    ) -> Poll<io::Result<Sending>> {
+        Poll::Ready(self.send(task, to, frame, IsoTp::handle_urgent))
     }
 
     fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<Arrival>> {
@@ -292,10 +429,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
             if let Some(arrival) = self.arrivals.pop_front() {
                 return Poll::Ready(Ok(arrival));
             }
-            let more = self.write(task)?;
-            self.settle();
-            let more = self.read(task)? | more;
-            if !(self.keep_time(task) | more) && self.arrivals.is_empty() {
+            if !self.carry_on(task)? && self.arrivals.is_empty() {
                 return Poll::Pending;
             }
         }
@@ -305,7 +439,8 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
 
     fn close(&mut self) {
         self.port.close();
-        self.machine = None;
+        (self.machine, self.claim) = (None, None);
+        self.standing = Standing::Claiming;
         self.refusals = IsoTpRefusals::default();
         self.ready = None;
         self.arrivals.clear();
@@ -326,11 +461,36 @@ fn seal(frame: &[u8]) -> Bytes {
     message.freeze()
 }
 
-/// A frame without its checksum, if that is the frame's.
-fn unseal(message: Bytes) -> Option<Bytes> {
-    let (frame, check) = message.split_last_chunk::<CHECK_LENGTH>()?;
-    let length = frame.len();
-    (CHECK.checksum(frame).to_le_bytes() == *check).then(|| message.slice(..length))
+/// A frame without its checksum, if that is the frame's; the message otherwise.
+fn unseal(message: Bytes) -> Result<Bytes, Bytes> {
+    match message.split_last_chunk::<CHECK_LENGTH>() {
+        Some((frame, check)) if CHECK.checksum(frame).to_le_bytes() == *check => {
+            Ok(message.slice(..frame.len()))
+        }
+        _ => Err(message),
+    }
+}
+
+fn seal_claim(claim: &Claim) -> Bytes {
+    let claim = claim.encode();
+    let mut message = BytesMut::with_capacity(claim.len() + CHECK_LENGTH);
+    message.put_slice(&claim);
+    message.put_u32_le(!CHECK.checksum(&claim));
+    message.freeze()
+}
+
+fn unseal_claim(message: &[u8]) -> Option<Claim> {
+    let (claim, check) = message.split_last_chunk::<CHECK_LENGTH>()?;
+    let whole = (!CHECK.checksum(claim)).to_le_bytes() == *check;
+    Claim::decode(claim).filter(|_| whole)
+}
+
+/// How errors call us.
+fn own(config: &CanNodeConfig) -> String {
+    match config.name.as_str() {
+        "" => "this node".to_owned(),
+        name => format!("this node, {name},"),
+    }
 }
 
 #[cfg(test)]
@@ -341,10 +501,21 @@ mod tests {
     fn a_frame_is_told_from_parts_of_two() {
         for length in [0, 1, 7, 100] {
             let frame: Bytes = (0..length).collect();
-            assert_eq!(unseal(seal(&frame)), Some(frame));
+            assert_eq!(unseal(seal(&frame)), Ok(frame));
         }
         let (a, b) = (seal(&[1; 20]), seal(&[2; 20]));
-        assert_eq!(unseal([&a[..13], &b[13..]].concat().into()), None);
-        assert_eq!(unseal(Bytes::from_static(b"abc")), None);
+        assert!(unseal([&a[..13], &b[13..]].concat().into()).is_err());
+        assert!(unseal(Bytes::from_static(b"abc")).is_err());
+    }
+
+    #[test]
+    fn a_claim_is_no_frame_and_a_frame_no_claim() {
+        let claim = Claim { held: true, number: 7, name: "module1".into() };
+        let message = seal_claim(&claim);
+
+        assert_eq!(unseal_claim(&message), Some(claim.clone()));
+        assert!(unseal(message).is_err());
+        assert_eq!(unseal_claim(&seal(&claim.encode())), None);
+        assert_eq!(unseal_claim(b"abc"), None);
     }
 }

@@ -165,10 +165,15 @@ impl Handler<TransportReport> for Faulty {
 
     fn handle(&mut self, message: TransportReport, _: &mut Context<Self>) {
         match message {
-            TransportReport::PeerLost { .. } => self.outlet.report(message),
+            TransportReport::PeerLost { .. }
+            | TransportReport::Clash { .. }
+            | TransportReport::NoCarrier { .. } => {
+                self.outlet.report(message);
+            }
             TransportReport::Rate { bytes_per_second } => {
                 self.outlet.announce_rate(bytes_per_second);
             }
+            TransportReport::Bus { all } => self.outlet.announce_bus(all),
             TransportReport::Opened { .. } | TransportReport::Closed { .. } => {
                 self.state = Some(message);
                 self.announce();

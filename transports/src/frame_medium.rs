@@ -25,6 +25,12 @@ pub trait FrameMedium: Send + 'static {
         None
     }
 
+    /// The address that reaches all nodes at once, where the medium is a bus that all of them hear: one
+    /// hello is said there for all.
+    fn to_all(&self) -> Option<MediumAddress> {
+        None
+    }
+
     /// Opens it, or opens it again after it was lost or closed.
     ///
     /// # Errors
@@ -44,6 +50,12 @@ pub trait FrameMedium: Send + 'static {
     /// Whether an address can be one of this medium. A frame to another is refused.
     fn knows(&self, address: &MediumAddress) -> bool;
 
+    /// Ready when the medium can begin with another frame. Until then it is not yet chosen, so that an
+    /// urgent one may still go before those that wait.
+    fn poll_room(&mut self, _: &mut Context<'_>) -> Poll<()> {
+        Poll::Ready(())
+    }
+
     /// Gives a frame to the medium. Where the answer is `Pending`, it is called with the same frame
     /// again, until it is ready or the medium is closed.
     ///
@@ -55,6 +67,19 @@ pub trait FrameMedium: Send + 'static {
         to: &MediumAddress,
         frame: &Bytes,
     ) -> Poll<io::Result<Sending>>;
+
+    /// The same for an urgent frame. For a medium that holds frames back itself; others see no difference.
+    ///
+    /// # Errors
+    /// As [`poll_send`](FrameMedium::poll_send).
+    fn poll_send_urgent(
+        &mut self,
+        task: &mut Context<'_>,
+        to: &MediumAddress,
+        frame: &Bytes,
+    ) -> Poll<io::Result<Sending>> {
+        self.poll_send(task, to, frame)
+    }
 
     /// Takes what the medium has. It is also the place to look after whatever must go on by itself.
     ///
@@ -101,6 +126,16 @@ pub enum Arrival {
         /// How many.
         frames: u64,
     },
+    /// The medium is open, but has found that nobody is at its other end.
+    NoCarrier {
+        /// What it found, and what helps.
+        reason: &'static str,
+    },
+    /// Another wants our place on the medium, and does not get it: somebody is to be told.
+    Clash {
+        /// Who, and what helps.
+        text: String,
+    },
     /// A connection with this peer is gone (media with connections only).
     PeerLost {
         /// Who.
@@ -108,7 +143,8 @@ pub enum Arrival {
     },
 }
 
-/// How much may wait for a medium; beyond, frames are dropped and counted.
+/// How much may wait for a medium, of urgent frames and of usual ones each; beyond, frames are dropped and
+/// counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct QueueLimits {
     /// So many frames.

@@ -1,13 +1,13 @@
 //! The body around any [`FrameMedium`].
 
 use crate::frame_medium::{Arrival, FrameMedium, Opening, Sending};
+use crate::lanes::Lanes;
 use crate::medium::{BUDGET, Medium, transport};
 use crate::outlet::Outlet;
 use crate::reopening::Reopening;
 use actix::Context;
-use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
+use blastema_contract::transport::{Lane, MediumAddress, Transmit, TransportReport};
 use bytes::Bytes;
-use std::collections::VecDeque;
 use std::io;
 use std::task::{self, Poll};
 
@@ -21,8 +21,15 @@ pub struct FrameTransport {
     /// Being opened.
     opening: Option<Opening>,
     open: Option<Opening>,
-    queue: VecDeque<(MediumAddress, Bytes)>,
-    queued_bytes: usize,
+    queue: Lanes<(MediumAddress, Bytes)>,
+    /// The frame that the medium has begun with.
+    going: Option<Going>,
+}
+
+struct Going {
+    lane: Lane,
+    to: MediumAddress,
+    frame: Bytes,
 }
 
 impl FrameTransport {
@@ -34,8 +41,8 @@ impl FrameTransport {
             reopening: Reopening::default(),
             opening: None,
             open: None,
-            queue: VecDeque::new(),
-            queued_bytes: 0,
+            queue: Lanes::default(),
+            going: None,
         }
     }
 
@@ -59,6 +66,9 @@ impl FrameTransport {
                     self.reopening.reset();
                     self.open = self.opening.take();
                     self.outlet.announce(TransportReport::Opened { local, mtu });
+                    if let Some(all) = self.medium.to_all() {
+                        self.outlet.announce_bus(all);
+                    }
                     if let Some(rate) = self.medium.bytes_per_second() {
                         self.outlet.announce_rate(rate);
                     }
@@ -79,16 +89,27 @@ impl FrameTransport {
     /// Says whether the medium is still there.
     fn write(&mut self, task: &mut task::Context<'_>) -> bool {
         for _ in 0..BUDGET {
-            let Some((to, frame)) = self.queue.front() else { return true };
-            match self.medium.poll_send(task, to, frame) {
+            if self.going.is_none() {
+                // Chosen as late as can be: what is urgent may come while the medium is busy.
+                if self.queue.is_empty() || self.medium.poll_room(task).is_pending() {
+                    return true;
+                }
+                let next = self.queue.pop();
+                self.going = next.map(|(lane, (to, frame))| Going { lane, to, frame });
+            }
+            let Some(Going { lane, to, frame }) = &self.going else { return true };
+            let sent = match lane {
+                Lane::Urgent => self.medium.poll_send_urgent(task, to, frame),
+                Lane::Usual => self.medium.poll_send(task, to, frame),
+            };
+            match sent {
                 Poll::Pending => return true,
                 Poll::Ready(Ok(sending)) => {
                     match sending {
                         Sending::Sent => self.outlet.counters.sent += 1,
                         Sending::Dropped => self.outlet.counters.dropped += 1,
                     }
-                    self.queued_bytes -= frame.len();
-                    self.queue.pop_front();
+                    self.going = None;
                 }
                 Poll::Ready(Err(error)) => {
                     self.outlet.counters.errors += 1;
@@ -114,6 +135,13 @@ impl FrameTransport {
                 Poll::Ready(Ok(Arrival::Lost { frames })) => {
                     self.outlet.counters.dropped += frames;
                     self.outlet.counters.errors += 1;
+                }
+                Poll::Ready(Ok(Arrival::NoCarrier { reason })) => {
+                    self.outlet.report(TransportReport::NoCarrier { reason });
+                }
+                Poll::Ready(Ok(Arrival::Clash { text })) => {
+                    let reason = format!("{}: {text}", self.medium.name());
+                    self.outlet.report(TransportReport::Clash { reason });
                 }
                 Poll::Ready(Ok(Arrival::PeerLost { peer })) => {
                     self.outlet.report(TransportReport::PeerLost { peer });
@@ -141,7 +169,7 @@ impl Medium for FrameTransport {
     }
 
     fn transmit(&mut self, message: Transmit) {
-        let Transmit { to, frame } = message;
+        let Transmit { to, frame, lane } = message;
         if !self.medium.knows(&to) {
             self.outlet.counters.refused += 1;
             return;
@@ -150,16 +178,11 @@ impl Medium for FrameTransport {
             self.outlet.counters.dropped += 1;
             return;
         };
-        let limits = self.medium.queue();
-        if frame.len() > mtu {
+        let (limits, bytes) = (self.medium.queue(), frame.len());
+        if bytes > mtu {
             self.outlet.counters.refused += 1;
-        } else if self.queue.len() >= limits.frames
-            || self.queued_bytes + frame.len() > limits.bytes
-        {
+        } else if !self.queue.push(lane, (to, frame), bytes, limits) {
             self.outlet.counters.dropped += 1;
-        } else {
-            self.queued_bytes += frame.len();
-            self.queue.push_back((to, frame));
         }
     }
 
@@ -178,9 +201,8 @@ impl Medium for FrameTransport {
     fn shut(&mut self) {
         (self.opening, self.open) = (None, None);
         self.medium.close();
-        self.outlet.counters.dropped += self.queue.len() as u64;
-        self.queue.clear();
-        self.queued_bytes = 0;
+        self.outlet.counters.dropped += self.queue.clear();
+        self.outlet.counters.dropped += u64::from(self.going.take().is_some());
     }
 }
 

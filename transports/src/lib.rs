@@ -8,6 +8,8 @@
 //!   a panic the next life opens at the same address and knows who is attached.
 //! * `outlet.rs`: frames go to whoever is attached, never more than a few hundred unconfirmed; a
 //!   receiver that hangs makes the medium's own buffers overflow, not the process.
+//! * `lanes.rs`: what waits for a medium waits in two lanes, so that hellos and acknowledgements go before
+//!   what is long.
 //! * `reopening.rs`: a medium that cannot be opened is tried again, with back-off.
 //! * `can_node.rs`: what CAN sockets and CAN adapters share: messages longer than a frame.
 //! * `binding.rs`, `part.rs`: what the media with sockets share.
@@ -26,6 +28,7 @@ pub mod endpoint;
 pub mod fault;
 pub mod frame_medium;
 mod frame_transport;
+mod lanes;
 mod medium;
 #[cfg(feature = "memory")]
 pub mod memory;

@@ -198,7 +198,7 @@ impl Medium for Memory {
     }
 
     fn transmit(&mut self, message: Transmit) {
-        let Transmit { to, frame } = message;
+        let Transmit { to, frame, .. } = message;
         let counters = &mut self.outlet.counters;
         let MediumAddress::Memory(to) = to else {
             counters.refused += 1;

@@ -28,6 +28,8 @@ pub(crate) struct Outlet {
     state: Option<TransportReport>,
     /// How much the medium carries, where that is little.
     rate: Option<u64>,
+    /// Where all nodes are reached at once, on a bus.
+    bus: Option<MediumAddress>,
     unconfirmed: VecDeque<Pin<Box<RecipientRequest<Received>>>>,
     in_batch: usize,
 }
@@ -48,10 +50,21 @@ impl Outlet {
         }
     }
 
+    /// The medium is a bus; it is reported now, and after each opening.
+    pub(crate) fn announce_bus(&mut self, all: MediumAddress) {
+        if self.bus.as_ref() != Some(&all) {
+            self.bus = Some(all.clone());
+            self.report(TransportReport::Bus { all });
+        }
+    }
+
     fn report_state(&self) {
         let Some(state) = self.state.clone() else { return };
         let open = matches!(state, TransportReport::Opened { .. });
         self.report(state);
+        if let Some(all) = self.bus.clone().filter(|_| open) {
+            self.report(TransportReport::Bus { all });
+        }
         if let Some(bytes_per_second) = self.rate.filter(|_| open) {
             self.report(TransportReport::Rate { bytes_per_second });
         }

@@ -1,6 +1,8 @@
 //! Datagrams over IP: one frame is one datagram, to one peer or to all who hear a group.
 
 use crate::binding::{Binding, confine, explain};
+use crate::frame_medium::QueueLimits;
+use crate::lanes::Lanes;
 use crate::medium::{Budget, Medium, transport};
 use crate::multicast;
 use crate::outlet::Outlet;
@@ -10,7 +12,6 @@ use actix::Context;
 use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use bytes::{BufMut, Bytes, BytesMut};
 use socket2::{Domain, Protocol, Socket, Type};
-use std::collections::VecDeque;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::task::{self, Poll};
@@ -95,7 +96,9 @@ pub struct Udp {
     socket: Option<UdpSocket>,
     /// Hears the group, if there is one, beside our own socket.
     ear: Option<UdpSocket>,
-    queue: VecDeque<(SocketAddr, Bytes)>,
+    queue: Lanes<(SocketAddr, Bytes)>,
+    /// The one that the kernel had no room for.
+    going: Option<(SocketAddr, Bytes)>,
     buffer: BytesMut,
     errors_in_a_row: u32,
 }
@@ -110,7 +113,8 @@ impl Udp {
             reopening: Reopening::default(),
             socket: None,
             ear: None,
-            queue: VecDeque::new(),
+            queue: Lanes::default(),
+            going: None,
             buffer: BytesMut::new(),
             errors_in_a_row: 0,
         }
@@ -158,9 +162,9 @@ impl Udp {
 
     /// Sends what waits, until the kernel has no more room.
     fn write(&mut self, task: &mut task::Context<'_>) {
-        while let Some((to, frame)) = self.queue.pop_front() {
+        while let Some((to, frame)) = self.going.take().or_else(|| Some(self.queue.pop()?.1)) {
             let Some(frame) = self.send(to, frame) else { continue };
-            self.queue.push_front((to, frame));
+            self.going = Some((to, frame));
             let ready = self.socket.as_ref().map(|socket| socket.poll_send_ready(task));
             let Some(Poll::Ready(Ok(()))) = ready else { return };
         }
@@ -264,7 +268,7 @@ impl Medium for Udp {
     }
 
     fn transmit(&mut self, message: Transmit) {
-        let Transmit { to, frame } = message;
+        let Transmit { to, frame, lane } = message;
         let MediumAddress::Ip(to) = to else {
             self.outlet.counters.refused += 1;
             return;
@@ -273,12 +277,12 @@ impl Medium for Udp {
             self.outlet.counters.refused += 1;
             return;
         }
-        // Nothing overtakes what waits already.
-        let left = if self.queue.is_empty() { self.send(to, frame) } else { Some(frame) };
-        let Some(frame) = left else { return };
-        if self.queue.len() < self.config.queue_frames {
-            self.queue.push_back((to, frame));
-        } else {
+        // Nothing overtakes what waits already, but for the urgent.
+        let waits = self.going.is_some() || !self.queue.is_empty();
+        let Some(frame) = (if waits { Some(frame) } else { self.send(to, frame) }) else { return };
+        let limits = QueueLimits { frames: self.config.queue_frames, bytes: usize::MAX };
+        let bytes = frame.len();
+        if !self.queue.push(lane, (to, frame), bytes, limits) {
             self.outlet.counters.dropped += 1;
         }
     }
@@ -296,8 +300,8 @@ impl Medium for Udp {
 
     fn shut(&mut self) {
         (self.socket, self.ear) = (None, None);
-        self.outlet.counters.dropped += self.queue.len() as u64;
-        self.queue.clear();
+        self.outlet.counters.dropped += self.queue.clear();
+        self.outlet.counters.dropped += u64::from(self.going.take().is_some());
         self.buffer = BytesMut::new();
         self.errors_in_a_row = 0;
     }

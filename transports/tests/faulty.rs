@@ -37,7 +37,7 @@ impl Bench {
             let frame = vec![number].into();
             Transport::from(self.cable.clone())
                 .transmit
-                .do_send(Transmit { to: self.medium.local(), frame });
+                .do_send(Transmit::new(self.medium.local(), frame));
         }
     }
 
@@ -205,7 +205,7 @@ fn a_partition_parts_from_some_peers_and_says_nothing() {
         let bench = Bench::new(1).await;
         let peer = |name: &str| MediumAddress::Memory(name.into());
         let send = |to: &str, number: u8| {
-            let message = Transmit { to: peer(to), frame: vec![number].into() };
+            let message = Transmit::new(peer(to), vec![number].into());
             bench.cable.do_send(message);
         };
         let partition = |peers: &[&str]| Partition {

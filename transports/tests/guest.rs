@@ -67,7 +67,7 @@ impl End {
     }
 
     fn send(&self, to: MediumAddress, frame: Bytes) {
-        self.transport.transmit.do_send(Transmit { to, frame });
+        self.transport.transmit.do_send(Transmit::new(to, frame));
     }
 
     /// Sends both ways until that was received: what comes back may lose its first words.
@@ -162,6 +162,25 @@ fn an_interface_that_carries_no_fd_frames_is_refused_with_what_helps() {
         let reason = end.closed().await;
 
         assert!(reason.contains("fd on"), "{reason}");
+    });
+}
+
+#[test]
+fn a_controller_that_leaves_the_bus_is_closed_at_once_and_told_why() {
+    in_real_time(async {
+        sh("/sbin/ip link add vcan7 type vcan");
+        sh("/sbin/ip link set vcan7 up");
+        let end = End::can("vcan7", 1);
+        end.opened().await;
+
+        // What the kernel says of a controller that has had too many errors: nobody makes those here.
+        let other = CanFdSocket::open("vcan7").unwrap();
+        let word = [&0x2000_0040_u32.to_ne_bytes()[..], &[8, 0, 0, 0], &[0; 8]].concat();
+        assert_eq!(rustix::io::write(&other, &word), Ok(16));
+
+        let reason = end.closed().await;
+        assert!(reason.contains("off the bus") && reason.contains("restart-ms"), "{reason}");
+        end.opened().await;
     });
 }
 

@@ -1,15 +1,14 @@
 //! What only serial lines do, on real ptys.
 
-mod cable;
-
 use actix::prelude::*;
 use blastema_contract::transport::{
-    Attach, MediumAddress, ReadCounters, Received, Transmit, TransportCounters, TransportReport,
+    Attach, Lane, MediumAddress, ReadCounters, Received, Transmit, TransportCounters,
+    TransportReport,
 };
 use blastema_doubles::{PATIENCE, Probe, advance, paused};
+use blastema_ptys::Cable;
 use blastema_transports::serial::framing::encode;
 use blastema_transports::{FrameTransport, SerialConfig, SerialLine};
-use cable::Cable;
 use std::future::Future;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -59,7 +58,7 @@ impl Node {
     }
 
     fn send(&self, frame: impl Into<bytes::Bytes>) {
-        self.transport.do_send(Transmit { to: MediumAddress::Line, frame: frame.into() });
+        self.transport.do_send(Transmit::new(MediumAddress::Line, frame.into()));
     }
 
     async fn counters(&self) -> TransportCounters {
@@ -261,5 +260,37 @@ fn the_line_is_given_no_more_than_its_speed_carries() {
         assert_eq!(right.frames.drain()[0].frame, vec![7; 400]);
         // The first piece goes out at once, and how late the rest arrives is the system's business.
         assert!(milliseconds > 350, "400 bytes took {milliseconds} ms at 1,000 bytes a second");
+    });
+}
+
+#[test]
+fn what_is_urgent_waits_for_one_frame_of_a_full_line_and_no_more() {
+    paused(async {
+        let cable = Cable::new();
+        let left = Node::open(cable.left(), 9_600).await;
+        let right = Node::open(cable.right(), 9_600).await;
+        let bulk = |number: u8| Transmit::new(MediumAddress::Line, vec![number; 600].into());
+
+        // More than there is room for.
+        (0..20).for_each(|number| left.transport.do_send(bulk(number)));
+        left.counted(|counters| counters.dropped >= 17).await;
+        let TransportCounters { dropped, .. } = left.counters().await;
+        for hello in ["hello", "acknowledged"] {
+            let (to, lane) = (MediumAddress::Line, Lane::Urgent);
+            left.transport.do_send(Transmit { to, frame: hello.into(), lane });
+        }
+        let mut came = Vec::new();
+        for _ in 0..100_000 {
+            advance(Duration::from_millis(10)).await;
+            came.extend(right.frames.drain().into_iter().map(|received| received.frame));
+            if came.len() as u64 == 22 - dropped {
+                break;
+            }
+        }
+
+        assert_eq!(came[0], vec![0; 600], "it had begun");
+        assert_eq!((&came[1][..], &came[2][..]), (&b"hello"[..], &b"acknowledged"[..]));
+        assert_eq!(came[3], vec![1; 600]);
+        assert_eq!(left.counters().await.dropped, dropped, "the urgent have a lane of their own");
     });
 }

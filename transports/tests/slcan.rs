@@ -1,13 +1,11 @@
 //! What is particular to CAN adapters on serial ports, on a bus of ptys.
 
-mod adapters;
-
 use actix::Actor;
-use adapters::Adapters;
 use blastema_contract::transport::{
-    Attach, MediumAddress, ReadCounters, Received, Transmit, Transport, TransportReport,
+    Attach, Close, MediumAddress, ReadCounters, Received, Transmit, Transport, TransportReport,
 };
 use blastema_doubles::Probe;
+use blastema_ptys::Adapters;
 use blastema_transports::{FrameTransport, SlcanBus, SlcanConfig};
 use std::future::Future;
 
@@ -51,7 +49,7 @@ impl End {
 
     fn send(&self, to: u8, frame: &'static str) {
         let to = MediumAddress::Can(to);
-        self.transport.transmit.do_send(Transmit { to, frame: frame.into() });
+        self.transport.transmit.do_send(Transmit::new(to, frame.into()));
     }
 
     async fn expect(&self, from: u8, frame: &'static str) {
@@ -76,7 +74,7 @@ fn several_nodes_share_a_bus_and_one_can_speak_to_all() {
 
         ends[0].send(2, "to the second, and in more than one CAN frame");
         ends[1].expect(1, "to the second, and in more than one CAN frame").await;
-        let all = Transmit { to: ALL, frame: "to all, and in more than one CAN frame".into() };
+        let all = Transmit::new(ALL, "to all, and in more than one CAN frame".into());
         ends[3].transport.transmit.do_send(all);
 
         for end in &ends[..3] {
@@ -199,5 +197,83 @@ fn nodes_with_short_identifiers_understand_each_other() {
         b.expect(3, "eleven bits are enough for thirty nodes").await;
         b.send(255, "all");
         a.expect(30, "all").await;
+    });
+}
+
+#[test]
+fn who_comes_second_with_an_address_is_silent_until_it_is_free_and_both_are_told() {
+    run(async {
+        let bus = Adapters::new();
+        (1..=3).for_each(|number| bus.plug(number));
+        let named = |number: u8, address: u8, name: &'static str| {
+            End::with(&bus, number, |config| {
+                (config.node.address, config.node.name) = (address, name.into());
+            })
+        };
+        let (first, other) = (named(1, 7, "zebra"), named(3, 9, "other"));
+        first.opened().await;
+        other.opened().await;
+
+        let second = named(2, 7, "adder");
+        let reason = second.closed().await;
+        let clash = |report: &TransportReport| matches!(report, TransportReport::Clash { .. });
+        let TransportReport::Clash { reason: told } = first.reports.wait(clash).await else {
+            unreachable!("it was waited for")
+        };
+
+        let port = |number: u8| format!("slcan {}", bus.port(number).display());
+        let lost = "node zebra has the address 7, which this node, adder, claims: give one of the two another";
+        assert!(reason.starts_with(&port(2)) && reason.contains(lost), "{reason}");
+        let kept = "node adder claims the address 7, which this node, zebra, has and keeps: give one of the two another";
+        assert!(told.starts_with(&port(1)) && told.contains(kept), "{told}");
+        other.send(7, "to the one who has it");
+        first.expect(9, "to the one who has it").await;
+        assert_eq!(second.frames.recorded(), 0);
+
+        first.transport.close.do_send(Close);
+        second.opened().await;
+        other.send(7, "to the one who has it now");
+        second.expect(9, "to the one who has it now").await;
+    });
+}
+
+#[test]
+fn a_bus_on_which_nobody_confirms_is_reported_once_with_what_to_do_and_stays_open() {
+    run(async {
+        let bus = Adapters::new();
+        [1, 2].into_iter().for_each(|number| bus.plug(number));
+        let (a, b) = (End::new(&bus, 1), End::new(&bus, 2));
+        a.opened().await;
+        b.opened().await;
+
+        bus.trouble(1, 0xa0);
+        let trouble =
+            |report: &TransportReport| matches!(report, TransportReport::NoCarrier { .. });
+        let told = a.reports.wait(trouble).await;
+
+        let TransportReport::NoCarrier { reason } = told else { unreachable!("it was waited for") };
+        assert!(reason.contains("check its wires"), "{reason}");
+        a.send(2, "for it is not closed");
+        b.expect(1, "for it is not closed").await;
+    });
+}
+
+#[test]
+fn an_adapter_with_can_fd_carries_frames_of_64_bytes_and_one_without_says_so() {
+    run(async {
+        let bus = Adapters::new();
+        [1, 2].into_iter().for_each(|number| bus.plug(number));
+        let fd = |number| End::with(&bus, number, |config| config.fd = true);
+        let (a, b) = (fd(1), fd(2));
+        a.opened().await;
+        b.opened().await;
+        a.send(2, "more than eight bytes, and less than sixty-four");
+        b.expect(1, "more than eight bytes, and less than sixty-four").await;
+
+        bus.plug(3);
+        let wrong =
+            End::with(&bus, 3, |config| (config.fd, config.data_bitrate) = (true, 3_000_000));
+        let reason = wrong.closed().await;
+        assert!(reason.contains("choose 2 or 5 Mbit/s, or leave fd out"), "{reason}");
     });
 }

@@ -36,7 +36,7 @@ impl Node {
     }
 
     fn send(&self, to: SocketAddr, frame: &'static str) {
-        self.transport.do_send(Transmit { to: MediumAddress::Ip(to), frame: frame.into() });
+        self.transport.do_send(Transmit::new(MediumAddress::Ip(to), frame.into()));
     }
 
     async fn counters(&self) -> TransportCounters {
@@ -222,7 +222,7 @@ fn what_waits_for_a_peer_that_does_not_read_is_bounded() {
 
         for _ in 0..1000 {
             let frame = vec![7; 32 * 1024].into();
-            node.transport.send(Transmit { to: known.clone(), frame }).await.unwrap();
+            node.transport.send(Transmit::new(known.clone(), frame)).await.unwrap();
         }
 
         let TransportCounters { sent, dropped, .. } = node.counters().await;

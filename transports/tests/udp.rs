@@ -48,7 +48,7 @@ fn peers_who_do_not_listen_or_cannot_be_reached_keep_nobody_from_the_others() {
         let foreign: SocketAddr = "[::1]:7400".parse().unwrap();
 
         for to in [deaf, foreign, deaf, foreign, local] {
-            transport.do_send(Transmit { to: MediumAddress::Ip(to), frame: "hello".into() });
+            transport.do_send(Transmit::new(MediumAddress::Ip(to), "hello".into()));
         }
 
         assert_eq!(frames.expect().await.from, MediumAddress::Ip(local));
@@ -97,12 +97,12 @@ fn one_frame_to_a_group_reaches_all_others_who_hear_it_and_they_can_answer() {
         let (b, _, to_b) = open(hearing(group)).await;
         let (_c, _, to_c) = open(hearing(group)).await;
 
-        a.do_send(Transmit { to: MediumAddress::Ip(group), frame: "who is there".into() });
+        a.do_send(Transmit::new(MediumAddress::Ip(group), "who is there".into()));
         let heard = to_b.expect().await;
         assert_eq!((heard.from, &heard.frame[..]), (MediumAddress::Ip(at_a), &b"who is there"[..]));
         assert_eq!(to_c.expect().await.from, MediumAddress::Ip(at_a));
 
-        b.do_send(Transmit { to: MediumAddress::Ip(at_a), frame: "b is".into() });
+        b.do_send(Transmit::new(MediumAddress::Ip(at_a), "b is".into()));
         assert_eq!(to_a.expect().await.frame, "b is", "and not what a has said itself");
         assert_eq!(to_c.recorded(), 0);
     });
@@ -115,8 +115,8 @@ fn who_does_not_hear_the_group_is_left_alone() {
         let (a, _, _to_a) = open(hearing(ours)).await;
         let (_b, at_b, to_b) = open(hearing(theirs)).await;
 
-        a.do_send(Transmit { to: MediumAddress::Ip(ours), frame: "to nobody".into() });
-        a.do_send(Transmit { to: MediumAddress::Ip(at_b), frame: "to b".into() });
+        a.do_send(Transmit::new(MediumAddress::Ip(ours), "to nobody".into()));
+        a.do_send(Transmit::new(MediumAddress::Ip(at_b), "to b".into()));
 
         assert_eq!(to_b.expect().await.frame, "to b");
     });
@@ -132,7 +132,7 @@ fn an_interface_binds_a_socket_to_it_and_one_that_is_missing_is_named() {
         };
         let (a, _, _to_a) = open(on("lo")).await;
         let (_b, at_b, to_b) = open(on("lo")).await;
-        a.do_send(Transmit { to: MediumAddress::Ip(at_b), frame: "hello".into() });
+        a.do_send(Transmit::new(MediumAddress::Ip(at_b), "hello".into()));
         assert_eq!(to_b.expect().await.frame, "hello");
 
         let (frames, reports) = (Probe::<Received>::start(), Probe::start());

@@ -50,7 +50,7 @@ impl Node {
 
     fn send(&self, to: &Path, frame: &'static str) {
         let to = MediumAddress::Unix(to.into());
-        self.transport.do_send(Transmit { to, frame: frame.into() });
+        self.transport.do_send(Transmit::new(to, frame.into()));
     }
 }
 

@@ -12,9 +12,10 @@ use crate::variable::Store;
 use actix::Recipient;
 use blastema_contract::reports::{Exited, FaultDeclared, FaultMended, StateReported};
 use blastema_core::spelling::nearest;
+use blastema_core::{FaultKind, ObjectName};
 use std::collections::BTreeSet;
 use std::sync::Arc;
-use tracing::error;
+use tracing::{error, warn};
 
 /// Who is told what guards and components report. Whoever is not named is not told.
 #[derive(Clone, Default)]
@@ -42,6 +43,21 @@ pub(crate) struct HostEnvironment {
     pub(crate) fault_codes: Arc<BTreeSet<Arc<str>>>,
 }
 
+impl Reports {
+    /// A fault of one of the middleware's own objects.
+    pub(crate) fn declare(&self, object: &str, detail: String) {
+        warn!(object, "{detail}");
+        if let (Some(faults), Ok(object)) = (&self.faults, ObjectName::new(object)) {
+            let (incarnation, kind) =
+                (crate::guardian::alive().incarnation, FaultKind::CheckFailed);
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        }
+    }
+}
+
+/// Under this name stands what is wrong with the variables' file.
+pub(crate) const KEPT_VARIABLES: &str = "variables";
+
 impl HostEnvironment {
     /// What is told of a fault of the application's own, and that nobody declared its code.
     pub(crate) fn checked_detail(&self, code: &str, detail: String) -> String {
@@ -61,6 +77,12 @@ impl HostEnvironment {
             true => text,
             false => format!("{detail} ({text})"),
         }
+    }
+
+    /// What was wrong with values that were to be restored.
+    pub(crate) fn declare_complaints(&self) {
+        let complaints = self.variables.complaints();
+        complaints.into_iter().for_each(|detail| self.reports.declare(KEPT_VARIABLES, detail));
     }
 
     /// An environment of its own, whose components live on `arbiters`.

@@ -5,9 +5,10 @@ use crate::platform;
 use crate::registry::{Asked, RemoteDoor, RemoteDoors};
 use actix::Recipient;
 use blastema_contract::session::{Credit, Lender};
-use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, Why};
+use blastema_core::net::session::PAYLOAD_MAX;
+use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, ObjectName, Why};
 use bytes::Bytes;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering::Relaxed};
@@ -31,9 +32,15 @@ pub(super) struct Doors {
 pub(super) struct Gate {
     node: NodeName,
     condition: AtomicU8,
+    /// A path leads there, or perhaps the session waits for one.
+    path: AtomicBool,
     isolated: AtomicBool,
     under_way: AtomicUsize,
     bytes_under_way: AtomicUsize,
+    /// Its objects that have no room: as many as this node sends to at most.
+    full: Mutex<BTreeSet<ObjectName>>,
+    /// There are some; to be looked at without the lock.
+    any_full: AtomicBool,
     changed: Notify,
 }
 
@@ -69,6 +76,12 @@ impl Gate {
         self.changed.notify_waiters();
     }
 
+    /// A path leads there, or does no more.
+    pub(super) fn set_path(&self, path: bool) {
+        self.path.store(path, Relaxed);
+        self.changed.notify_waiters();
+    }
+
     pub(super) fn is_open(&self) -> bool {
         self.condition() == Condition::Open && !self.is_isolated()
     }
@@ -86,6 +99,36 @@ impl Gate {
     /// A session is open, whether it has room or not.
     pub(super) fn has_session(&self) -> bool {
         matches!(self.condition(), Condition::Open | Condition::Full)
+    }
+
+    fn lock_full(&self) -> MutexGuard<'_, BTreeSet<ObjectName>> {
+        self.full.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// This object there has no room, or has it again.
+    pub(super) fn set_room(&self, object: ObjectName, room: bool) {
+        let mut full = self.lock_full();
+        if room {
+            full.remove(&object);
+        } else {
+            full.insert(object);
+        }
+        self.any_full.store(!full.is_empty(), Relaxed);
+        drop(full);
+        if room {
+            self.changed.notify_waiters();
+        }
+    }
+
+    /// What was said of objects there does not count any more.
+    pub(super) fn forget_rooms(&self) {
+        self.lock_full().clear();
+        self.any_full.store(false, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    fn is_full(&self, object: &ObjectName) -> bool {
+        self.any_full.load(Relaxed) && self.lock_full().contains(object)
     }
 
     /// More may be under way, up to this share of all.
@@ -107,7 +150,7 @@ impl Gate {
         (messages < UNDER_WAY_MAX && before < BYTES_UNDER_WAY_MAX).then_some(credit)
     }
 
-    fn check(&self) -> Result<(), Why> {
+    fn check(&self, object: &ObjectName) -> Result<(), Why> {
         if self.is_isolated() {
             return Err(Why::Isolated);
         }
@@ -116,26 +159,26 @@ impl Gate {
             Condition::Opening => Err(Why::Restarting),
             Condition::Full => Err(Why::Full),
             Condition::Left => Err(Why::Left { node: self.node.to_string() }),
-            Condition::Open if !self.has_room(1) => Err(Why::Full),
+            Condition::Open if !self.has_room(1) || self.is_full(object) => Err(Why::Full),
             Condition::Open => Ok(()),
         }
     }
 
-    /// Completes when a session is open.
+    /// Completes when a session is open, and a path leads there.
     async fn opened(&self) {
         loop {
             let changed = self.changed.notified();
-            if self.has_session() {
+            if self.has_session() && self.path.load(Relaxed) {
                 return;
             }
             changed.await;
         }
     }
 
-    async fn room(&self) {
+    async fn room(&self, object: &ObjectName) {
         loop {
             let changed = self.changed.notified();
-            match self.check() {
+            match self.check(object) {
                 Err(Why::Full | Why::Restarting) => changed.await,
                 // Whatever else stands in the way is told by the next attempt.
                 _ => return,
@@ -165,7 +208,7 @@ impl Doors {
         self.gates.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Completes when a session with this node is open.
+    /// Completes when a session with this node is open, and a path leads there.
     pub(super) async fn opened(&self, node: &NodeName) {
         self.gate(node).opened().await;
     }
@@ -177,9 +220,12 @@ impl Doors {
             Arc::new(Gate {
                 node: node.clone(),
                 condition: AtomicU8::new(Condition::Unreachable as u8),
+                path: AtomicBool::new(false),
                 isolated: AtomicBool::new(false),
                 under_way: AtomicUsize::new(0),
                 bytes_under_way: AtomicUsize::new(0),
+                full: Mutex::default(),
+                any_full: AtomicBool::new(false),
                 changed: Notify::new(),
             })
         });
@@ -205,10 +251,16 @@ struct Door {
 
 impl RemoteDoor for Door {
     fn send(&self, message: Bytes, asked: Option<Asked>) -> Result<(), Why> {
-        match self.gate.check() {
+        if message.len() > PAYLOAD_MAX {
+            return Err(Why::TooLargeForSession { limit: PAYLOAD_MAX });
+        }
+        let object = &self.to.object;
+        match self.gate.check(object) {
             // What waits in order keeps nobody who does not.
             Err(Why::Full)
-                if self.contract.delivery == Delivery::Newest && self.gate.has_room(1) => {}
+                if self.contract.delivery == Delivery::Newest
+                    && self.gate.has_room(1)
+                    && !self.gate.is_full(object) => {}
             checked => checked?,
         }
         let gateway = self.gateway.as_ref().ok_or(Why::Stopped)?;
@@ -232,6 +284,6 @@ impl RemoteDoor for Door {
     }
 
     fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
-        Box::pin(self.gate.room())
+        Box::pin(self.gate.room(&self.to.object))
     }
 }

@@ -2,6 +2,7 @@
 
 mod errand;
 mod inputs;
+mod serving;
 
 pub(super) use errand::{Notify, Ship};
 
@@ -12,7 +13,7 @@ use super::wardens::{Told, Wardens};
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
-use crate::registry::{Doorway, Postmark, Registry, ReplyTo};
+use crate::registry::{Postmark, Registry, ReplyTo};
 use crate::topic::{Forward, ForwardId, TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::Confirmed;
@@ -33,6 +34,7 @@ use blastema_core::{
 };
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
+use serving::{Bound, LOOK, Queues};
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -76,7 +78,9 @@ pub(super) struct Gateway {
     /// Where replies go, by our number of the request.
     replies: BTreeMap<u64, (NodeName, ReplyTo)>,
     /// What peers have bound here.
-    doorways: BTreeMap<(NodeId, u32), Arc<dyn Doorway>>,
+    doorways: BTreeMap<(NodeId, u32), Bound>,
+    /// What waits for room with objects here.
+    queues: Queues,
     /// What peers listen to here.
     forwards: BTreeMap<(NodeId, u32), Forwarded>,
     notices: BTreeMap<u64, oneshot::Sender<Confirmed>>,
@@ -169,6 +173,7 @@ impl Gateway {
             peers: BTreeMap::new(),
             replies: BTreeMap::new(),
             doorways: BTreeMap::new(),
+            queues: Queues::default(),
             forwards: BTreeMap::new(),
             notices: BTreeMap::new(),
             next: 0,
@@ -246,7 +251,7 @@ impl Gateway {
                 let reply_to =
                     call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
                 let postmark = Postmark { id, age, until, from: Some(peer) };
-                self.serve((peer, binding), &payload, postmark, reply_to);
+                self.serve((peer, binding), &payload, postmark, reply_to, context);
             }
             ExchangeOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
@@ -262,6 +267,8 @@ impl Gateway {
             }
             ExchangeOutput::Full { peer } => self.set(peer, Condition::Full),
             ExchangeOutput::Room { peer } => self.set(peer, Condition::Open),
+            ExchangeOutput::ObjectFull { peer, object } => self.set_room(peer, object, false),
+            ExchangeOutput::ObjectRoom { peer, object } => self.set_room(peer, object, true),
             ExchangeOutput::Differs { peer, difference } => {
                 self.differs(peer, &difference);
             }
@@ -291,58 +298,7 @@ impl Gateway {
                 self.naming.handle_announcement(peer, announcement);
             }
             ExchangeOutput::Bye { peer } => self.handle_bye(peer),
-            ExchangeOutput::Forget { peer } => self.forget(peer),
-        }
-    }
-
-    fn bind(
-        &mut self,
-        peer: NodeId,
-        epoch: Epoch,
-        binding: u32,
-        object: &ObjectName,
-        identity: &PeerIdentity,
-    ) {
-        let result = match self.wiring.registry.doorway(object, &identity.name) {
-            Err(why) => Err((why, None)),
-            Ok((known, doorway)) => match (known.check(identity), doorway.former(identity)) {
-                (Ok(()), _) => {
-                    self.doorways.insert((peer, binding), doorway);
-                    Ok(())
-                }
-                (Err(_), Some(former)) => {
-                    let (here, there) = (known.version, identity.version);
-                    info!(%object, contract = known.name, here, there, "an earlier version");
-                    self.doorways.insert((peer, binding), former);
-                    Ok(())
-                }
-                (Err(difference), None) => {
-                    let difference = difference.to_string();
-                    error!(%object, "a peer's contract differs: {difference}");
-                    doorway.declare(FaultKind::ContractMismatch, difference.clone());
-                    Err((Why::ContractDiffers { difference }, Some(known)))
-                }
-            },
-        };
-        self.exchange.handle_bound(peer, epoch, binding, result);
-    }
-
-    fn serve(
-        &mut self,
-        binding: (NodeId, u32),
-        payload: &[u8],
-        postmark: Postmark,
-        reply_to: Option<ReplyTo>,
-    ) {
-        match (self.doorways.get(&binding), reply_to) {
-            (Some(doorway), reply_to) => {
-                // The object's own dead letters tell of what it did not take.
-                if let Err(Why::Undecodable { .. }) = doorway.deliver(payload, postmark, reply_to) {
-                    self.offends(binding.0, "it breaks a contract that it has agreed to");
-                }
-            }
-            (None, Some(reply_to)) => reply_to(Err(Why::Unknown { name: "binding".into() })),
-            (None, None) => self.lost += 1,
+            ExchangeOutput::Forget { peer, why } => self.forget(peer, &why),
         }
     }
 
@@ -493,7 +449,11 @@ impl Gateway {
     }
 
     /// The session is over: what the peer had here goes with it.
-    fn forget(&mut self, peer: NodeId) {
+    fn forget(&mut self, peer: NodeId, why: &Why) {
+        self.end_lines(peer, why);
+        if let Some(peer) = self.peers.get(&peer) {
+            peer.gate.forget_rooms();
+        }
         let all = (peer, 0)..=(peer, u32::MAX);
         let doorways: Vec<_> = self.doorways.range(all.clone()).map(|(key, _)| *key).collect();
         doorways.iter().for_each(|key| drop(self.doorways.remove(key)));
@@ -520,6 +480,12 @@ impl Gateway {
             && !peer.left
         {
             peer.gate.set(condition);
+        }
+    }
+
+    fn set_room(&self, peer: NodeId, object: ObjectName, room: bool) {
+        if let Some(peer) = self.peers.get(&peer) {
+            peer.gate.set_room(object, room);
         }
     }
 
@@ -572,6 +538,7 @@ impl Actor for Gateway {
             gateway.look_for_names(context);
             gateway.drive(context);
         });
+        context.run_interval(LOOK, |gateway, _| gateway.look_at_refusals());
     }
 }
 
@@ -584,6 +551,10 @@ impl Supervised for Gateway {
         }
         let forwards: Vec<_> = self.forwards.keys().copied().collect();
         forwards.into_iter().for_each(|key| self.end_forward(key));
+        let peers: Vec<_> = self.peers.keys().copied().collect();
+        let why = Why::OutcomeUnknown { reason: "the gateway began anew".to_owned() };
+        peers.into_iter().for_each(|peer| self.end_lines(peer, &why));
+        self.peers.values().for_each(|peer| peer.gate.forget_rooms());
         self.doorways.clear();
         self.notices.clear();
         self.credit = None;

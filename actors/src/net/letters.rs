@@ -87,6 +87,26 @@ impl Letters {
     }
 }
 
+/// Takes letters that nobody here reads, so that whoever writes them is not told of an unknown object.
+pub(crate) fn read_by_nobody(place: ObjectName, registry: &Registry) {
+    registry.hide(place, Port::of_doorway::<Letter>(Arc::new(Nobody)));
+}
+
+struct Nobody;
+
+impl Doorway for Nobody {
+    fn deliver(&self, _: &[u8], _: Postmark, reply_to: Option<ReplyTo>) -> Result<(), Why> {
+        if let Some(reply_to) = reply_to {
+            reply_to(Err(Why::Stopped));
+        }
+        Ok(())
+    }
+
+    fn declare(&self, _: FaultKind, _: String) {
+        // As for those who read them.
+    }
+}
+
 impl Doorway for Slot {
     fn deliver(
         &self,

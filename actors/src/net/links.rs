@@ -1,5 +1,9 @@
 //! The body of the links over one transport.
 
+mod learned;
+
+pub(super) use learned::{Forget, Learn, Seen, TellNeighbours};
+
 use super::LinkSpec;
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
@@ -9,23 +13,45 @@ use blastema_contract::link::{
     Arrived, CarrierChanged, Carry, LinkChanged, LinkRow, Load, ReadLinks, ReportLinks,
 };
 use blastema_contract::monitor::LinkReported;
+use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{
-    Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
+    Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
 use blastema_core::detection::LinkCondition;
+use blastema_core::net::complaints::Complaints;
+use blastema_core::net::frame::is_urgent;
 use blastema_core::net::link::LinkRefusal;
 use blastema_core::net::router::{Health, LinkStatus};
-use blastema_core::net::{Crowd, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality};
-use blastema_core::{Incarnation, Instant, NodeName};
+use blastema_core::net::{
+    Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
+};
+use blastema_core::{FaultKind, Incarnation, Instant, NodeName};
+use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 use tracing::{error, info, warn};
 
 /// What a link costs that nobody has given a cost, over a medium of a megabyte per second and more.
 const USUAL_COST: u64 = 10;
 /// What it costs at most for its medium's slowness: a way over many fast links may still be too long.
 const SLOW_COST: u64 = 1000;
+
+/// A link as it is described; the bundle tells it of the medium.
+fn link(wiring: &Wiring, spec: &LinkSpec, now: Instant) -> Link {
+    let Wiring { node, incarnation, .. } = wiring;
+    let config = LinkConfig {
+        expected: spec.neighbour.clone(),
+        expected_within: spec.expected_within.unwrap_or(Duration::MAX),
+        hello_interval: spec.hello_interval,
+        ..LinkConfig::new(node.clone(), *incarnation)
+    };
+    Link::new(config, now)
+}
+
+/// How often it is looked at what was refused.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// Who stands around the links.
 pub(super) struct Wiring {
@@ -36,6 +62,9 @@ pub(super) struct Wiring {
     pub(super) router_changes: Recipient<LinkChanged>,
     pub(super) router_loads: Recipient<Arrived>,
     pub(super) monitor: Option<Recipient<LinkReported>>,
+    /// Who tells others of our neighbours, and which network this is to it.
+    pub(super) discovery: Option<(usize, Recipient<Seen>)>,
+    pub(super) faults: Option<Recipient<FaultDeclared>>,
 }
 
 /// The links of one network.
@@ -43,15 +72,19 @@ pub(super) struct Links {
     wiring: Wiring,
     specs: BTreeMap<LinkNumber, LinkSpec>,
     by_remote: BTreeMap<MediumAddress, LinkNumber>,
-    crowd: Crowd<LinkNumber, Link>,
+    bundle: Bundle,
     wake: Wake,
     /// The largest frame; `None` while the medium is closed.
     mtu: Option<usize>,
     /// How much the medium carries; `None` where it is plenty.
     bytes_per_second: Option<u64>,
+    /// Where all are reached at once, if the medium is a bus.
+    bus: Option<MediumAddress>,
     /// What the router was told last: it must be taken back when the links begin anew.
     told: BTreeMap<LinkNumber, LinkStatus>,
-    strangers: u64,
+    /// What came from addresses that no link leads to.
+    strangers: Refusals,
+    complaints: Complaints<Option<LinkNumber>>,
 }
 
 impl Links {
@@ -61,32 +94,32 @@ impl Links {
             wiring,
             specs,
             by_remote,
-            crowd: Crowd::default(),
+            bundle: Bundle::default(),
             wake: Wake::default(),
             mtu: None,
             bytes_per_second: None,
+            bus: None,
             told: BTreeMap::new(),
-            strangers: 0,
+            strangers: Refusals::default(),
+            complaints: Complaints::default(),
         };
         links.build(platform::now());
         links
     }
 
     fn build(&mut self, now: Instant) {
-        self.crowd = Crowd::default();
+        self.bundle = Bundle::default();
         self.wake = Wake::default();
         for (number, spec) in &self.specs {
-            let Wiring { node, incarnation, .. } = &self.wiring;
-            let config = LinkConfig {
-                expected: spec.neighbour.clone(),
-                hello_interval: spec.hello_interval,
-                ..LinkConfig::new(node.clone(), *incarnation)
-            };
-            let mut link = Link::new(config, now);
-            if let Some(rate) = self.bytes_per_second {
-                link.handle_rate(rate);
-            }
-            self.crowd.insert(*number, link);
+            let link = link(&self.wiring, spec, now);
+            self.bundle.insert(*number, link);
+        }
+        if self.bus.is_some() {
+            self.bundle.handle_bus();
+        }
+        self.bundle.handle_mtu(self.mtu.unwrap_or(0));
+        if let Some(rate) = self.bytes_per_second {
+            self.bundle.handle_rate(rate);
         }
     }
 
@@ -107,7 +140,7 @@ impl Links {
     }
 
     fn tell_router(&mut self, number: LinkNumber) {
-        let Some(link) = self.crowd.get(number) else { return };
+        let Some(link) = self.bundle.get(number) else { return };
         let Some(neighbour) = link.neighbour().cloned() else { return };
         let cost = self.cost(number, link);
         let health = match (link.state(), self.mtu) {
@@ -130,7 +163,7 @@ impl Links {
     fn lose_all(&mut self, reason: &str, now: Instant) {
         let numbers: Vec<_> = self.specs.keys().copied().collect();
         for number in numbers {
-            let Some(link) = self.crowd.get_mut(number) else { continue };
+            let Some(link) = self.bundle.get_mut(number) else { continue };
             match link.state() {
                 LinkState::Up | LinkState::Suspect => link.handle_loss(now),
                 LinkState::Connecting | LinkState::Down => {
@@ -151,7 +184,7 @@ impl Links {
         let (Some(monitor), Some(spec)) = (&self.wiring.monitor, self.specs.get(&number)) else {
             return;
         };
-        let heard = self.crowd.get(number).and_then(Link::neighbour);
+        let heard = self.bundle.get(number).and_then(Link::neighbour);
         let neighbour = heard.map(|heard| heard.node.clone()).or(spec.neighbour.clone());
         let (node, link) = (self.wiring.node.clone(), spec.name.clone());
         monitor.do_send(LinkReported { node, link, neighbour, condition });
@@ -161,6 +194,7 @@ impl Links {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         info!(network = %self.wiring.network, %link, %state, reason, "link");
         self.tell_router(number);
+        self.tell_discovery(number, state);
         match state {
             LinkState::Up => self.tell_monitor(number, LinkCondition::Up),
             LinkState::Down => {
@@ -185,6 +219,77 @@ impl Links {
         self.tell_monitor(number, condition);
     }
 
+    fn no_carrier(&mut self, reason: &'static str, now: Instant) {
+        let numbers: Vec<_> = self.specs.keys().copied().collect();
+        for number in numbers {
+            if let Some(link) = self.bundle.get_mut(number) {
+                link.handle_no_carrier(reason, now);
+            }
+        }
+    }
+
+    /// What must be refused for seconds is a fault: somebody else speaks with the neighbour's address, or
+    /// the neighbour is broken.
+    fn look_at_refusals(&mut self) {
+        let links = self.bundle.iter().map(|(number, link)| (Some(number), link.refusals()));
+        let looks: Vec<_> = links.chain([(None, self.strangers)]).collect();
+        for (number, refusals) in looks {
+            let Some(since) = self.complaints.handle_look(number, refusals) else { continue };
+            let network = &self.wiring.network;
+            let from = match number.and_then(|number| self.specs.get(&number)) {
+                Some(LinkSpec { name, remote, .. }) => format!("{remote}, by link {name},"),
+                None => format!("addresses that no link of {network} leads to"),
+            };
+            let detail = format!("what comes from {from} is refused all the time: {since}");
+            warn!(%network, "{detail}");
+            if let Some(faults) = &self.wiring.faults {
+                faults.do_send(FaultDeclared {
+                    object: super::named(&format!("links/{network}")),
+                    incarnation: crate::guardian::alive().incarnation,
+                    kind: FaultKind::CheckFailed,
+                    detail,
+                });
+            }
+        }
+    }
+
+    fn transmit(&self, to: MediumAddress, frame: Bytes) {
+        let lane = if is_urgent(&frame) { Lane::Urgent } else { Lane::Usual };
+        self.wiring.transport.transmit.do_send(Transmit { to, frame, lane });
+    }
+
+    /// Two nodes have one address on the medium, which is ours: its owner is told, too.
+    fn clash(&self, detail: String) {
+        error!(network = %self.wiring.network, "{detail}");
+        if let Some(faults) = &self.wiring.faults {
+            let object = super::named(&format!("links/{}", self.wiring.network));
+            let incarnation = crate::guardian::alive().incarnation;
+            faults.do_send(FaultDeclared {
+                object,
+                incarnation,
+                kind: FaultKind::NameTaken,
+                detail,
+            });
+        }
+    }
+
+    /// Nobody came. Told as any link that is down; that it is up is told when somebody comes.
+    fn missing(&self, number: LinkNumber, heard: bool) {
+        let Some(spec) = self.specs.get(&number) else { return };
+        let who = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
+        let remote = &spec.remote;
+        let reason = match heard {
+            true => format!(
+                "{who} is heard since the start, and does not hear us: check its address for us"
+            ),
+            false => format!(
+                "never heard since the start: check the address {remote}, the cable, and that {who} runs"
+            ),
+        };
+        warn!(network = %self.wiring.network, link = %spec.name, "{reason}");
+        self.tell_monitor(number, LinkCondition::Down { reason });
+    }
+
     fn refused(&self, number: LinkNumber, refusal: &LinkRefusal) {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         error!(network = %self.wiring.network, %link, "{refusal}");
@@ -198,6 +303,7 @@ impl Actor for Links {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
+        context.run_interval(LOOK, |links, _| links.look_at_refusals());
         self.attach(context);
         self.drive(context);
     }
@@ -210,35 +316,42 @@ impl Supervised for Links {
             self.wiring.router_changes.do_send(LinkChanged { link, status });
         }
         self.build(platform::now());
-        self.attach(context);
-        self.drive(context);
+        self.started(context);
     }
 }
 
 impl Body for Links {
-    type Machine = Crowd<LinkNumber, Link>;
+    type Machine = Bundle;
 
     fn machine(&mut self) -> &mut Self::Machine {
-        &mut self.crowd
+        &mut self.bundle
     }
 
     fn wake(&mut self) -> &mut Wake {
         &mut self.wake
     }
 
-    fn carry_out(&mut self, output: (LinkNumber, LinkOutput), _: &mut Context<Self>) {
-        let (link, output) = output;
+    fn carry_out(&mut self, output: BundleOutput, _: &mut Context<Self>) {
+        let (link, output) = match output {
+            BundleOutput::Of(link, output) => (link, output),
+            BundleOutput::Greet(frame) => {
+                if let Some(to) = self.bus.clone() {
+                    self.transmit(to, frame);
+                }
+                return;
+            }
+        };
         let arrived = |load| self.wiring.router_loads.do_send(Arrived { link, load });
         match output {
             LinkOutput::Transmit(frame) => {
                 if let Some(spec) = self.specs.get(&link) {
-                    let to = spec.remote.clone();
-                    self.wiring.transport.transmit.do_send(Transmit { to, frame });
+                    self.transmit(spec.remote.clone(), frame);
                 }
             }
             LinkOutput::Routing(bytes) => arrived(Load::Routing(bytes)),
             LinkOutput::Packet(bytes) => arrived(Load::Packet(bytes)),
             LinkOutput::Changed { state, reason, .. } => self.changed(link, state, reason),
+            LinkOutput::Missing { heard } => self.missing(link, heard),
             LinkOutput::Quality(quality) => self.quality(link, quality),
             LinkOutput::Refused(refusal) => self.refused(link, &refusal),
         }
@@ -250,12 +363,12 @@ impl Handler<Received> for Links {
 
     fn handle(&mut self, message: Received, context: &mut Context<Self>) {
         let Received { from, frame } = message;
-        let link = self.by_remote.get(&from).and_then(|link| self.crowd.get_mut(*link));
+        let link = self.by_remote.get(&from).and_then(|link| self.bundle.get_mut(*link));
         let Some(link) = link else {
-            if self.strangers == 0 {
+            if self.strangers.total() == 0 {
                 warn!(network = %self.wiring.network, %from, "a stranger speaks; no link leads there");
             }
-            self.strangers += 1;
+            self.strangers.unexpected += 1;
             return;
         };
         link.handle_frame(frame, platform::now());
@@ -272,6 +385,8 @@ impl Handler<TransportReport> for Links {
             TransportReport::Opened { local, mtu } => {
                 info!(network = %self.wiring.network, %local, mtu, "open");
                 self.mtu = Some(mtu);
+                self.tell_port(&local);
+                self.bundle.handle_mtu(mtu);
                 self.tell_router_all();
                 self.tell_of_lonely_medium(LinkCondition::Up);
             }
@@ -283,17 +398,18 @@ impl Handler<TransportReport> for Links {
             }
             TransportReport::Rate { bytes_per_second } => {
                 self.bytes_per_second = Some(bytes_per_second);
-                let numbers: Vec<_> = self.specs.keys().copied().collect();
-                for number in numbers {
-                    if let Some(link) = self.crowd.get_mut(number) {
-                        link.handle_rate(bytes_per_second);
-                    }
-                }
+                self.bundle.handle_rate(bytes_per_second);
                 self.tell_router_all();
             }
+            TransportReport::Bus { all } => {
+                self.bus = Some(all);
+                self.bundle.handle_bus();
+            }
+            TransportReport::NoCarrier { reason } => self.no_carrier(reason, now),
+            TransportReport::Clash { reason } => self.clash(reason),
             TransportReport::PeerLost { peer } => {
                 let number = self.by_remote.get(&peer);
-                if let Some(link) = number.and_then(|number| self.crowd.get_mut(*number)) {
+                if let Some(link) = number.and_then(|number| self.bundle.get_mut(*number)) {
                     link.handle_loss(now);
                 }
             }
@@ -310,13 +426,7 @@ impl Handler<CarrierChanged> for Links {
         if message.present {
             return;
         }
-        let now = platform::now();
-        let numbers: Vec<_> = self.specs.keys().copied().collect();
-        for number in numbers {
-            if let Some(link) = self.crowd.get_mut(number) {
-                link.handle_no_carrier(now);
-            }
-        }
+        self.no_carrier("the interface has lost its carrier", platform::now());
         self.drive(context);
     }
 }
@@ -326,7 +436,7 @@ impl Handler<Carry> for Links {
 
     fn handle(&mut self, message: Carry, context: &mut Context<Self>) {
         let Carry { link, load } = message;
-        let Some(link) = self.crowd.get_mut(link) else { return };
+        let Some(link) = self.bundle.get_mut(link) else { return };
         match load {
             Load::Routing(bytes) => link.handle_routing(bytes),
             Load::Packet(bytes) => link.handle_packet(bytes),
@@ -362,7 +472,7 @@ impl Handler<ReadLinks> for Links {
                 refusals: link.refusals(),
             })
         };
-        MessageResult(self.crowd.iter().filter_map(row).collect())
+        MessageResult(self.bundle.iter().filter_map(row).collect())
     }
 }
 

@@ -18,6 +18,7 @@
 
 mod carrier;
 pub(crate) mod claims;
+mod discovery;
 mod door;
 mod gateway;
 mod letters;
@@ -30,6 +31,7 @@ mod tests;
 mod wardens;
 
 pub(crate) use carrier::Interface;
+pub(crate) use discovery::DiscoverySpec;
 
 use crate::guardian::Guardian;
 use crate::host::office::DeadLetterOffice;
@@ -46,9 +48,11 @@ use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes}
 use blastema_contract::session::{AddGateway, Leave, PeerSeen, ReadSessions, SessionRow};
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, Transport};
+use blastema_core::net::discovery::LEARNED_MAX;
 use blastema_core::net::isolation::Judges;
 use blastema_core::net::{LinkNumber, NodeId};
 use blastema_core::{Incarnation, NodeName, ObjectName};
+use discovery::{AddFields, DiscoveryBody, Field, FieldLinks};
 use std::collections::BTreeSet;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -64,6 +68,8 @@ pub(crate) struct NetworkSpec {
     pub(crate) interface: Option<Interface>,
     /// The neighbours.
     pub(crate) links: Vec<LinkSpec>,
+    /// How others are learned of, if they are.
+    pub(crate) discovery: Option<DiscoverySpec>,
 }
 
 /// One neighbour on one medium.
@@ -79,6 +85,8 @@ pub(crate) struct LinkSpec {
     pub(crate) cost: Option<u16>,
     /// How often we say hello, unless the medium is too slow for that. A dead link is found after three and a half of the neighbour's.
     pub(crate) hello_interval: Duration,
+    /// How soon after the start the neighbour must be there; `None` where nobody need be.
+    pub(crate) expected_within: Option<Duration>,
 }
 
 impl LinkSpec {
@@ -91,6 +99,7 @@ impl LinkSpec {
             neighbour: None,
             cost: None,
             hello_interval: Duration::from_millis(50),
+            expected_within: Some(Duration::from_secs(5)),
         }
     }
 }
@@ -152,6 +161,7 @@ pub(crate) struct NetHandle {
     sessions: Addr<sessions::Sessions>,
     router: Addr<router::Router>,
     networks: Vec<(ObjectName, Addr<links::Links>)>,
+    discovery: Option<Addr<DiscoveryBody>>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
     doors: Arc<door::Doors>,
@@ -168,10 +178,29 @@ pub(crate) fn start(
     networks: Vec<NetworkSpec>,
 ) -> Result<NetHandle, NetError> {
     check(&networks)?;
+    let mut environment = environment;
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
     let (life, place) = ((node.clone(), incarnation), arbiter.as_ref());
 
-    let make = { router::Router::maker(life.clone(), environment.nodes.clone()) };
+    let (numbers, fields) = number(&networks);
+    let wiring = discovery::Wiring {
+        node: node.clone(),
+        registry: environment.registry.clone(),
+        fields,
+        faults: environment.faults.clone(),
+    };
+    let discovery = (!wiring.fields.is_empty()).then(|| {
+        let make =
+            |context: &mut Context<_>| DiscoveryBody::new(wiring, context.address().recipient());
+        guardian.start(named("discovery"), place, make)
+    });
+    if discovery.is_none() {
+        letters::read_by_nobody(named("discovery"), &environment.registry);
+    }
+    environment.envoys.extend(discovery.clone().map(Addr::recipient));
+
+    let (nodes, faults) = (environment.nodes.clone(), environment.faults.clone());
+    let make = router::Router::maker(life.clone(), nodes, faults);
     let router = guardian.start(named("router"), place, make);
 
     let told = (environment.faults.clone(), environment.nodes.clone());
@@ -201,13 +230,11 @@ pub(crate) fn start(
     let remote: Arc<dyn RemoteDoors> = doors.clone();
     environment.registry.connect(node, Some(remote));
 
-    let (mut next, mut watched) = (0, Vec::new());
-    let networks = networks.into_iter().map(|spec| {
+    let (mut watched, mut grounds) = (Vec::new(), Vec::new());
+    let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
         let name = named(&format!("links/{}", spec.name));
-        let first = next;
-        next += spec.links.len() as u16;
-        let numbers: Vec<_> = (first..next).map(LinkNumber).collect();
         let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
+        let told = spec.discovery.and(discovery.clone()).map(Addr::recipient);
         let wiring = links::Wiring {
             node: life.0.clone(),
             incarnation: life.1,
@@ -216,9 +243,16 @@ pub(crate) fn start(
             router_changes: router.clone().recipient(),
             router_loads: router.clone().recipient(),
             monitor: environment.links.clone(),
+            discovery: told.clone().map(|told| (grounds.len(), told)),
+            faults: environment.faults.clone(),
         };
         let address =
             guardian.start(name.clone(), place, move |_| links::Links::new(wiring, links));
+        grounds.extend(told.map(|_| FieldLinks {
+            learn: address.clone().recipient(),
+            forget: address.clone().recipient(),
+            tell: address.clone().recipient(),
+        }));
         if let Some(interface) = spec.interface {
             watched.push(carrier::Watched { interface, told: address.clone().recipient() });
         }
@@ -227,18 +261,45 @@ pub(crate) fn start(
         (name, address)
     });
     let networks = networks.collect();
+    if let Some(discovery) = &discovery {
+        discovery.do_send(AddFields(grounds));
+    }
     let carrier = Arc::new(carrier::CarrierWatch::start(watched));
     Ok(NetHandle {
         gateway,
         sessions,
         router,
         networks,
+        discovery,
         guardian,
         arbiter,
         doors,
         wardens,
         carrier,
     })
+}
+
+/// Gives every link its number; a network that discovers has some left for those that are learned.
+fn number(networks: &[NetworkSpec]) -> (Vec<Vec<LinkNumber>>, Vec<Field>) {
+    let (mut next, mut all, mut fields) = (0, Vec::new(), Vec::new());
+    for NetworkSpec { name, links, discovery, .. } in networks {
+        let mut take = |count: usize| -> Vec<LinkNumber> {
+            let first = next;
+            next += count as u16;
+            (first..next).map(LinkNumber).collect()
+        };
+        let mut numbers = take(links.len());
+        if let Some(spec) = discovery {
+            let learned = take(LEARNED_MAX);
+            numbers.extend(&learned);
+            let known = |link: &LinkSpec| Some((link.neighbour.clone()?, link.remote.clone()));
+            let described = links.iter().filter_map(known).collect();
+            let (network, spec) = (name.clone(), spec.clone());
+            fields.push(Field { network, spec, numbers: learned, described });
+        }
+        all.push(numbers);
+    }
+    (all, fields)
 }
 
 fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
@@ -334,6 +395,7 @@ impl NetHandle {
         let mut all =
             vec![router.recipient(), sessions.recipient(), self.gateway.clone().recipient()];
         all.extend(self.networks.iter().map(|(_, links)| links.clone().recipient()));
+        all.extend(self.discovery.clone().map(Addr::recipient));
         all
     }
 
@@ -347,6 +409,8 @@ impl NetHandle {
         for (name, links) in &self.networks {
             all.push((name.clone(), links.clone().recipient()));
         }
+        let discovery = self.discovery.clone().map(Addr::recipient);
+        all.extend(discovery.map(|inquiries| (named("discovery"), inquiries)));
         all
     }
 

@@ -6,16 +6,18 @@ use crate::platform;
 use actix::prelude::*;
 use blastema_contract::link::{AddLinks, Arrived, Carry, LinkChanged, Load, ReportLinks};
 use blastema_contract::monitor::NodeReported;
+use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::{
     AddSessions, KeepOut, PanicOnPurpose, PathReported, ReadRoutes, Routes, SegmentArrived,
     SendSegment,
 };
 use blastema_contract::strategy::Reroute;
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::{self, LinkNumber, RouterConfig, RouterOutput};
+use blastema_core::net::{self, LinkNumber, NodeId, RouterConfig, RouterOutput};
 use blastema_core::recovery::{Done, Failed};
-use blastema_core::{Incarnation, NodeName, Place};
+use blastema_core::{FaultKind, Incarnation, NodeName, Place};
 use std::collections::{BTreeMap, BTreeSet};
+use tokio::sync::oneshot;
 use tracing::{debug, error, info};
 
 /// Forwards for this node.
@@ -27,8 +29,12 @@ pub(super) struct Router {
     networks: Vec<Recipient<ReportLinks>>,
     sessions: Option<AddSessions>,
     monitor: Option<Recipient<NodeReported>>,
+    faults: Option<Recipient<FaultDeclared>>,
     /// Who can be reached, in which life: what a router that begins anew must find again.
     reached: BTreeMap<NodeName, Incarnation>,
+    /// Who wants to know whether there is another way to a node, until that is certain: as many as the
+    /// recoverer has under way, which gives each two seconds.
+    inquirers: Vec<(NodeName, oneshot::Sender<Result<Done, Failed>>)>,
     /// Who is isolated: a router that begins anew must know.
     kept_out: BTreeSet<NodeName>,
 }
@@ -37,6 +43,7 @@ impl Router {
     pub(super) fn maker(
         (node, incarnation): (NodeName, Incarnation),
         monitor: Option<Recipient<NodeReported>>,
+        faults: Option<Recipient<FaultDeclared>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         move |_| {
             let config = RouterConfig::new(node, incarnation);
@@ -48,9 +55,21 @@ impl Router {
                 networks: Vec::new(),
                 sessions: None,
                 monitor,
+                faults,
                 reached: BTreeMap::new(),
+                inquirers: Vec::new(),
                 kept_out: BTreeSet::new(),
             }
+        }
+    }
+
+    /// Names that are given twice: whoever gave them has to act.
+    fn declare(&self, detail: String) {
+        error!("{detail}");
+        if let Some(faults) = &self.faults {
+            let (object, kind) = (super::named("router"), FaultKind::NameTaken);
+            let incarnation = crate::guardian::alive().incarnation;
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
         }
     }
 
@@ -81,6 +100,21 @@ impl Router {
             }
         }
         self.report_path(PathReported::Reachable { node, incarnation, mtu });
+    }
+
+    fn answer_inquirers(&mut self, context: &mut Context<Self>) {
+        for (node, inquirer) in std::mem::take(&mut self.inquirers) {
+            // Nobody minds an answer that is not waited for any more.
+            let _ = match self.machine.verdict(NodeId::of(&node), platform::now()) {
+                Some(true) => inquirer.send(Ok(Done::default())),
+                Some(false) => inquirer.send(Err(format!("no other way leads to {node}").into())),
+                None => {
+                    self.inquirers.push((node, inquirer));
+                    Ok(())
+                }
+            };
+        }
+        self.drive(context);
     }
 
     fn lost(&mut self, node: NodeName, incarnation: Incarnation) {
@@ -148,10 +182,24 @@ impl Body for Router {
             }
             RouterOutput::Lost { node, incarnation } => self.lost(node, incarnation),
             RouterOutput::NumberTaken { node, refused } => {
-                error!("the names {node} and {refused} give one node number: rename {refused}");
+                self.declare(format!(
+                    "the names {node} and {refused} give one node number: {refused} is kept out; \
+                     rename it"
+                ));
             }
-            RouterOutput::NameTaken { incarnation } => {
-                error!("another node called {} has come up as {incarnation}", self.config.node);
+            RouterOutput::NameTaken { incarnation, first: true } => {
+                let name = &self.config.node;
+                self.declare(format!(
+                    "another node called {name} has come up as {incarnation}: it is kept out; end \
+                     it, or give it another name"
+                ));
+            }
+            RouterOutput::NameTaken { incarnation, first: false } => {
+                let name = &self.config.node;
+                self.declare(format!(
+                    "another node called {name} was there before, as {incarnation}: this one is \
+                     kept out by all; give it another name, or end the other"
+                ));
             }
         }
     }
@@ -183,6 +231,7 @@ impl Handler<LinkChanged> for Router {
         let LinkChanged { link, status } = message;
         self.machine.handle_link(link, status, platform::now());
         self.drive(context);
+        self.answer_inquirers(context);
     }
 }
 
@@ -247,18 +296,23 @@ impl Handler<PanicOnPurpose> for Router {
 }
 
 /// The alternative was chosen before it was needed: what is left to do is to say whether there is one.
+/// Where the only one may have failed as well, the answer waits until its link says so or recovers.
 impl Handler<Reroute> for Router {
-    type Result = Result<Done, Failed>;
+    type Result = ResponseFuture<Result<Done, Failed>>;
 
-    fn handle(&mut self, message: Reroute, _: &mut Context<Self>) -> Self::Result {
+    fn handle(&mut self, message: Reroute, context: &mut Context<Self>) -> Self::Result {
         let Reroute { place } = message;
         let node = match place {
             Place::Link { neighbour: Some(node), .. } | Place::Node(node) => node,
-            other => return Err(format!("nobody is known to be behind {other}").into()),
+            other => {
+                let error = format!("nobody is known to be behind {other}");
+                return Box::pin(async { Err(error.into()) });
+            }
         };
-        match self.reached.contains_key(&node) {
-            true => Ok(Done::default()),
-            false => Err(format!("no other way leads to {node}").into()),
-        }
+        let (answer, verdict) = oneshot::channel();
+        self.inquirers.retain(|(_, inquirer)| !inquirer.is_closed());
+        self.inquirers.push((node, answer));
+        self.answer_inquirers(context);
+        Box::pin(async { verdict.await.unwrap_or_else(|_| Err("the router began anew".into())) })
     }
 }

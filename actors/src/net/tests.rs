@@ -4,6 +4,7 @@
 mod calls;
 mod delivery;
 mod hostile;
+mod pressure;
 mod versions;
 
 use super::{LinkSpec, NetEnvironment, NetHandle, NetworkSpec, start};
@@ -170,6 +171,7 @@ impl Robot {
                 transport: Transport::from(cable),
                 interface: None,
                 links: links.collect(),
+                discovery: None,
             }
         });
         let specs = specs.collect();
@@ -718,6 +720,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             transport: Transport::from(memory),
             interface: None,
             links: vec![link("left"), link("right")],
+            discovery: None,
         };
         let environment = NetEnvironment {
             node: NodeName::new("left").unwrap(),

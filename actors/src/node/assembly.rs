@@ -1,6 +1,7 @@
 //! How a node is put together: the one place that knows all actors.
 
 use super::builder::{NodeBuilder, Placement, StartError};
+use super::checks::{check_dependencies, check_networks, check_service, check_service_order};
 use super::keeper::NodeState;
 use super::keeper::{Keeper, StartRoot};
 use super::network::{Cable, Network};
@@ -14,13 +15,13 @@ use crate::chain::recoverer::{Recoverer, RecovererSetup};
 use crate::chain::strategy::{ToolBox, Tools};
 use crate::guardian::Guardian;
 use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
-use crate::host::environment::{HostEnvironment, Reports};
+use crate::host::environment::{HostEnvironment, KEPT_VARIABLES, Reports};
 use crate::host::spec::SpecError;
 use crate::host::watch::{self as lookout, WatchGuard};
 use crate::net::claims::{ClaimsBody, ClaimsSetup};
 use crate::net::{self, NetEnvironment, NetHandle};
 use crate::registry::Registry;
-use crate::service::{Carried, ReplicaBody};
+use crate::service::ReplicaBody;
 use crate::{panics, platform};
 use actix::prelude::*;
 use blastema_contract::detector::{ReadRecord, Subscribe};
@@ -40,6 +41,7 @@ use blastema_core::{
     Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
 };
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
@@ -288,7 +290,7 @@ fn make_networks(
     let (mut specs, mut cables) = (Vec::new(), BTreeMap::new());
     let (mut neighbours, mut enrolments) = (BTreeSet::new(), Vec::new());
     for network in networks {
-        let laid = network.lay(guardian, arbiter.as_ref())?;
+        let laid = network.lay(node, guardian, arbiter.as_ref())?;
         if let Some(cable) = laid.cable {
             cables.insert(laid.spec.name.to_string(), cable);
         }
@@ -296,7 +298,9 @@ fn make_networks(
         neighbours.extend(laid.neighbours);
         specs.push(laid.spec);
     }
-    let transports = specs.iter().map(|spec| spec.transport.close.clone()).collect();
+    let beacons = specs.iter().filter_map(|spec| spec.discovery.as_ref()?.beacons.as_ref());
+    let beacons = beacons.map(|(transport, _)| transport.close.clone());
+    let transports = specs.iter().map(|spec| spec.transport.close.clone()).chain(beacons).collect();
     let net_environment = NetEnvironment {
         node: node.clone(),
         incarnation,
@@ -390,40 +394,11 @@ impl Drop for Undone {
     }
 }
 
-/// Every object of this node that a component depends on must be one, and another one.
-fn check_dependencies(node: &NodeName, harvest: &Harvest) -> Result<(), StartError> {
-    let components = harvest.components.iter().map(|facts| &facts.name);
-    let supervisors = harvest.supervisors.iter().map(|(name, _)| name);
-    let known: BTreeSet<&str> = components.chain(supervisors).map(ObjectName::as_str).collect();
-    for facts in &harvest.components {
-        for needed in &facts.depends_on {
-            let own = match needed.split_once(':') {
-                Some((of, object)) if of == node.as_str() => object,
-                // What other nodes hold is not known here.
-                Some(_) => continue,
-                None => needed,
-            };
-            if own == facts.name.as_str() || !known.contains(own) {
-                let (name, needed) = (facts.name.clone(), needed.clone());
-                return Err(StartError::Dependency { name, needed });
-            }
-        }
-    }
-    Ok(())
-}
-
-/// The nodes of a service are others than each other, and this is one of them.
-fn check_service(carried: &Carried) -> Result<(), StartError> {
-    let Carried { name, config, .. } = carried;
-    let different: BTreeSet<_> = config.members.iter().collect();
-    let reason = if !different.contains(&config.own) {
-        format!("{} is none of its nodes: add it, or leave the service out here", config.own)
-    } else if different.len() < config.members.len() {
-        "a node stands twice among its nodes: name each once".to_owned()
-    } else {
-        return Ok(());
-    };
-    Err(StartError::Service { name: name.clone(), reason })
+fn keep_variables(environment: &HostEnvironment, file: PathBuf) -> Result<(), StartError> {
+    let told = environment.reports.clone();
+    let failed = move |detail| told.declare(KEPT_VARIABLES, detail);
+    let kept = environment.variables.keep_in(file.clone(), failed);
+    kept.map_err(|error| StartError::Variables { file, reason: error.to_string() })
 }
 
 /// Whose word isolates a node.
@@ -435,41 +410,7 @@ fn judges(wardens: &[String]) -> Result<Judges, NameError> {
     Ok(Judges::Wardens(wardens.collect::<Result<_, _>>()?))
 }
 
-/// Every network and every neighbour there can be what it is said to be.
-fn check_networks(networks: &[Network], node: &NodeName) -> Result<(), StartError> {
-    let mut names = BTreeSet::new();
-    for network in networks {
-        if !names.insert(network.name()) {
-            let text = format!(
-                "two networks are called {}: give one of them another name",
-                network.name()
-            );
-            return Err(StartError::Network(text));
-        }
-        network.check(node)?;
-    }
-    Ok(())
-}
-
-/// Of services that wait for each other, none would ever serve.
-fn check_service_order(carried: &[Carried]) -> Result<(), StartError> {
-    let mut open: Vec<_> = carried.iter().collect();
-    loop {
-        let waits =
-            |service: &&Carried| open.iter().any(|other| service.depends_on.contains(&other.name));
-        let left: Vec<_> = open.iter().copied().filter(|service| waits(service)).collect();
-        match left.first() {
-            None => return Ok(()),
-            Some(Carried { name, .. }) if left.len() == open.len() => {
-                let reason = "it depends on itself, perhaps by way of others: leave out one of the dependencies";
-                return Err(StartError::Service { name: name.clone(), reason: reason.to_owned() });
-            }
-            Some(_) => open = left,
-        }
-    }
-}
-
-pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
+pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
     let named_so = StartError::name_of("the name of the node");
     let node = NodeName::new(&builder.name).map_err(named_so)?;
@@ -501,6 +442,10 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
     let fault_codes = Arc::new(plan.codes());
     let environment =
         HostEnvironment { registry, fault_codes, ..HostEnvironment::new(arbiters, reports) };
+    let kept = builder.kept_in.is_some();
+    if let Some(file) = builder.kept_in.take() {
+        keep_variables(&environment, file)?;
+    }
     let (networks, network_enrolments) = if builder.networks.is_empty() {
         let setup = claims_setup((&node, incarnation), &parts, &environment);
         let arbiter = parts.chain.arbiter.as_ref();
@@ -541,10 +486,12 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         environment.services.enter(carried.name.clone(), carried.config.members.clone());
         let place = networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
         let place = place.or(chain.arbiter.as_ref());
-        let (registry, services) = (&environment.registry, &environment.services);
-        let body = ReplicaBody::start(carried, registry, services, &guardian, place);
+        let body = ReplicaBody::start(carried, &environment, &guardian, place);
         let body = body.map_err(SpecError::from)?;
         enrolments.push(middleware(name, Some(body)));
+    }
+    if kept {
+        enrolments.push(middleware(named(KEPT_VARIABLES), None));
     }
     let leases = environment.actuators.start(named("leases"), &guardian, chain.arbiter.as_ref());
     enrolments.push(middleware(named("leases"), Some(leases)));
@@ -591,6 +538,7 @@ pub(super) async fn start(builder: NodeBuilder) -> Result<Node, StartError> {
         plan,
     };
     let node = Node(Arc::new(shared));
+    node.0.environment.declare_complaints();
     // From here on the node ends its threads itself.
     undone.kept = true;
     match keeper.send(StartRoot(root)).await {

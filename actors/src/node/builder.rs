@@ -15,6 +15,7 @@ use blastema_core::{Fault, FaultKind, NameError, ObjectName};
 use blastema_transports::EndpointError;
 use std::fmt;
 use std::io;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -69,6 +70,14 @@ pub enum StartError {
         /// What is wrong, and what to write.
         reason: String,
     },
+    /// The file in which variables are kept can be neither read nor set aside.
+    #[error("variables cannot be kept in {}: {reason}", file.display())]
+    Variables {
+        /// The file.
+        file: PathBuf,
+        /// What stands in the way.
+        reason: String,
+    },
     /// The operating system has no thread left.
     #[error("a thread could not be started: {0}")]
     Thread(#[from] io::Error),
@@ -107,6 +116,7 @@ pub struct NodeBuilder {
     pub(super) wardens: Vec<String>,
     pub(super) listeners: Vec<Listener>,
     pub(super) state: watch::Sender<NodeState>,
+    pub(super) kept_in: Option<PathBuf>,
 }
 
 impl StartError {
@@ -141,6 +151,7 @@ impl NodeBuilder {
             wardens: Vec::new(),
             listeners: Vec::new(),
             state: watch::channel(NodeState::Starting).0,
+            kept_in: None,
         }
     }
 
@@ -185,6 +196,14 @@ impl NodeBuilder {
     /// any, it takes more than half of the nodes that are there. Every node of the robot is told the same.
     pub fn warden(mut self, node: &str) -> Self {
         self.wardens.push(node.to_owned());
+        self
+    }
+
+    /// Keeps the values of variables in this file, so that they outlive the process: what the next one finds
+    /// of each is what its [policy](crate::RestorePolicy) leaves. A write is answered when it is on the disk.
+    /// A file that is damaged is set aside and becomes a fault. Two nodes never share one.
+    pub fn keep_variables(mut self, file: impl Into<PathBuf>) -> Self {
+        self.kept_in = Some(file.into());
         self
     }
 

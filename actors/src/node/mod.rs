@@ -12,6 +12,7 @@
 
 mod assembly;
 mod builder;
+mod checks;
 mod faults;
 mod keeper;
 mod network;
@@ -309,8 +310,8 @@ impl Node {
         self.0.root.tree.send(ReadTree).await.ok()
     }
 
-    /// Waits until messages can be sent to the node of this name, and says whether that came to be
-    /// within the time. A link needs a few hellos to come up, also after both nodes have started.
+    /// Waits until messages can be sent to the node of this name and a path leads there, and says whether
+    /// that came to be within the time. A link needs a few hellos to come up, also after both nodes have started.
     pub async fn connected(&self, node: &str, within: Duration) -> bool {
         let (Some(networks), Ok(node)) = (&self.0.networks, NodeName::new(node)) else {
             return false;

@@ -2,20 +2,21 @@
 
 use super::builder::StartError;
 use crate::guardian::Guardian;
-use crate::net::{Interface, LinkSpec, NetworkSpec};
+use crate::net::{DiscoverySpec, Interface, LinkSpec, NetworkSpec};
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::transport::{
     Cut, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults, Restore, Transport,
 };
+use blastema_core::net::discovery::Admission;
 use blastema_core::{NodeName, ObjectName};
 use blastema_transports::frame_medium::FrameMedium;
 use blastema_transports::{
-    Endpoint, EndpointError, Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig,
-    SerialLine, SlcanBus, Tcp, TcpConfig, Udp, UdpConfig, Unix,
+    CanConfig, Endpoint, EndpointError, Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig,
+    SerialLine, SlcanBus, SlcanConfig, Tcp, TcpConfig, Udp, UdpConfig, Unix,
 };
 use std::fmt;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
@@ -44,6 +45,15 @@ pub struct Network {
     links: Vec<Link>,
     faults: Option<u64>,
     interface: Option<Interface>,
+    admission: Option<Admitted>,
+    /// The group by which beacons are sent, as it was written.
+    beacons: Option<String>,
+}
+
+/// Who is admitted, as it was written.
+enum Admitted {
+    Anybody,
+    Only(Vec<String>),
 }
 
 enum Medium {
@@ -118,7 +128,15 @@ impl Network {
         };
         let by_address = || Interface::of(bind?.ip());
         let interface = named.map(Interface::Named).or_else(by_address);
-        Network { name: name.to_owned(), medium, links: Vec::new(), faults: None, interface }
+        Network {
+            name: name.to_owned(),
+            medium,
+            links: Vec::new(),
+            faults: None,
+            interface,
+            admission: None,
+            beacons: None,
+        }
     }
 
     /// One more neighbour, with everything usual: the node of this name, at this address as the medium
@@ -130,6 +148,30 @@ impl Network {
     /// One more neighbour.
     pub fn link(mut self, link: Link) -> Self {
         self.links.push(link);
+        self
+    }
+
+    /// Learns of neighbours that are not described, and tells neighbours of each other
+    /// ([gossip](crate::manual::networks#discovery)): nodes of these names get a link when a neighbour on
+    /// this network says where they are. Without any name, it only tells. Over UDP, TCP, Unix sockets and
+    /// memory; elsewhere there is nothing to learn, and this does nothing.
+    pub fn discover<'a>(mut self, nodes: impl IntoIterator<Item = &'a str>) -> Self {
+        let nodes = nodes.into_iter().map(str::to_owned);
+        self.admission = Some(Admitted::Only(nodes.collect()));
+        self
+    }
+
+    /// Learns of neighbours, whatever they are called, and tells neighbours of each other.
+    pub fn discover_anybody(mut self) -> Self {
+        self.admission = Some(Admitted::Anybody);
+        self
+    }
+
+    /// Says every second by multicast, to a group such as `239.255.0.1:7399`, where this node is, and learns of
+    /// others that do; neighbours need not be described at all then. Who is admitted is said by
+    /// [`discover`](Network::discover) or [`discover_anybody`](Network::discover_anybody). For UDP and TCP.
+    pub fn beacons(mut self, group: &str) -> Self {
+        self.beacons = Some(group.to_owned());
         self
     }
 
@@ -158,6 +200,7 @@ pub struct Link {
     remote: Remote,
     cost: Option<u16>,
     hello_interval: Option<Duration>,
+    expected_within: Duration,
 }
 
 /// Where a neighbour is.
@@ -189,7 +232,8 @@ impl Link {
 
     fn at(neighbour: &str, remote: Remote) -> Self {
         let neighbour = neighbour.to_owned();
-        Link { name: None, neighbour, remote, cost: None, hello_interval: None }
+        let expected_within = Duration::from_secs(5);
+        Link { name: None, neighbour, remote, cost: None, hello_interval: None, expected_within }
     }
 
     /// How people call it. Unless this says otherwise, it has the network's name where it is the only
@@ -212,6 +256,14 @@ impl Link {
     /// neighbour finds this end dead after three and a half of them.
     pub fn hello_every(mut self, interval: Duration) -> Self {
         self.hello_interval = Some(interval);
+        self
+    }
+
+    /// How soon after the node's start the neighbour must have been heard, 5 s unless this says
+    /// otherwise; on a slow medium, five hellos more. After that the link is a fault, *link down*, until
+    /// it comes. [`Duration::MAX`] is for a neighbour that need not come at all.
+    pub fn expected_within(mut self, span: Duration) -> Self {
+        self.expected_within = span;
         self
     }
 }
@@ -266,14 +318,6 @@ pub(super) struct Laid {
 /// A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so long
 /// looks dead to its neighbours; on a computer that is never overloaded, less is fine.
 const HELLO_INTERVAL: Duration = Duration::from_millis(50);
-/// What a hello takes on a CAN bus, in bits: eight frames, and the receiver's word on how to go on.
-const HELLO_BITS: u32 = 1_200;
-/// How fast an interface of the system is taken to be, in bits a second: it does not say.
-const CAN_RATE_HZ: u32 = 500_000;
-/// The longest that a link accepts of its neighbour is 15 s.
-const HELLO_LONGEST: Duration = Duration::from_secs(10);
-/// Hellos may take so much of a slow line: one part in ten.
-const HELLO_SHARE: u32 = 10;
 
 impl Medium {
     /// The address of a neighbour as this medium has it.
@@ -290,18 +334,24 @@ impl Medium {
         }
     }
 
-    /// How often a hello is sent unless the link says otherwise, on a network with so many links.
-    fn hello_interval(&self, links: usize) -> Duration {
-        // A bus is shared: each of its nodes says hello to each other.
-        let on_bus = |rate_hz: u32| {
-            let hellos = u32::try_from(links * (links + 1)).unwrap_or(u32::MAX);
-            let one = Duration::from_secs(1) * HELLO_BITS / rate_hz.max(1);
-            HELLO_INTERVAL.max(one.saturating_mul(hellos) * HELLO_SHARE).min(HELLO_LONGEST)
-        };
+    /// How neighbours' addresses are written where they can be told to others.
+    fn learned_by(&self) -> Option<&'static str> {
         match self {
-            Medium::At(Endpoint::Can(_)) => on_bus(CAN_RATE_HZ),
-            Medium::At(Endpoint::Slcan(config)) => on_bus(config.bitrate),
-            _ => HELLO_INTERVAL,
+            Medium::At(Endpoint::Udp(config)) if config.group.is_some() => None,
+            Medium::At(Endpoint::Udp(_)) => Some("udp"),
+            Medium::At(Endpoint::Tcp(_)) => Some("tcp"),
+            Medium::At(Endpoint::Unix(_)) => Some("unix"),
+            Medium::At(Endpoint::Memory(_)) | Medium::Memory(_) => Some("memory"),
+            _ => None,
+        }
+    }
+
+    /// Whoever clashes with us there is to learn who we are.
+    fn name_node(&mut self, own: &NodeName) {
+        if let Medium::At(Endpoint::Can(CanConfig { node, .. }))
+        | Medium::At(Endpoint::Slcan(SlcanConfig { node, .. })) = self
+        {
+            node.name = own.to_string();
         }
     }
 
@@ -367,6 +417,27 @@ impl Medium {
     }
 }
 
+/// Where beacons are sent from, and heard: the interface that the network itself uses.
+fn beacon_config(
+    network: &str,
+    (ip, interface): (IpAddr, Option<String>),
+    group: &str,
+) -> Result<UdpConfig, StartError> {
+    match format!("udp://{group}").parse() {
+        Ok(Endpoint::Udp(mut config)) if config.group.is_some() => {
+            (config.bind, config.interface) = (SocketAddr::new(ip, 0), interface);
+            Ok(config)
+        }
+        Ok(_) => {
+            let text = format!(
+                "network {network}: {group} is no multicast group: write one, as in 239.255.0.1:7399"
+            );
+            Err(StartError::Network(text))
+        }
+        Err(error) => Err(StartError::Endpoint { network: network.to_owned(), error }),
+    }
+}
+
 /// How often a hello may be said: more often is taken for an attack by the neighbour, and a link must be
 /// known to be dead within a minute.
 const HELLO_RANGE: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_secs(15);
@@ -407,21 +478,22 @@ impl Network {
         Ok(())
     }
 
-    /// Starts the transport.
+    /// Starts the transport, of this node.
     pub(super) fn lay(
         self,
+        own: &NodeName,
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Laid, StartError> {
-        let Network { name, medium, links, faults, interface } = self;
+        let Network { name, mut medium, links, faults, interface, admission, beacons } = self;
+        medium.name_node(own);
         let of = format!("the name of network {name:?}");
         let object =
             ObjectName::new(&format!("transport/{name}")).map_err(StartError::name_of(of))?;
         let mut neighbours = Vec::new();
         let mut specs = Vec::new();
-        let usual_interval = medium.hello_interval(links.len());
         let alone = links.len() == 1;
-        for Link { name: own, neighbour, remote, cost, hello_interval } in links {
+        for Link { name: own, neighbour, remote, cost, hello_interval, expected_within } in links {
             let of = format!("the name of a neighbour on network {name}");
             let node = NodeName::new(&neighbour).map_err(StartError::name_of(of))?;
             let usual = if alone { name.clone() } else { format!("{name}/{neighbour}") };
@@ -429,12 +501,62 @@ impl Network {
             let remote = medium
                 .remote(remote)
                 .map_err(|error| StartError::Endpoint { network: name.clone(), error })?;
-            let hello_interval = hello_interval.unwrap_or(usual_interval);
+            let hello_interval = hello_interval.unwrap_or(HELLO_INTERVAL);
             neighbours.push(node.clone());
             let neighbour = Some(node);
-            specs.push(LinkSpec { name: link, remote, neighbour, cost, hello_interval });
+            let expected_within = Some(expected_within);
+            specs.push(LinkSpec {
+                name: link,
+                remote,
+                neighbour,
+                cost,
+                hello_interval,
+                expected_within,
+            });
         }
         let mut transports = vec![object.clone()];
+        let learned = medium.learned_by();
+        let at = match &medium {
+            Medium::At(Endpoint::Udp(config)) => Some((config.bind.ip(), config.interface.clone())),
+            Medium::At(Endpoint::Tcp(config)) => Some((config.bind.ip(), config.interface.clone())),
+            _ => None,
+        };
+        let beacons = match (beacons, at) {
+            (Some(group), Some(at)) => {
+                let object = ObjectName::new(&format!("beacons/{name}"))
+                    .map_err(StartError::name_of(format!("the name of network {name:?}")))?;
+                let config = beacon_config(&name, at, &group)?;
+                let group = config.group;
+                let make = move |_: &mut Context<Udp>| Udp::new(config);
+                transports.push(object.clone());
+                let transport = Transport::from(guardian.start(object, arbiter, make));
+                group.map(|group| (transport, group))
+            }
+            (Some(_), _) => {
+                let text = format!("network {name}: beacons are for udp and tcp: leave them out");
+                return Err(StartError::Network(text));
+            }
+            (None, _) => None,
+        };
+        let admission = match admission {
+            None if beacons.is_some() => {
+                let text = format!("network {name}: say whom the beacons are for, by discover()");
+                return Err(StartError::Network(text));
+            }
+            None => None,
+            Some(Admitted::Anybody) => Some(Admission::Anybody),
+            Some(Admitted::Only(nodes)) => {
+                let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
+                let of = format!("the name of a node that network {name} is discovered by");
+                Some(Admission::Only(nodes.map_err(StartError::name_of(of))?))
+            }
+        };
+        let discovery = learned.zip(admission).map(|(medium, admission)| DiscoverySpec {
+            medium,
+            admission,
+            hello_interval: HELLO_INTERVAL,
+            beacons,
+        });
         let mut transport = medium.start(&name, object, guardian, arbiter)?;
         let cable = match faults {
             None => None,
@@ -453,7 +575,7 @@ impl Network {
                 Some(Cable { faulty, neighbours: specs.iter().filter_map(there).collect() })
             }
         };
-        let spec = NetworkSpec { name: name.into(), transport, interface, links: specs };
+        let spec = NetworkSpec { name: name.into(), transport, interface, links: specs, discovery };
         Ok(Laid { spec, cable, neighbours, transports })
     }
 }

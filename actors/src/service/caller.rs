@@ -4,11 +4,17 @@ use super::finder::{Finder, Found, PROBE};
 use super::read_why;
 use super::roster::Roster;
 use super::words::{Answered, AskService, Task};
+use crate::platform;
 use crate::registry::Registry;
 use crate::sender::{RequestError, next_id};
-use blastema_core::{ContractIdentity, NameError, NodeName, ObjectName, Request, Why, codec};
+use blastema_core::{
+    ContractIdentity, Instant, MessageId, NameError, NodeName, ObjectName, Request, RetryRule, Why,
+    codec,
+};
+use std::collections::BTreeSet;
 use std::fmt;
 use std::marker::PhantomData;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Asks a service, whichever node serves it now. Clones share what they know of it.
@@ -26,6 +32,34 @@ impl<M: Request> Clone for ServiceRef<M> {
 impl<M: Request> fmt::Debug for ServiceRef<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} of service {}", M::NAME, self.finder.name)
+    }
+}
+
+/// A request to a service that waits for its answer. Replies are kept for it no longer than it waits.
+struct Open(u64);
+
+/// The requests of this process that wait, by number: as many as it has under way.
+static OPEN: Mutex<BTreeSet<u64>> = Mutex::new(BTreeSet::new());
+
+fn open() -> MutexGuard<'static, BTreeSet<u64>> {
+    OPEN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Open {
+    /// A new identity, and below which number all requests have their answers.
+    fn begin() -> (MessageId, u64, Open) {
+        let mut open = open();
+        // Numbered under the lock: whoever looks meanwhile must not find a gap.
+        let id = next_id();
+        open.insert(id.sequence);
+        let settled = open.first().copied().unwrap_or(id.sequence);
+        (id, settled, Open(id.sequence))
+    }
+}
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        open().remove(&self.0);
     }
 }
 
@@ -69,23 +103,53 @@ impl<M: Request> ServiceRef<M> {
         message: M,
         deadline: Duration,
     ) -> Result<M::Reply, RequestError<M>> {
+        // A component that dies of it three times dies of it again.
+        let rule = RetryRule { attempts: 3, within: deadline, ..RetryRule::default() };
+        self.ask_by(message, &rule).await
+    }
+
+    /// Asks until the deadline of this rule. Whatever the rule says, the service is followed wherever it goes;
+    /// the rule is for its component's failures: a request whose contract is declared `idempotent` is asked
+    /// again where the component died while it served it.
+    ///
+    /// # Errors
+    /// As [`ask_within`](Self::ask_within).
+    pub async fn ask_by(&self, message: M, rule: &RetryRule) -> Result<M::Reply, RequestError<M>> {
         let mut payload = Vec::new();
         if codec::encode(&message, &mut payload).is_err() {
             let why = Why::TooLarge { limit: M::MAX_SIZE };
             return Err(RequestError { why, message: Some(message) });
         }
-        let id = next_id();
         let task = Task { identity: ContractIdentity::of::<M>().brief().encode(), payload };
-        let ask = AskService { sender: id.sender, sequence: id.sequence, task };
-        let asked = tokio::time::timeout(deadline, self.pursue(ask)).await;
+        let until = platform::now() + rule.within;
         let failed = |why| RequestError { why, message: None };
-        let reply = asked.map_err(|_| failed(Why::DeadlinePassed))?.map_err(failed)?;
-        codec::decode_reply::<M>(&reply)
-            .map_err(|error| failed(Why::Undecodable { reason: error.to_string() }))
+        for asked in 1.. {
+            // That a request has failed is remembered: asked again, it is another one.
+            let (id, settled, _open) = Open::begin();
+            let ask = AskService {
+                sender: id.sender,
+                sequence: id.sequence,
+                settled,
+                task: task.clone(),
+            };
+            let pursued = tokio::time::timeout(until - platform::now(), self.pursue(ask, until));
+            let why = match pursued.await.unwrap_or(Err(Why::DeadlinePassed)) {
+                Ok(reply) => {
+                    return codec::decode_reply::<M>(&reply)
+                        .map_err(|error| failed(Why::Undecodable { reason: error.to_string() }));
+                }
+                Err(why) => why,
+            };
+            match rule.again(asked, &why, M::IDEMPOTENT, until.as_nanos()) {
+                Some(wait) if platform::now() + wait < until => tokio::time::sleep(wait).await,
+                _ => return Err(failed(why)),
+            }
+        }
+        Err(failed(Why::DeadlinePassed))
     }
 
     /// Follows the service from node to node until it has answered.
-    async fn pursue(&self, ask: AskService) -> Result<Vec<u8>, Why> {
+    async fn pursue(&self, ask: AskService, until: Instant) -> Result<Vec<u8>, Why> {
         let mut primary = self.primary();
         // Who has not answered, and what became of the request there if that is not known.
         let (mut failed, mut uncertain) = (None, None);
@@ -103,7 +167,7 @@ impl<M: Request> ServiceRef<M> {
                     }
                 },
             };
-            match self.try_at(&node, &ask).await {
+            match self.try_at(&node, &ask, until).await {
                 Turn::Answered(Answered::Done(reply)) => {
                     self.finder.note(node);
                     return Ok(reply);
@@ -140,14 +204,13 @@ impl<M: Request> ServiceRef<M> {
     }
 
     /// Asks one node, and after a while the others whether it still serves.
-    async fn try_at(&self, node: &NodeName, ask: &AskService) -> Turn {
+    async fn try_at(&self, node: &NodeName, ask: &AskService, until: Instant) -> Turn {
         let address = format!("{node}:{}", self.finder.name);
         let sender = match self.finder.registry.sender::<AskService>(&address) {
             Ok(sender) => sender,
             Err(why) => return Turn::Failed(why),
         };
-        // Whoever asks sets the deadline, around all of this.
-        let asking = sender.ask_within(ask.clone(), Duration::from_secs(3600));
+        let asking = sender.ask_within(ask.clone(), until - platform::now());
         let moved = async {
             loop {
                 tokio::time::sleep(PROBE).await;

@@ -9,17 +9,21 @@ use crate::death_watch::{Down, Ending, Mourner};
 use crate::desk::Desk;
 use crate::drive::{Body, Wake};
 use crate::guardian::{Guardian, answers_the_monitor};
+use crate::host::environment::HostEnvironment;
 use crate::host::life::LifeToken;
 use crate::platform;
 use crate::registry::{NameTaken, Port, Postmark, Registry, ReplyTo};
 use crate::reply::Answer;
 use crate::sender::Sender;
 use actix::prelude::*;
-use blastema_contract::reports::AreYouAlive;
+use blastema_contract::reports::{AreYouAlive, FaultDeclared};
 use blastema_core::service::{
-    MESSAGE_MAX, Replica, ReplicaConfig, ReplicaOutput, Role, ServiceOutcome, StandbyKind,
+    MESSAGE_MAX, Replica, ReplicaConfig, ReplicaOutput, Role, ServiceOutcome, ServiceRequest,
+    StandbyKind,
 };
-use blastema_core::{Contract, MessageId, NodeName, ObjectName, PeerIdentity, Why, codec};
+use blastema_core::{
+    Contract, FaultKind, MessageId, NodeName, ObjectName, PeerIdentity, Why, codec,
+};
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -63,6 +67,7 @@ pub(crate) struct ReplicaBody {
     wake: Wake,
     registry: Registry,
     roster: Roster,
+    faults: Option<Recipient<FaultDeclared>>,
     callers: BTreeMap<u64, Answer<AskService>>,
     /// Who wants to know who serves, while nobody does.
     wondering: VecDeque<Wondered>,
@@ -75,12 +80,13 @@ impl ReplicaBody {
     /// Starts the replica, and gives the service its name here.
     pub(crate) fn start(
         carried: Carried,
-        registry: &Registry,
-        roster: &Roster,
+        environment: &HostEnvironment,
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Recipient<AreYouAlive>, NameTaken> {
+        let HostEnvironment { registry, services: roster, .. } = environment;
         let (kept, known, names) = (carried.clone(), roster.clone(), registry.clone());
+        let faults = environment.reports.faults.clone();
         let make = move |_: &mut Context<Self>| {
             let (config, initial) = (kept.config.clone(), kept.initial.clone());
             ReplicaBody {
@@ -89,6 +95,7 @@ impl ReplicaBody {
                 wake: Wake::default(),
                 registry: names,
                 roster: known,
+                faults,
                 callers: BTreeMap::new(),
                 wondering: VecDeque::new(),
                 inquiry: None,
@@ -193,9 +200,11 @@ impl ReplicaBody {
         // A message without fields always fits.
         let _ = codec::encode(&SaveState, &mut bytes);
         let then = move |result: Result<Bytes, Why>| {
-            let state = result
-                .ok()
-                .and_then(|reply| codec::decode_reply::<SaveState>(&reply).ok().map(Bytes::from));
+            let state = result.and_then(|reply| {
+                codec::decode_reply::<SaveState>(&reply)
+                    .map(Bytes::from)
+                    .map_err(|error| Why::Undecodable { reason: error.to_string() })
+            });
             match after {
                 Some(result) => Done::Both { result, state },
                 None => Done::Saved { state },
@@ -206,7 +215,8 @@ impl ReplicaBody {
 
     fn tell(&mut self, to: &NodeName, message: Bytes) {
         if message.len() > MESSAGE_MAX {
-            return warn!(service = %self.carried.name, "a state is too large to be shipped");
+            let detail = "a reply is too large to be kept for the standbys: let it be smaller";
+            return self.declare(detail.to_owned());
         }
         if !self.others.contains_key(to) {
             let name = format!("{to}:{}", self.carried.name);
@@ -217,6 +227,22 @@ impl ReplicaBody {
             let from = self.carried.config.own.to_string();
             // One that cannot be reached now will be told again.
             let _ = other.tell(ReplicaSays { from, message: message.into() });
+        }
+    }
+
+    /// The component is at fault.
+    fn declare(&self, detail: String) {
+        let name = &self.carried.name;
+        warn!(service = %name, "{detail}");
+        if let Some(faults) = &self.faults {
+            let (object, incarnation) =
+                (self.carried.body.clone(), crate::guardian::alive().incarnation);
+            faults.do_send(FaultDeclared {
+                object,
+                incarnation,
+                kind: FaultKind::CheckFailed,
+                detail: format!("service {name}: {detail}"),
+            });
         }
     }
 
@@ -311,6 +337,7 @@ impl Body for ReplicaBody {
             ReplicaOutput::Execute { request, save } => self.execute(&request, save, context),
             ReplicaOutput::Save => self.save(None, context),
             ReplicaOutput::Load { state } => self.load(state, context),
+            ReplicaOutput::Fault { detail } => self.declare(detail),
             ReplicaOutput::Inquire => self.inquire(context),
             ReplicaOutput::Answer { caller, outcome } => {
                 if let Some(answer) = self.callers.remove(&caller) {
@@ -383,16 +410,23 @@ impl Handler<Asked> for ReplicaBody {
     type Result = ();
 
     fn handle(&mut self, Asked(ask, answer): Asked, context: &mut Context<Self>) {
-        let AskService { sender, sequence, task } = ask;
+        let AskService { sender, sequence, settled, task } = ask;
         let mut request = Vec::new();
         if codec::encode_bounded(&task, TASK_MAX, &mut request).is_err() {
             let why = super::encode_why(&Why::TooLarge { limit: TASK_MAX });
             return answer.give(Answered::Refused { why });
         }
         self.next += 1;
+        let until = answer.until();
         self.callers.insert(self.next, answer);
-        let id = MessageId { sender, sequence };
-        self.machine.handle_request(self.next, id, request.into(), platform::now());
+        let asked = ServiceRequest {
+            caller: self.next,
+            id: MessageId { sender, sequence },
+            settled,
+            until,
+            request: request.into(),
+        };
+        self.machine.handle_request(asked, platform::now());
         self.drive(context);
     }
 }
@@ -431,8 +465,8 @@ impl Handler<Died> for ReplicaBody {
 #[rtype(result = "()")]
 enum Done {
     Executed { result: Result<Bytes, Why>, save: bool },
-    Both { result: Result<Bytes, Why>, state: Option<Bytes> },
-    Saved { state: Option<Bytes> },
+    Both { result: Result<Bytes, Why>, state: Result<Bytes, Why> },
+    Saved { state: Result<Bytes, Why> },
     Loaded,
     NotLoaded { state: Bytes },
     Told,
@@ -448,7 +482,9 @@ impl Handler<Done> for ReplicaBody {
                 return self.save(Some(Ok(reply)), context);
             }
             Done::Executed { result, .. } => self.machine.handle_executed(result, None, now),
-            Done::Both { result, state } => self.machine.handle_executed(result, state, now),
+            Done::Both { result, state } => {
+                self.machine.handle_executed(result, Some(state), now);
+            }
             Done::Saved { state } => self.machine.handle_saved(state, now),
             Done::Loaded => self.machine.handle_loaded(),
             Done::NotLoaded { state } => {

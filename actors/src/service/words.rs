@@ -23,6 +23,8 @@ pub(crate) struct AskService {
     /// The request's identity, the same however often it is sent.
     pub(crate) sender: u64,
     pub(crate) sequence: u64,
+    /// The sender has the answers to all of its requests below this number.
+    pub(crate) settled: u64,
     pub(crate) task: Task,
 }
 

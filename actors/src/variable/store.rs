@@ -1,6 +1,7 @@
 //! The node's variables: the body of the machine in the core.
 
 use super::access::{Access, Accessed, Wanted, Written};
+use super::file::{self, Keeper, Then};
 use crate::death_watch::{Ending, Mourner};
 use crate::desk::Desk;
 use crate::host::life::LifeToken;
@@ -9,12 +10,14 @@ use crate::platform;
 use crate::registry::{Port, Registry};
 use crate::reply::Answer;
 use blastema_core::variables::{
-    Choice, Declaration, RestorePolicy, ValueWrite, VariableKey, Variables, Watched,
+    Choice, Declaration, KeptValue, RestorePolicy, ValueWrite, VariableKey, Variables, Watched,
 };
 use blastema_core::{ContractIdentity, ObjectName, PeerIdentity, Variable, Why, codec};
 use bytes::Bytes;
 use std::collections::BTreeMap;
+use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Says whether bytes are a value that the owner takes.
@@ -77,6 +80,41 @@ struct Inner {
     facts: BTreeMap<VariableKey, Facts>,
     waiting: BTreeMap<u64, Answer<Access>>,
     next: u64,
+    /// Values of an earlier process whose owner is not there yet, or not any more.
+    kept: BTreeMap<VariableKey, KeptValue>,
+    keeper: Option<Keeper>,
+    /// What is wrong with values that were to be restored, until somebody can be told.
+    complaints: Vec<String>,
+}
+
+impl Inner {
+    /// A value from before, if it is what the contract and the owner's check take.
+    fn restored(&mut self, variable: &VariableKey, facts: &Facts) -> Option<Bytes> {
+        let kept = self.kept.remove(variable)?;
+        let refused = match kept.fingerprint == facts.identity.fingerprint {
+            true => (facts.check)(&kept.value).err().map(|why| why.to_string()),
+            false => Some("its contract has changed since".to_owned()),
+        };
+        match refused {
+            None => Some(kept.value.into()),
+            Some(why) => {
+                let (object, name) = variable;
+                self.complaints.push(format!(
+                    "{name} of {object} begins with its default, since its kept value is refused: {why}"
+                ));
+                None
+            }
+        }
+    }
+
+    /// All that the next process is to find.
+    fn worth_keeping(&self) -> Vec<KeptValue> {
+        let present = self.machine.kept().filter_map(|(variable, value)| {
+            let fingerprint = self.facts.get(variable)?.identity.fingerprint;
+            Some(KeptValue { variable: variable.clone(), fingerprint, value: value.to_vec() })
+        });
+        present.chain(self.kept.values().cloned()).collect()
+    }
 }
 
 /// The variables of a node. Clones share them.
@@ -88,14 +126,52 @@ impl Default for Store {
         // Above every revision of any earlier process, as long as fewer than a million changes come
         // in one millisecond.
         let machine = Variables::new(platform::node_incarnation().0 << 20);
-        let (facts, waiting) = (BTreeMap::new(), BTreeMap::new());
-        Store(Arc::new(Mutex::new(Inner { machine, facts, waiting, next: 0 })))
+        Store(Arc::new(Mutex::new(Inner {
+            machine,
+            facts: BTreeMap::new(),
+            waiting: BTreeMap::new(),
+            next: 0,
+            kept: BTreeMap::new(),
+            keeper: None,
+            complaints: Vec::new(),
+        })))
     }
 }
 
 impl Store {
     fn lock(&self) -> MutexGuard<'_, Inner> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes values from this file, and keeps them there from now on; called before anything is declared.
+    pub(crate) fn keep_in(
+        &self,
+        path: PathBuf,
+        failed: impl Fn(String) + Send + 'static,
+    ) -> io::Result<()> {
+        let mut inner = self.lock();
+        match file::load(&path) {
+            Ok(values) => {
+                let values = values.into_iter().map(|kept| (kept.variable.clone(), kept));
+                inner.kept = values.collect();
+            }
+            Err(error) => {
+                let aside = file::set_aside(&path)?;
+                inner.complaints.push(format!(
+                    "variables begin with their defaults, since {} is refused: {error}. It is set aside \
+                     as {}: see what has damaged it",
+                    path.display(),
+                    aside.display()
+                ));
+            }
+        }
+        inner.keeper = Some(Keeper::start(path, failed)?);
+        Ok(())
+    }
+
+    /// What was wrong with the values that were to be restored.
+    pub(crate) fn complaints(&self) -> Vec<String> {
+        std::mem::take(&mut self.lock().complaints)
     }
 
     /// The object has these variables from now on; the port is where they are asked for.
@@ -109,8 +185,10 @@ impl Store {
         for Declared { identity, default, policy, check } in declared {
             let key = (object.clone(), identity.name.to_owned());
             let declaration = Declaration { default: default?, policy };
-            inner.machine.handle_declared(key.clone(), declaration, platform::now());
-            inner.facts.insert(key, Facts { identity, check });
+            let facts = Facts { identity, check };
+            let kept = inner.restored(&key, &facts);
+            inner.machine.handle_declared(key.clone(), declaration, kept, platform::now());
+            inner.facts.insert(key, facts);
         }
         drop(inner);
         let store = self.clone();
@@ -139,6 +217,12 @@ impl Store {
     /// The object is gone.
     pub(crate) fn withdraw(&self, object: &ObjectName) {
         let mut inner = self.lock();
+        if inner.keeper.is_some() {
+            // It may be there again in the next process.
+            let left = inner.worth_keeping().into_iter().filter(|kept| kept.variable.0 == *object);
+            let left: Vec<_> = left.map(|kept| (kept.variable.clone(), kept)).collect();
+            inner.kept.extend(left);
+        }
         inner.facts.retain(|(owner, _), _| owner != object);
         inner.machine.handle_withdrawn(object);
         self.answer(inner);
@@ -155,17 +239,20 @@ impl Store {
                 Ok((key, _)) => return self.watch(key, after, answer),
                 Err(refused) => Err(refused),
             },
-            Access::Write { writes } => self.write(writes),
-            Access::Choose { variable, choice } => self.find(&variable).and_then(|(key, facts)| {
-                let choice = Choice::from(choice);
-                if let Choice::Value(value) = &choice {
-                    (facts.check)(value).map_err(|why| Accessed::refused(&why))?;
+            Access::Write { writes } => match self.checked(writes) {
+                Ok(writes) => {
+                    let write = |machine: &mut Variables| machine.handle_write(writes, now);
+                    return self.change(write, answer);
                 }
-                let mut inner = self.lock();
-                let chosen = inner.machine.handle_choice(&key, choice, now);
-                self.answer(inner);
-                chosen.map(Accessed::Revision).map_err(|why| Accessed::refused(&why))
-            }),
+                Err(refused) => Err(refused),
+            },
+            Access::Choose { variable, choice } => match self.chosen(&variable, choice.into()) {
+                Ok((key, choice)) => {
+                    let choose = |machine: &mut Variables| machine.handle_choice(&key, choice, now);
+                    return self.change(choose, answer);
+                }
+                Err(refused) => Err(refused),
+            },
         };
         answer.give(accessed.unwrap_or_else(|refused| refused));
     }
@@ -179,17 +266,55 @@ impl Store {
         self.answer(inner);
     }
 
-    fn write(&self, writes: Vec<Written>) -> Result<Accessed, Accessed> {
+    /// Changes something. Where values are kept, whoever wanted it is answered when it is on the disk.
+    fn change(
+        &self,
+        change: impl FnOnce(&mut Variables) -> Result<u64, Why>,
+        answer: Answer<Access>,
+    ) {
+        let mut inner = self.lock();
+        if inner.keeper.as_ref().is_some_and(|keeper| !keeper.has_room()) {
+            drop(inner);
+            return answer.give(Accessed::refused(&Why::Full));
+        }
+        let changed = change(&mut inner.machine);
+        let told = match (changed, &inner.keeper) {
+            (Ok(revision), Some(keeper)) => {
+                let then: Then = Box::new(move |kept| {
+                    answer.give(match kept {
+                        Ok(()) => Accessed::Revision(revision),
+                        Err(reason) => Accessed::refused(&Why::NotKept { reason }),
+                    });
+                });
+                // Under the lock: a later file has all that an earlier one has.
+                keeper.keep(inner.worth_keeping(), then);
+                None
+            }
+            (Ok(revision), None) => Some((answer, Accessed::Revision(revision))),
+            (Err(why), _) => Some((answer, Accessed::refused(&why))),
+        };
+        self.answer(inner);
+        if let Some((answer, accessed)) = told {
+            answer.give(accessed);
+        }
+    }
+
+    fn chosen(&self, wanted: &Wanted, choice: Choice) -> Result<(VariableKey, Choice), Accessed> {
+        let (key, facts) = self.find(wanted)?;
+        if let Choice::Value(value) = &choice {
+            (facts.check)(value).map_err(|why| Accessed::refused(&why))?;
+        }
+        Ok((key, choice))
+    }
+
+    fn checked(&self, writes: Vec<Written>) -> Result<Vec<ValueWrite>, Accessed> {
         let mut checked = Vec::new();
         for Written { variable, value, if_revision } in writes {
             let (variable, facts) = self.find(&variable)?;
             (facts.check)(&value).map_err(|why| Accessed::refused(&why))?;
             checked.push(ValueWrite { variable, value: value.into(), if_revision });
         }
-        let mut inner = self.lock();
-        let written = inner.machine.handle_write(checked, platform::now());
-        self.answer(inner);
-        written.map(Accessed::Revision).map_err(|why| Accessed::refused(&why))
+        Ok(checked)
     }
 
     /// The variable, if it is what the asker takes it for.

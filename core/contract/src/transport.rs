@@ -63,6 +63,25 @@ pub struct Transmit {
     pub to: MediumAddress,
     /// The frame, whole.
     pub frame: Bytes,
+    /// What it may overtake.
+    pub lane: Lane,
+}
+
+impl Transmit {
+    /// The usual, which overtakes nothing.
+    pub fn new(to: MediumAddress, frame: Bytes) -> Self {
+        Transmit { to, frame, lane: Lane::Usual }
+    }
+}
+
+/// Of what waits for a medium, the urgent goes before the usual.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Lane {
+    /// Hellos, acknowledgements, what routers tell each other, what keeps the robot together.
+    Urgent,
+    /// What its objects say to each other.
+    #[default]
+    Usual,
 }
 
 /// One frame arrived.
@@ -121,6 +140,23 @@ pub enum TransportReport {
     Rate {
         /// Bytes of frames in a second, both ways together.
         bytes_per_second: u64,
+    },
+    /// The medium is a bus that all its nodes hear: one hello is said there for all of them. Reported
+    /// after each opening.
+    Bus {
+        /// What is sent to this address reaches all.
+        all: MediumAddress,
+    },
+    /// The medium is open, but has found that nobody is at its other end: what is heard later proves the
+    /// contrary.
+    NoCarrier {
+        /// What it found, and what helps.
+        reason: &'static str,
+    },
+    /// Another node wants our address on the medium, and does not get it.
+    Clash {
+        /// Which medium and address, who, and what helps.
+        reason: String,
     },
     /// A connection to this peer is gone (media with connections only).
     PeerLost {

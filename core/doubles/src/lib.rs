@@ -24,7 +24,7 @@
 //!     right.transport().attach.do_send(Attach { frames: frames_to, reports: reports_to });
 //!
 //!     let to = right.local();
-//!     left.transport().transmit.do_send(Transmit { to, frame: "hello".into() });
+//!     left.transport().transmit.do_send(Transmit::new(to, "hello".into()));
 //!
 //!     frames.expect_none_for(Duration::from_secs(3599)).await; // no time passes for you
 //!     assert_eq!(frames.wait(|_| true).await.frame, "hello");

@@ -25,7 +25,7 @@ const MTU: usize = 64 * 1024;
 /// paused(async {
 ///     let medium = MockTransport::start("here");
 ///     let to = MediumAddress::Memory("there".into());
-///     medium.transport().transmit.do_send(Transmit { to, frame: "hello".into() });
+///     medium.transport().transmit.do_send(Transmit::new(to, "hello".into()));
 ///     assert_eq!(medium.expect_sent().await.frame, "hello");
 /// });
 /// ```
@@ -173,7 +173,7 @@ impl Handler<Transmit> for Medium {
 
     fn handle(&mut self, message: Transmit, context: &mut Context<Self>) {
         self.sent.push(message.clone());
-        let Transmit { to, frame } = message;
+        let Transmit { to, frame, .. } = message;
         let open = matches!(self.state, TransportReport::Opened { .. });
         match (&self.network, to) {
             (Some(network), MediumAddress::Memory(to)) if open => {
@@ -266,7 +266,7 @@ mod tests {
             assert!(matches!(reports.expect().await, TransportReport::Opened { .. }));
             medium.receive(there.clone(), "in");
             assert_eq!(frames.expect().await, Received { from: there.clone(), frame: "in".into() });
-            let out = Transmit { to: there.clone(), frame: "out".into() };
+            let out = Transmit::new(there.clone(), "out".into());
             medium.transport().transmit.do_send(out.clone());
             assert_eq!(medium.expect_sent().await, out);
             medium.expect_nothing_sent_for(Duration::from_secs(9)).await;
@@ -294,9 +294,9 @@ mod tests {
             let (left, right, _network) = MockTransport::pair(1);
             let ((at_left, _), (at_right, _)) = (attach(&left), attach(&right));
 
-            let forth = Transmit { to: right.local(), frame: "forth".into() };
+            let forth = Transmit::new(right.local(), "forth".into());
             left.transport().transmit.do_send(forth);
-            let back = Transmit { to: left.local(), frame: "back".into() };
+            let back = Transmit::new(left.local(), "back".into());
             right.transport().transmit.do_send(back);
 
             let (from, frame) = (left.local(), Bytes::from("forth"));

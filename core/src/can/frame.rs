@@ -169,6 +169,19 @@ impl CanFrame {
     }
 }
 
+/// How many bits a frame with so many bytes takes on the bus, with the pause after it. Stuffed bits are
+/// counted as a tenth: it is every fifth at worst. A faster rate for FD's data is not counted on.
+///
+/// ```
+/// // 3,472 full classic frames a second at 500 kbit/s.
+/// assert_eq!(500_000 / blastema_core::can::bits_on_bus(true, 8), 3_472);
+/// ```
+pub fn bits_on_bus(extended: bool, bytes: usize) -> u64 {
+    // Start, control, checksum, confirmation, end and pause (ISO 11898-1).
+    let fixed = if extended { 67 } else { 47 };
+    (fixed + 8 * bytes as u64) * 11 / 10
+}
+
 impl fmt::Debug for CanFrame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mark = match (self.format, self.remote) {

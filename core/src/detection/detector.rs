@@ -262,15 +262,15 @@ impl Detector {
         id
     }
 
-    /// Counts a fault once more; no, if what stands was given up in an earlier life.
+    /// Counts a fault once more; no, if what stands was given up in another life.
     fn repeat(&mut self, id: FaultId, scene: &Scene) -> bool {
         let Some(entry) = self.chronicle.entry_mut(id) else { return false };
-        let newer = scene.incarnation > entry.fault.incarnation;
-        if newer && matches!(entry.ended, Some((_, End::GaveUp { .. }))) {
+        let another = scene.incarnation != entry.fault.incarnation;
+        if another && matches!(entry.ended, Some((_, End::GaveUp { .. }))) {
             return false;
         }
         entry.fault.count = entry.fault.count.saturating_add(1);
-        entry.fault.incarnation = entry.fault.incarnation.max(scene.incarnation);
+        entry.fault.incarnation = scene.incarnation;
         if entry.fault.count.is_power_of_two() {
             let fault = entry.fault.clone();
             let tell = DetectorOutput::Tell { fault, at: scene.at, turn: Turn::Repeated };

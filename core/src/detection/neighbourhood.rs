@@ -71,6 +71,11 @@ impl Neighbourhood {
     ) -> Option<News> {
         let carries = !matches!(condition, LinkCondition::Down { .. });
         let before = self.links.remove(&(node.clone(), link.clone()));
+        if condition == LinkCondition::Forgotten {
+            let neighbour = before?.neighbour;
+            let (place, incarnation) = (Place::Link { node, link, neighbour }, Incarnation(0));
+            return Some(News { place, incarnation, finding: Finding::Link(condition) });
+        }
         let known = before.as_ref().map(|seen| discriminant(&seen.condition));
         let last_sign = if carries { Some(now) } else { before.as_ref().and_then(|b| b.last_sign) };
         // A link that is down does not say who was at its other end.
@@ -90,7 +95,7 @@ impl Neighbourhood {
     }
 
     /// The router reports how a node is. The same condition again is no news, a newer life is. What is
-    /// heard of a life that has left, is none. Answers an error for a life that is over.
+    /// heard of a life that has left, is none. Answers an error for the end of a life that is over.
     pub(super) fn handle_node(
         &mut self,
         node: NodeName,
@@ -103,8 +108,15 @@ impl Neighbourhood {
             return Ok(self.handle_conduct(node, condition));
         }
         let before = self.nodes.get(&node);
+        // Which life is there, those say who can reach it, whatever its number: the clock that numbers
+        // lives may have been set back. That another one has ended is no news.
+        let here = matches!(condition, NodeCondition::Reachable | NodeCondition::Restarted);
         if let Some(seen) = before
-            && incarnation < seen.incarnation
+            && !here
+            && (incarnation < seen.incarnation
+                || incarnation != seen.incarnation
+                    && seen.incarnation != Incarnation::default()
+                    && seen.standing == Standing::Here)
         {
             return Err(seen.incarnation);
         }
@@ -115,7 +127,7 @@ impl Neighbourhood {
         // The first that is heard of a node is no restart, whatever it is called; nor is a life of which
         // nothing but the loss was ever known, nor one after another that had left.
         let restarted = before.is_some_and(|seen| {
-            incarnation > seen.incarnation && seen.incarnation != Incarnation::default() && !left
+            incarnation != seen.incarnation && seen.incarnation != Incarnation::default() && !left
         });
         let condition = match condition {
             NodeCondition::Reachable | NodeCondition::Restarted if restarted => {
@@ -167,7 +179,7 @@ impl Neighbourhood {
     pub(super) fn rows(&self, now: Instant) -> impl Iterator<Item = Row> {
         let links = self.links.iter().map(move |((node, link), seen)| {
             let (opinion, note) = match &seen.condition {
-                LinkCondition::Up => (Opinion::Trusted, None),
+                LinkCondition::Up | LinkCondition::Forgotten => (Opinion::Trusted, None),
                 LinkCondition::Degraded { reason } => (Opinion::Suspect, Some(reason)),
                 LinkCondition::Down { reason } => {
                     let left = seen.neighbour.as_ref().is_some_and(|node| self.has_left(node));
@@ -245,6 +257,20 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_link_that_is_forgotten_has_no_row() {
+        let mut around = Neighbourhood::default();
+        let mut tell = |condition| {
+            around
+                .handle_link(node("a"), "eth/b".into(), Some(node("b")), condition, at(1))
+                .is_some()
+        };
+        assert!(!tell(LinkCondition::Forgotten), "it was never known");
+        assert!(tell(LinkCondition::Down { reason: "gone".into() }));
+        assert!(tell(LinkCondition::Forgotten));
+        assert_eq!(around.len(), 0);
     }
 
     #[test]

@@ -162,6 +162,8 @@ pub enum LinkCondition {
         /// How that was noticed.
         reason: String,
     },
+    /// It is no more: nobody had described it, and what it was learned for has not been there for long.
+    Forgotten,
 }
 
 /// How another node is, as this one sees it.

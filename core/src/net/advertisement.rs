@@ -3,6 +3,8 @@
 //! ```text
 //! announce:  0 │ advertisement … to the frame's end
 //! have:      1 │ range 0 or 1 │ first 4 │ last 4 │ stamp … to the frame's end
+//! dispute:   2 │ stamp 16 │ n 1 │ name n
+//! defend:    3 │ incarnation 8 │ advertisement
 //!
 //! advertisement: stamp 16 │ n 1 │ name n │ count 1 │ count × (neighbour 4, cost 2, mtu 2)
 //! stamp:         origin 4 │ incarnation 8 │ sequence 4
@@ -26,6 +28,8 @@ pub(crate) const HAVE_HEADER: usize = 10;
 
 const ANNOUNCE: u8 = 0;
 const HAVE: u8 = 1;
+const DISPUTE: u8 = 2;
+const DEFEND: u8 = 3;
 
 /// Which advertisement: of two of one origin, the greater is the newer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -71,6 +75,20 @@ pub enum Routing {
         range: Option<(NodeId, NodeId)>,
         /// Which. A sequence of 0 asks for the origin's advertisement.
         stamps: Vec<Stamp>,
+    },
+    /// A later life of a node has come up, while routes lead to an older one: is that still there?
+    Dispute {
+        /// The later life; its sequence says nothing.
+        contender: Stamp,
+        /// The name of both.
+        node: NodeName,
+    },
+    /// The older life is there.
+    Defend {
+        /// The later life, which is another node.
+        against: Incarnation,
+        /// The older one's newest.
+        advertisement: Advertisement,
     },
 }
 
@@ -150,6 +168,16 @@ impl Routing {
                     stamp.put(&mut bytes);
                 }
             }
+            Routing::Dispute { contender, node } => {
+                bytes.put_u8(DISPUTE);
+                contender.put(&mut bytes);
+                bytes.sized(node.as_str().as_bytes());
+            }
+            Routing::Defend { against, advertisement } => {
+                bytes.put_u8(DEFEND);
+                bytes.put_u64(against.0);
+                advertisement.put(&mut bytes);
+            }
         }
         bytes.freeze()
     }
@@ -180,6 +208,19 @@ impl Routing {
                     stamps.push(Stamp::read(&mut reader)?);
                 }
                 Ok(Routing::Have { range: ranged.then_some(range), stamps })
+            }
+            DISPUTE => {
+                let contender = Stamp::read(&mut reader)?;
+                let node: NodeName = reader.parsed("a node's name")?;
+                if NodeId::of(&node) != contender.origin {
+                    return Err(WireError::Malformed { what: "a dispute's origin" });
+                }
+                Ok(Routing::Dispute { contender, node })
+            }
+            DEFEND => {
+                let against = Incarnation(reader.u64()?);
+                let advertisement = Advertisement::read(&mut reader)?;
+                Ok(Routing::Defend { against, advertisement })
             }
             _ => Err(WireError::Malformed { what: "a routing message's kind" }),
         }
@@ -215,6 +256,12 @@ mod tests {
             let have = Routing::Have { range, stamps: vec![advertisement().stamp; 3] };
             assert_eq!(Routing::decode(have.encode()), Ok(have));
         }
+        let contender = Stamp { sequence: 0, ..advertisement().stamp };
+        let dispute = Routing::Dispute { contender, node: advertisement().node };
+        assert_eq!(Routing::decode(dispute.encode()), Ok(dispute));
+        let against = Incarnation(9);
+        let defend = Routing::Defend { against, advertisement: advertisement() };
+        assert_eq!(Routing::decode(defend.encode()), Ok(defend));
         let one = Routing::Announce(vec![advertisement()]).encode();
         assert_eq!(one.len(), 1 + advertisement().length());
         for cut in 2..one.len() {

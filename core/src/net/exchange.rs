@@ -145,7 +145,7 @@ impl Exchange {
         for number in session.notices {
             self.outputs.push_back(ExchangeOutput::Noticed { number, arrived: false });
         }
-        self.outputs.push_back(ExchangeOutput::Forget { peer });
+        self.outputs.push_back(ExchangeOutput::Forget { peer, why: why.clone() });
     }
 
     /// An object here wants to send.
@@ -217,6 +217,17 @@ impl Exchange {
             }
         };
         self.outputs.push_back(control(peer, &answer));
+    }
+
+    /// An object here has no room for what came through this binding, or has room again.
+    pub fn handle_room(&mut self, peer: NodeId, binding: u32, room: bool) {
+        if self.is_open(peer) {
+            let message = match room {
+                false => Message::Full { binding },
+                true => Message::Room { binding },
+            };
+            self.outputs.push_back(control(peer, &message));
+        }
     }
 
     /// An object here has answered, or will not.
@@ -396,6 +407,18 @@ impl Exchange {
             Message::Event { .. } => {
                 self.outputs.push_back(ExchangeOutput::Lost { peer, to: None, why });
             }
+            // It was made, and no session carries it: whoever waits for it is told that much.
+            Message::Reply { call, result: Ok(_) } => {
+                if let (Why::TooLargeForSession { limit }, true) = (why, self.is_open(peer)) {
+                    let message =
+                        Message::Reply { call, result: Err(Why::ReplyTooLarge { limit }) };
+                    self.outputs.push_back(ExchangeOutput::Send {
+                        peer,
+                        stream: Stream::Data,
+                        message: message.encode(),
+                    });
+                }
+            }
             // What belongs to the session itself ends with it.
             _ => {}
         }
@@ -412,7 +435,7 @@ fn give_up(
 ) {
     let Pending { reply_as, again, .. } = pending;
     // Whoever has left, or has no room, is not asked again.
-    let helps = !matches!(why, Why::Left { .. } | Why::Full | Why::TooLarge { .. });
+    let helps = !matches!(why, Why::Left { .. } | Why::Full | Why::TooLargeForSession { .. });
     match again {
         Some(call) if helps && state.again.len() < AGAIN_MAX => state.again.push(*call),
         _ => {

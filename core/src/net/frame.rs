@@ -3,7 +3,8 @@
 //! ```text
 //!      0        1
 //! ┌────────┬────────┬──────────────────────────────┐
-//! │ 1011 v │  kind  │ hello, routing or data       │   v = version of the protocol, 1
+//! │ 1011 v │  kind  │ hello, routing, data         │   v = version of the protocol, 1
+//! │        │        │ or greeting                  │
 //! └────────┴────────┴──────────────────────────────┘
 //!
 //! hello, kind 0, 38 bytes and the name:
@@ -17,8 +18,11 @@
 //! The echo says which hello of the neighbour arrived last and how long ago: the neighbour learns
 //! that it is heard, and the round trip without any clock in common. Stance and loss say what this end
 //! thinks of the link, so that both ends use it, or neither. Numbers are big-endian.
+//! On a bus one [greeting](super::greeting), kind 3, goes to all in place of a hello to each.
 //! A frame ends where the transport says that it ends; integrity is the transport's business.
 
+use super::greeting::Greeting;
+use super::packet::Class;
 use super::wire::{Reader, WireError, Write};
 use crate::{Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
@@ -33,6 +37,7 @@ pub const FRAME_HEADER: usize = 2;
 const HELLO: u8 = 0;
 const ROUTING: u8 = 1;
 const DATA: u8 = 2;
+const GREETING: u8 = 3;
 
 /// What one link says to the link at the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -43,6 +48,8 @@ pub enum Frame {
     Routing(Bytes),
     /// A packet on its way.
     Data(Bytes),
+    /// I live, and this is what I hear of each of you.
+    Greeting(Greeting),
 }
 
 /// A link's sign of life.
@@ -94,6 +101,13 @@ impl Frame {
             Frame::Hello(hello) => hello.encode(),
             Frame::Routing(bytes) => wrap(ROUTING, bytes),
             Frame::Data(bytes) => wrap(DATA, bytes),
+            Frame::Greeting(greeting) => {
+                let mut bytes = BytesMut::with_capacity(greeting.length_at_most());
+                bytes.put_u8(MAGIC | VERSION);
+                bytes.put_u8(GREETING);
+                greeting.encode(&mut bytes);
+                bytes.freeze()
+            }
         }
     }
 
@@ -115,8 +129,19 @@ impl Frame {
             HELLO => Hello::decode(reader).map(Frame::Hello),
             ROUTING => Ok(Frame::Routing(reader.rest())),
             DATA => Ok(Frame::Data(reader.rest())),
+            GREETING => Greeting::decode(reader).map(Frame::Greeting),
             _ => Err(WireError::Malformed { what: "a frame's kind" }),
         }
+    }
+}
+
+/// Whether these bytes of a frame should overtake what waits for a slow medium: hellos, what routers tell
+/// each other, and packets of the class [`Control`](super::Class::Control), such as acknowledgements.
+pub fn is_urgent(frame: &[u8]) -> bool {
+    match frame {
+        [_, DATA, packet, ..] => packet >> 6 == Class::Control as u8,
+        [_, kind, ..] => *kind != DATA,
+        _ => false,
     }
 }
 
@@ -176,6 +201,8 @@ impl Hello {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::net::node_id::NodeId;
+    use crate::net::packet::{Packet, Payload};
 
     fn hello() -> Hello {
         Hello {
@@ -207,6 +234,26 @@ mod tests {
         {
             assert_eq!(Frame::decode(frame.encode()), Ok(frame));
         }
+    }
+
+    #[test]
+    fn hellos_and_routing_and_control_are_urgent_and_messages_are_not() {
+        let check = |frame: Frame, expected| assert_eq!(is_urgent(&frame.encode()), expected);
+        check(Frame::Hello(hello()), true);
+        check(Frame::Routing(Bytes::from_static(b"z")), true);
+        for (class, expected) in
+            [(Class::Control, true), (Class::Data, false), (Class::Bulk, false)]
+        {
+            let packet = Packet {
+                class,
+                hops: 1,
+                destination: NodeId(1),
+                source: NodeId(2),
+                payload: Payload::Segment(Bytes::new()),
+            };
+            check(Frame::Data(packet.encode()), expected);
+        }
+        assert!(!is_urgent(b""));
     }
 
     #[test]

@@ -74,7 +74,8 @@ pub enum IsolationOutput {
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Vote {
     isolated: bool,
-    /// The voter's life, and which of its votes: of two, the greater is the newer.
+    /// The voter's life, and which of its votes: of two of one life, the greater is the newer. With
+    /// another life it has begun anew, whichever number is greater: only its present life has a session.
     life: Incarnation,
     /// Higher than every vote on that node that the voter knew of.
     revision: u64,
@@ -200,7 +201,7 @@ impl Isolation {
             let known = self.votes.get(&node).and_then(|votes| votes.get(from));
             if node == *from || crowded || known.is_none() && count >= VOTES_MAX {
                 self.refused += 1;
-            } else if known.is_none_or(|known| (life, revision) > (known.life, known.revision)) {
+            } else if known.is_none_or(|known| life != known.life || revision > known.revision) {
                 count += usize::from(known.is_none());
                 let cause = cause.chars().take(CAUSE_MAX).collect();
                 let vote = Vote { isolated, life, revision, cause };

@@ -11,21 +11,27 @@
 //! Each end says in its hellos whether it would use the link, and uses it only while the other would:
 //! what one end sends, the other takes.
 //!
+//! What a hello says is believed at once where it goes on from the last one. Where it contradicts that, such
+//! as a new life of the neighbour's, it is believed when it has been confirmed both ways (see
+//! `acquaintance`): a frame that was changed on its way, made up, or late by a life takes nothing down.
+//!
 //! A link does not queue, repeat or order anything: that is the session's business, end to end.
 
+mod acquaintance;
+mod greeted;
 mod quality;
 mod vocabulary;
 
 pub use self::quality::Quality;
 pub use self::vocabulary::{LinkConfig, LinkOutput, LinkRefusal, LinkState, Neighbour};
 
+use self::acquaintance::Claimant;
 use self::quality::{Gauge, Limits};
 
 use super::arrival::{Arrival, Arrivals};
 use super::frame::{Echo, Frame, Hello, Stance};
-use super::node_id::NodeId;
 use super::wire::{Refusals, WireError};
-use crate::{Instant, Machine};
+use crate::{Incarnation, Instant, Machine};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -36,7 +42,11 @@ pub struct Link {
     config: LinkConfig,
     state: LinkState,
     neighbour: Option<Heard>,
+    /// Who says what contradicts that, and has not shown yet to hear us.
+    claimant: Option<Claimant>,
     next_hello: Instant,
+    /// By when somebody should have proved to be there; `None` once that has been told.
+    expected_by: Option<Instant>,
     /// When the last hellos went out, for the round trip: number and time.
     sent: VecDeque<(u32, Instant)>,
     /// How often it went down lately, and when last.
@@ -48,7 +58,12 @@ pub struct Link {
     calm: u32,
     /// It is suspect for what was, and not for what is.
     proving: bool,
+    /// It is one of a bus: others say its hellos, of which this one is due.
+    on_bus: bool,
+    greeting: Option<u32>,
     gauge: Gauge,
+    /// Who was refused last, and who was told of last: what was heard once may be an accident.
+    doubted: Option<LinkRefusal>,
     refused: Option<LinkRefusal>,
     refusals: Refusals,
     outputs: VecDeque<LinkOutput>,
@@ -66,6 +81,8 @@ struct Heard {
     stance: Stance,
     /// How much of what we send is lost on the way there, as it says.
     loss_there: u16,
+    /// Only one in so many of its hellos has an echo for us.
+    turn: u32,
     /// When its echo last told something new, and which of our hellos that was.
     echoed: Option<(u32, Instant)>,
     /// Silence before this does not count: we ourselves stood still.
@@ -80,13 +97,15 @@ impl Link {
     /// The longest: a link must be known to be dead within a minute.
     const INTERVAL_MAX: Duration = Duration::from_secs(15);
     /// What a medium adds to a frame: a UDP header, or a serial line's framing.
-    const FRAMING: u64 = 8;
+    pub(super) const FRAMING: u64 = 8;
     /// Woken so late, what has come meanwhile is still unread. Timers alone are up to 1 ms late.
     const LATE: Duration = Duration::from_millis(2);
     /// Four times running is no accident.
     const EXCUSES_MAX: u32 = 4;
     /// Remembered hellos: enough for round trips of so many intervals.
     const SENT_MAX: usize = 64;
+    /// Nobody is missing before so many hellos were said in vain beyond the time that was set.
+    const ABSENT_HELLOS: u32 = 5;
     /// A link that stayed up for so long has proved itself; earlier flaps are forgotten.
     const FLAP_MEMORY: Duration = Duration::from_secs(10);
     /// 16 times the usual proof at most, so that a repaired link comes back within seconds.
@@ -95,9 +114,11 @@ impl Link {
     /// A link that says its first hello at once.
     pub fn new(config: LinkConfig, now: Instant) -> Self {
         Link {
+            expected_by: Some(now + config.expected_within),
             config,
             state: LinkState::Connecting,
             neighbour: None,
+            claimant: None,
             next_hello: now,
             sent: VecDeque::with_capacity(Self::SENT_MAX),
             flaps: 0,
@@ -106,7 +127,10 @@ impl Link {
             last_suspicion: Instant::ORIGIN,
             calm: 0,
             proving: false,
+            on_bus: false,
+            greeting: None,
             gauge: Gauge::default(),
+            doubted: None,
             refused: None,
             refusals: Refusals::default(),
             outputs: VecDeque::new(),
@@ -178,6 +202,7 @@ impl Link {
     pub fn handle_frame(&mut self, frame: Bytes, now: Instant) {
         match Frame::decode(frame) {
             Ok(Frame::Hello(hello)) => self.handle_hello(hello, now),
+            Ok(Frame::Greeting(greeting)) => self.handle_greeting(greeting, now),
             Ok(Frame::Routing(_) | Frame::Data(_)) if !self.takes() => {
                 self.refusals.unexpected += 1;
             }
@@ -195,10 +220,10 @@ impl Link {
     }
 
     /// The interface has lost its carrier: the cable is pulled, or the other end is switched off. What
-    /// is heard later proves the contrary.
-    pub fn handle_no_carrier(&mut self, now: Instant) {
+    /// is heard later proves the contrary. The reason is for people.
+    pub fn handle_no_carrier(&mut self, reason: &'static str, now: Instant) {
         if self.carries() {
-            self.go_down("the interface has lost its carrier", now);
+            self.go_down(reason, now);
         } else if let Some(heard) = &mut self.neighbour {
             heard.forget_proof();
         }
@@ -209,15 +234,7 @@ impl Link {
         let hello = self.hello(Instant::ORIGIN, 0);
         let length = Frame::Hello(hello).encode().len() as u64 + Self::FRAMING;
         let nanos = (length * 20).saturating_mul(1_000_000_000) / bytes_per_second.max(1);
-        let slowest = Duration::from_nanos(nanos).min(Self::INTERVAL_MAX);
-        if slowest > self.config.hello_interval {
-            self.config.hello_interval = slowest;
-            // Hellos are numbered by their interval: echoes of the old numbers say nothing any more.
-            self.sent.clear();
-            if let Some(heard) = &mut self.neighbour {
-                heard.echoed = None;
-            }
-        }
+        self.slow_down(Duration::from_nanos(nanos));
     }
 
     /// How often hellos are said.
@@ -258,15 +275,8 @@ impl Link {
             self.refuse(refusal);
             return;
         }
-        self.refused = None;
-        let known = self.neighbour.as_ref().map(|heard| &heard.neighbour);
-        let ended = known
-            .is_some_and(|known| known.node == hello.node && hello.incarnation < known.incarnation);
-        let arrival = if ended { Arrival::Old } else { self.meet(&hello, interval, now) };
-        let Arrival::New { missed } = arrival else {
-            self.refusals.stale += 1;
-            return;
-        };
+        (self.doubted, self.refused) = (None, None);
+        let Arrival::New { missed } = self.meet(&hello, interval, now) else { return };
         self.calm = after(self.calm, missed);
         self.listen(&hello, missed, now);
         self.judge_quality(now);
@@ -274,74 +284,6 @@ impl Link {
             self.go_down("the neighbour has given it up", now);
         }
         self.rise(now);
-    }
-
-    fn check_name(&mut self, hello: &Hello) -> Result<(), Option<LinkRefusal>> {
-        let (ours, theirs) = (&self.config.node, &hello.node);
-        if ours == theirs {
-            // Our own hello may come back from a medium that echoes: no node, no refusal.
-            let echoed = hello.incarnation == self.config.incarnation;
-            return Err((!echoed).then(|| LinkRefusal::NameTaken { node: ours.clone() }));
-        }
-        if NodeId::of(ours) == NodeId::of(theirs) {
-            let (node, other) = (ours.clone(), theirs.clone());
-            return Err(Some(LinkRefusal::NumberTaken { node, other }));
-        }
-        let present = self.carries().then_some(self.neighbour.as_ref()).flatten();
-        let expected = self.config.expected.as_ref().or(present.map(|heard| &heard.neighbour.node));
-        match expected {
-            Some(expected) if expected != theirs => Err(Some(LinkRefusal::WrongNeighbour {
-                expected: expected.clone(),
-                found: theirs.clone(),
-            })),
-            _ => Ok(()),
-        }
-    }
-
-    /// Counts every refusal, and tells each only when it is another than the last.
-    fn refuse(&mut self, refusal: Option<LinkRefusal>) {
-        self.refusals.unexpected += 1;
-        if refusal.is_some() && refusal != self.refused {
-            self.refused.clone_from(&refusal);
-            self.outputs.extend(refusal.map(LinkOutput::Refused));
-        }
-    }
-
-    /// Who is there, and when is the next hello due? A new neighbour, or a new life of the old one,
-    /// begins from nothing. An old or doubled hello says nothing.
-    fn meet(&mut self, hello: &Hello, interval: Duration, now: Instant) -> Arrival {
-        let neighbour = Neighbour { node: hello.node.clone(), incarnation: hello.incarnation };
-        let arrivals = Arrivals::new(interval, hello.sequence, now);
-        match &mut self.neighbour {
-            Some(heard) if heard.neighbour == neighbour => {
-                if heard.arrivals.interval() == interval {
-                    return heard.arrivals.handle(hello.sequence, now);
-                }
-                heard.arrivals = arrivals;
-            }
-            _ => {
-                if self.carries() {
-                    self.go_down("the neighbour has restarted", now);
-                }
-                // That the link went down was the old life's end, and says nothing of the medium.
-                self.flaps = 0;
-                let excused_until = Instant::ORIGIN;
-                let heard = Heard {
-                    neighbour,
-                    arrivals,
-                    last: now,
-                    proved: 0,
-                    stance: hello.stance,
-                    loss_there: 0,
-                    echoed: None,
-                    excused_until,
-                    excuses: 0,
-                };
-                self.neighbour = Some(heard);
-                self.gauge = Gauge::default();
-            }
-        }
-        Arrival::New { missed: 0 }
     }
 
     fn listen(&mut self, hello: &Hello, missed: u32, now: Instant) {
@@ -428,7 +370,10 @@ impl Link {
         let silent = heard.arrivals.expected() + percent(interval, after_percent);
         let deaf = heard.echoed.map_or(heard.last, |(_, at)| at)
             // An echo needs both directions: twice the patience, in the slower one's intervals.
-            + percent(interval.max(self.config.hello_interval), 2 * (100 + after_percent));
+            + percent(
+                interval.max(self.config.hello_interval),
+                2 * (100 + after_percent) + 100 * (heard.turn - 1),
+            );
         Some(silent.min(deaf).max(heard.excused_until))
     }
 
@@ -464,8 +409,7 @@ impl Link {
         // Numbered and sent by the absolute schedule, never "an interval after the last one": a late
         // hello must not shift the later ones. Counted from the clock's origin, the number also
         // goes on rising when this machine is built anew in a running process.
-        let interval = self.config.hello_interval.max(Self::INTERVAL_MIN);
-        let nanos = interval.as_nanos() as u64;
+        let nanos = self.interval().as_nanos() as u64;
         let number = now.as_nanos() / nanos;
         self.next_hello = Instant::from_nanos((number + 1).saturating_mul(nanos));
         let hello = self.hello(now, number as u32);
@@ -473,26 +417,46 @@ impl Link {
             self.sent.pop_front();
         }
         self.sent.push_back((hello.sequence, now));
-        self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).encode()));
+        if self.on_bus {
+            self.greeting = Some(hello.sequence);
+        } else {
+            self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).encode()));
+        }
+    }
+
+    fn interval(&self) -> Duration {
+        self.config.hello_interval.max(Self::INTERVAL_MIN)
     }
 
     fn hello(&self, now: Instant, sequence: u32) -> Hello {
-        let echo = self.neighbour.as_ref().map(|heard| Echo {
-            incarnation: heard.neighbour.incarnation,
-            sequence: heard.arrivals.highest(),
-            held_us: u32::try_from((now - heard.last).as_micros()).unwrap_or(u32::MAX),
+        let echo = self.claimants_turn().or(self.neighbour.as_ref().map(Heard::last_heard));
+        let echo = echo.map(|(incarnation, sequence, at)| Echo {
+            incarnation,
+            sequence,
+            held_us: u32::try_from((now - at).as_micros()).unwrap_or(u32::MAX),
         });
-        let interval = self.config.hello_interval.max(Self::INTERVAL_MIN);
         let lost = self.neighbour.as_ref().and_then(|heard| heard.arrivals.loss_permille());
         Hello {
             node: self.config.node.clone(),
             incarnation: self.config.incarnation,
             sequence,
-            interval_us: u32::try_from(interval.as_micros()).unwrap_or(u32::MAX),
+            interval_us: u32::try_from(self.interval().as_micros()).unwrap_or(u32::MAX),
             stance: self.stance(),
             loss_permille: lost.unwrap_or(0),
             echo,
         }
+    }
+
+    fn judge_absence(&mut self, now: Instant) {
+        // A slow medium needs its time.
+        let patience = |by: Instant| by + self.interval().saturating_mul(Self::ABSENT_HELLOS);
+        let due = self.expected_by.filter(|by| *by <= now);
+        if self.state != LinkState::Connecting || due.is_none_or(|by| patience(by) > now) {
+            return;
+        }
+        self.expected_by = None;
+        let heard = self.neighbour.is_some();
+        self.outputs.push_back(LinkOutput::Missing { heard });
     }
 
     fn judge_silence(&mut self, now: Instant) {
@@ -523,6 +487,11 @@ impl Link {
 }
 
 impl Heard {
+    /// In which life, which hello, and when.
+    fn last_heard(&self) -> (Incarnation, u32, Instant) {
+        (self.neighbour.incarnation, self.arrivals.highest(), self.last)
+    }
+
     fn forget_proof(&mut self) {
         self.proved = 0;
         self.echoed = None;
@@ -560,6 +529,7 @@ impl Machine for Link {
         if self.next_hello <= now {
             self.say_hello(now);
         }
+        self.judge_absence(now);
         self.judge_silence(now);
     }
 }

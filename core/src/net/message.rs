@@ -14,6 +14,9 @@
 //!      │ ◄─────────────────────────── bound 1     │
 //!      │ request 7 through binding 1 ───────────► │  9 bytes before the message's own, in an hour 10
 //!      │ ◄─────────────────────────── reply 7     │
+//!      │ tell through binding 1 ────────────────► │  the laser's queue is full: it waits there
+//!      │ ◄─────────────────────────── full 1      │  no more of these, until
+//!      │ ◄─────────────────────────── room 1      │
 //! ```
 
 use super::wire::{Reader, WireError, Write};
@@ -149,6 +152,17 @@ pub enum Message {
     },
     /// This node ends in order and will not be back soon: do not take it for lost.
     Bye,
+    /// The object behind this binding has no room: send it nothing until I say so. What is under way
+    /// waits here.
+    Full {
+        /// Which.
+        binding: u32,
+    },
+    /// It has room again.
+    Room {
+        /// Which.
+        binding: u32,
+    },
 }
 
 const BIND: u8 = 0;
@@ -166,6 +180,8 @@ const NOTICE: u8 = 11;
 const CONFIRMED: u8 = 12;
 const NAMES: u8 = 13;
 const BYE: u8 = 14;
+const FULL: u8 = 15;
+const ROOM: u8 = 16;
 
 impl Message {
     /// The message's bytes.
@@ -241,6 +257,8 @@ impl Message {
                 }
             }
             Message::Bye => bytes.put_u8(BYE),
+            Message::Full { binding } => numbered(&mut bytes, FULL, *binding),
+            Message::Room { binding } => numbered(&mut bytes, ROOM, *binding),
         }
         bytes.freeze()
     }
@@ -342,6 +360,16 @@ impl Message {
             BYE => {
                 reader.end(what)?;
                 Message::Bye
+            }
+            FULL => {
+                let binding = number(&mut reader)?;
+                reader.end(what)?;
+                Message::Full { binding }
+            }
+            ROOM => {
+                let binding = number(&mut reader)?;
+                reader.end(what)?;
+                Message::Room { binding }
             }
             _ => return Err(WireError::Malformed { what: "a message's kind" }),
         })
@@ -491,6 +519,8 @@ mod tests {
                 b"\x0d\0\x01\x01\x03arm\x01\x03arm",
             ),
             (Message::Bye, b"\x0e"),
+            (Message::Full { binding: 200 }, b"\x0f\xc8\x01"),
+            (Message::Room { binding: 200 }, b"\x10\xc8\x01"),
         ]
     }
 
@@ -513,7 +543,7 @@ mod tests {
             }
         }
         for foreign in
-            [&b"\x0f"[..], b"\x01\x01!", b"\x0d\0\0\xff\xff\x7f\x01a", b"\x05\x07\x01\x63"]
+            [&b"\x11"[..], b"\x01\x01!", b"\x0d\0\0\xff\xff\x7f\x01a", b"\x05\x07\x01\x63"]
         {
             assert!(Message::decode(Bytes::copy_from_slice(foreign)).is_err(), "{foreign:?}");
         }

@@ -8,12 +8,14 @@
 //!
 //! [`advertisement`]: super::advertisement
 
+mod contest;
 mod flooding;
 mod forwarding;
 mod vocabulary;
 
 pub use self::vocabulary::{Health, LinkStatus, RouterConfig, RouterOutput};
 
+use self::contest::Dispute;
 use super::advertisement::{Advertisement, Routing, Stamp};
 use super::node_id::NodeId;
 use super::topology::{self, Adjacent, Route, Topology};
@@ -46,7 +48,13 @@ pub struct Router {
     refresh_at: Instant,
     /// The last pair told of, so that a collision is told once and not with every flood.
     told: Option<(NodeName, NodeName)>,
-    usurped: bool,
+    /// The other node of our name that was told of last, and when we last said that we are here.
+    usurper: Option<Incarnation>,
+    defended_at: Instant,
+    /// Names of which a later life is kept out; at most as many as nodes are remembered.
+    disputes: BTreeMap<NodeId, Dispute>,
+    /// Links to those lives. They carry, and are not used.
+    contested: BTreeMap<LinkNumber, LinkStatus>,
     /// Nodes that the router before this one could reach, and until when they may take to be found
     /// again.
     remembered: Option<(Instant, Vec<(NodeName, Incarnation)>)>,
@@ -61,6 +69,9 @@ pub struct Router {
 struct Known {
     advertisement: Advertisement,
     expires: Instant,
+    /// A path has led to this life since, and does no more.
+    reached: bool,
+    ended: bool,
 }
 
 /// A link's smallest MTU in bytes: an advertisement with all neighbours must fit.
@@ -86,7 +97,10 @@ impl Router {
             computed_at: Instant::ORIGIN,
             refresh_at,
             told: None,
-            usurped: false,
+            usurper: None,
+            defended_at: Instant::ORIGIN,
+            disputes: BTreeMap::new(),
+            contested: BTreeMap::new(),
             remembered: None,
             wake_at: refresh_at,
             now,
@@ -126,6 +140,20 @@ impl Router {
         heard.any(|heard| heard.node == *node && heard.incarnation == incarnation)
     }
 
+    /// Whether a way leads to a node as of now, all that is known taken into account; `None` while the
+    /// only ones lead over links that may have failed as well, which is known in a moment.
+    pub fn verdict(&mut self, node: NodeId, now: Instant) -> Option<bool> {
+        self.now = now;
+        if self.compute_at.is_some() {
+            self.compute();
+        }
+        let Some(chosen) = self.routes.get(&node).and_then(|route| route.chosen) else {
+            return Some(false);
+        };
+        let health = self.links.get(&chosen).map_or(Health::Down, |link| link.health);
+        (health < Health::Suspect).then_some(true)
+    }
+
     /// Every node that can be reached, with the route to it.
     pub fn routes(&self) -> impl Iterator<Item = (NodeId, &Route)> {
         self.routes.iter().map(|(node, route)| (*node, route))
@@ -150,6 +178,11 @@ impl Router {
             if health != Health::Down {
                 self.barred.insert(link, LinkStatus { neighbour, health, cost, mtu });
             }
+            return;
+        }
+        self.contested.remove(&link);
+        if health != Health::Down && self.is_contested(&neighbour.node, neighbour.incarnation) {
+            self.contest(link, LinkStatus { neighbour, health, cost, mtu });
             return;
         }
         if health == Health::Down || mtu < MTU_MIN {
@@ -225,11 +258,16 @@ impl Router {
         }
         if !self.links.contains_key(&link) {
             self.refusals.unexpected += 1;
+            self.tell_contender(link);
             return;
         }
         match Routing::decode(bytes) {
             Ok(Routing::Announce(advertisements)) => self.handle_announce(link, advertisements),
             Ok(Routing::Have { range, stamps }) => self.handle_have(link, range, &stamps),
+            Ok(Routing::Dispute { contender, node }) => self.handle_dispute(link, contender, node),
+            Ok(Routing::Defend { against, advertisement }) => {
+                self.handle_defence(link, against, advertisement);
+            }
             Err(error) => self.refusals.count(&error),
         }
     }
@@ -284,7 +322,8 @@ impl Router {
             .flat_map(|adjacent| adjacent.pending.values().copied().chain([adjacent.compare_at]));
         let ages = self.known.values().map(|known| known.expires);
         let remembered = self.remembered.iter().map(|(until, _)| *until);
-        links.chain(ages).chain(remembered).fold(self.refresh_at, Instant::min)
+        let disputes = self.dispute_ends();
+        links.chain(ages).chain(remembered).chain(disputes).fold(self.refresh_at, Instant::min)
     }
 }
 
@@ -318,8 +357,12 @@ impl Machine for Router {
                 self.compare(link);
             }
         }
-        if self.compute_at.is_some_and(|at| at <= now) {
+        let outdated = self.compute_at.is_some_and(|at| at <= now);
+        if outdated {
             self.compute();
+        }
+        if outdated || !self.disputes.is_empty() {
+            self.settle_disputes();
         }
         self.give_up_remembered();
         self.wake_at = self.earliest();

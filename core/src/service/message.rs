@@ -1,5 +1,7 @@
 //! What the replicas of a service say to each other.
 
+use super::change::Change;
+use super::table::Table;
 use crate::MessageId;
 use crate::Why;
 use serde::{Deserialize, Serialize};
@@ -18,6 +20,17 @@ pub(super) struct Served {
     pub(super) result: Result<Vec<u8>, Why>,
 }
 
+/// What a standby needs of a request that was executed.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum After {
+    /// A warm one: what has changed of the state.
+    State(Change),
+    /// A hot one: the request.
+    Request(Vec<u8>),
+    /// It has failed: what kills one of them need not kill the others.
+    Failed,
+}
+
 /// What one replica tells another.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Message {
@@ -33,8 +46,8 @@ pub(super) enum Message {
     Claim { epoch: u64, position: Position },
     /// It may, and the voter has what the claimant has.
     Vote { epoch: u64, in_step: bool },
-    /// A request was executed. Warm standbys get the state after it, hot ones the request.
-    Entry { epoch: u64, position: Position, served: Served, body: Vec<u8> },
+    /// A request was executed; its caller has its answers below this number.
+    Entry { epoch: u64, position: Position, served: Served, settled: u64, after: After },
     /// Everything, for a standby that is not in step.
-    Snapshot { epoch: u64, position: Position, state: Vec<u8>, table: Vec<Served> },
+    Snapshot { epoch: u64, position: Position, state: Vec<u8>, table: Table },
 }

@@ -21,12 +21,16 @@
 //! The replicas keep their table in memory. A process that begins anew has forgotten it: that is one
 //! failure. What the machine promises, it promises for fewer than half of the nodes failing at a time.
 
+mod change;
 mod message;
 mod replica;
+mod table;
 
 pub use replica::{
-    MESSAGE_MAX, QUEUE_MAX, Replica, ReplicaOutput, Role, ServiceOutcome, TABLE_MAX,
+    MESSAGE_MAX, QUEUE_MAX, Replica, ReplicaOutput, Role, STATE_MAX, ServiceOutcome, ServiceRequest,
 };
+
+pub use table::TABLE_MAX;
 
 use crate::NodeName;
 use std::time::Duration;

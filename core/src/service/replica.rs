@@ -5,7 +5,9 @@ mod standby;
 #[cfg(test)]
 mod tests;
 
-use super::message::{Message, Position, Served};
+use super::change::Change;
+use super::message::{After, Message, Position, Served};
+use super::table::Table;
 use super::{OnPartition, ReplicaConfig, StandbyKind};
 use crate::codec;
 use crate::{Instant, Machine, MessageId, NodeName, Why};
@@ -16,10 +18,9 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// Requests that may wait for one service. Beyond, callers are told to slow down.
 pub const QUEUE_MAX: usize = 256;
-/// Replies that are kept for requests that come again: all that callers can have under way, several
-/// times over.
-pub const TABLE_MAX: usize = 1024;
-/// The most bytes of one message between replicas: a state, and its table.
+/// The most bytes of a component's state. Larger ones cannot be kept for the standbys.
+pub const STATE_MAX: usize = 3 * 1024 * 1024;
+/// The most bytes of one message between replicas: a state, and the table.
 pub const MESSAGE_MAX: usize = 4 * 1024 * 1024;
 
 /// What a replica is.
@@ -37,6 +38,21 @@ pub enum Role {
         /// It has everything that the primary has answered, as far as its kind keeps that.
         in_step: bool,
     },
+}
+
+/// What somebody asks of a service.
+#[derive(Clone, Debug)]
+pub struct ServiceRequest {
+    /// Under which number it is answered.
+    pub caller: u64,
+    /// By what it is known, however often it comes.
+    pub id: MessageId,
+    /// All requests of the same sender below this number have got their answers.
+    pub settled: u64,
+    /// It is not begun after this.
+    pub until: Option<Instant>,
+    /// What is to be done.
+    pub request: Bytes,
 }
 
 /// What came of a request.
@@ -77,6 +93,11 @@ pub enum ReplicaOutput {
         /// The state.
         state: Bytes,
     },
+    /// The component is at fault.
+    Fault {
+        /// What is wrong, and what helps.
+        detail: String,
+    },
     /// Find out whether the services that this one depends on are served now, by asking whoever serves
     /// them, and say so by [`Replica::handle_ready`] once they are. A new inquiry takes the place of the
     /// last one.
@@ -94,7 +115,7 @@ pub enum ReplicaOutput {
 #[derive(Clone, Debug)]
 enum Job {
     /// Serve a request, for the first time.
-    Serve { id: MessageId, request: Bytes },
+    Serve { id: MessageId, settled: u64, until: Option<Instant>, request: Bytes },
     /// Serve it again as the primary did.
     Replay { request: Bytes },
     /// Take over this state.
@@ -116,11 +137,15 @@ pub struct Replica {
     position: Position,
     /// The newest state, where standbys are warm.
     state: Option<Bytes>,
-    table: VecDeque<Served>,
+    table: Table,
+    /// That the state cannot be kept for the standbys was told.
+    state_refused: bool,
     role: Acting,
     /// As what it was last told of.
     told: Role,
     jobs: VecDeque<Job>,
+    /// As of the last input that told it.
+    now: Instant,
     /// The component is busy with this.
     working: Option<Job>,
     refused: u64,
@@ -145,10 +170,12 @@ impl Replica {
             claimed: 0,
             position: Position::default(),
             state: None,
-            table: VecDeque::new(),
+            table: Table::default(),
+            state_refused: false,
             role: Acting::Standby(standby),
             told: Role::Standby { primary: None, in_step: false },
             jobs: VecDeque::new(),
+            now,
             working: None,
             refused: 0,
             outputs: VecDeque::new(),
@@ -178,9 +205,14 @@ impl Replica {
     }
 
     /// Somebody asks for the service.
-    pub fn handle_request(&mut self, caller: u64, id: MessageId, request: Bytes, now: Instant) {
+    pub fn handle_request(&mut self, asked: ServiceRequest, now: Instant) {
+        let ServiceRequest { caller, id, settled, until, request } = asked;
         self.handle_timeout(now);
-        let served = self.served(id).cloned();
+        if self.table.is_settled(id) {
+            // It has wandered about while its caller was answered by another way: nobody waits.
+            return self.answer(caller, ServiceOutcome::Refused(Why::Expired));
+        }
+        let served = self.table.find(id).cloned();
         let primary = match &mut self.role {
             Acting::Standby(standby) => {
                 let elsewhere = ServiceOutcome::Elsewhere(standby.primary.clone());
@@ -202,7 +234,7 @@ impl Replica {
             }
             None => {
                 primary.waiting.insert(id, caller);
-                self.jobs.push_back(Job::Serve { id, request });
+                self.jobs.push_back(Job::Serve { id, settled, until, request });
                 self.work();
             }
         }
@@ -212,11 +244,13 @@ impl Replica {
     pub fn handle_executed(
         &mut self,
         result: Result<Bytes, Why>,
-        state: Option<Bytes>,
+        state: Option<Result<Bytes, Why>>,
         now: Instant,
     ) {
+        self.now = now;
+        let (result, state) = self.kept(result, state);
         match self.working.take() {
-            Some(Job::Serve { id, request }) => match (&mut self.role, result) {
+            Some(Job::Serve { id, settled, request, .. }) => match (&mut self.role, result) {
                 // It was begun while this replica served: it counts, should it serve again.
                 (Acting::Standby(_), result) => self.note_late(id, result, state),
                 // It did not get that far: the same request may come again.
@@ -227,13 +261,49 @@ impl Replica {
                     });
                 }
                 (Acting::Primary(_), result) => {
-                    self.commit_later(id, request, result, state, now);
+                    self.commit_later((id, settled), request, result, state, now);
                 }
             },
             Some(Job::Replay { .. }) | None => {}
             Some(other) => self.working = Some(other),
         }
         self.work();
+    }
+
+    /// What cannot be kept has not been done: the request fails, and the component is given back the state
+    /// that it had before.
+    fn kept(
+        &mut self,
+        result: Result<Bytes, Why>,
+        state: Option<Result<Bytes, Why>>,
+    ) -> (Result<Bytes, Why>, Option<Bytes>) {
+        let state =
+            state.map(|state| state.and_then(|state| within_bounds(&state).map(|()| state)));
+        match (result, state) {
+            (Ok(reply), Some(Ok(state))) => {
+                self.state_refused = false;
+                (Ok(reply), Some(state))
+            }
+            (Ok(_), Some(Err(why))) => {
+                self.refuse_state(&why);
+                let state = self.last_state();
+                self.jobs.push_front(Job::Load { state });
+                (Err(why), None)
+            }
+            (result, state) => (result, state.and_then(Result::ok)),
+        }
+    }
+
+    fn refuse_state(&mut self, why: &Why) {
+        // That a component dies is told by others.
+        if matches!(why, Why::TooLarge { .. }) && !std::mem::replace(&mut self.state_refused, true)
+        {
+            let detail = format!(
+                "its state cannot be kept for its standbys, of which none can take over: {why}; let it \
+                 be smaller, or keep large things elsewhere"
+            );
+            self.outputs.push_back(ReplicaOutput::Fault { detail });
+        }
     }
 
     /// A life of the component has ended, and its state with it.
@@ -254,12 +324,13 @@ impl Replica {
         }
     }
 
-    /// The component has given its state; `None` where it could not.
-    pub fn handle_saved(&mut self, state: Option<Bytes>, now: Instant) {
+    /// The component has given its state, or could not.
+    pub fn handle_saved(&mut self, state: Result<Bytes, Why>, now: Instant) {
         match self.working.take() {
             Some(Job::Save) => {
-                if let Some(state) = state {
-                    self.send_snapshots(&state, now);
+                match state.and_then(|state| within_bounds(&state).map(|()| state)) {
+                    Ok(state) => self.send_snapshots(&state, now),
+                    Err(why) => self.refuse_state(&why),
                 }
             }
             other => self.working = other,
@@ -307,8 +378,8 @@ impl Replica {
             Message::Voted { epoch } => self.claimed = self.claimed.max(epoch),
             Message::Claim { epoch, position } => self.hear_claim(from, epoch, position, now),
             Message::Vote { epoch, in_step } => self.hear_vote(from, epoch, in_step, now),
-            Message::Entry { epoch, position, served, body } => {
-                self.hear_entry(from, epoch, position, served, body);
+            Message::Entry { epoch, position, served, settled, after } => {
+                self.hear_entry(from, (epoch, position), served, settled, after);
             }
             Message::Snapshot { epoch, position, state, table } => {
                 self.hear_snapshot(from, (epoch, position), state, table);
@@ -320,23 +391,12 @@ impl Replica {
         self.epoch = self.epoch.max(epoch);
     }
 
-    fn served(&self, id: MessageId) -> Option<&Served> {
-        self.table.iter().rev().find(|served| served.id == id)
-    }
-
-    fn note(&mut self, served: Served) {
-        if self.table.len() >= TABLE_MAX {
-            self.table.pop_front();
-        }
-        self.table.push_back(served);
-    }
-
     /// Gives the component the next job, if it has none.
     fn work(&mut self) {
         if self.working.is_some() {
             return;
         }
-        let Some(job) = self.jobs.pop_front() else { return };
+        let Some(job) = self.next_job() else { return };
         self.outputs.push_back(match &job {
             Job::Serve { request, .. } => {
                 let save = self.config.kind == StandbyKind::Warm && self.config.members.len() > 1;
@@ -349,6 +409,22 @@ impl Replica {
             Job::Save => ReplicaOutput::Save,
         });
         self.working = Some(job);
+    }
+
+    /// What is not to be begun any more is answered, and left out.
+    fn next_job(&mut self) -> Option<Job> {
+        loop {
+            let job = self.jobs.pop_front()?;
+            let Job::Serve { id, until: Some(until), .. } = &job else { return Some(job) };
+            if self.now < *until {
+                return Some(job);
+            }
+            if let Acting::Primary(primary) = &mut self.role
+                && let Some(caller) = primary.waiting.remove(id)
+            {
+                self.answer(caller, ServiceOutcome::Refused(Why::DeadlinePassed));
+            }
+        }
     }
 
     /// This replica serves no more.
@@ -401,6 +477,13 @@ impl Replica {
     }
 }
 
+fn within_bounds(state: &[u8]) -> Result<(), Why> {
+    match state.len() {
+        0..=STATE_MAX => Ok(()),
+        _ => Err(Why::TooLarge { limit: STATE_MAX }),
+    }
+}
+
 impl Machine for Replica {
     type Output = ReplicaOutput;
 
@@ -416,6 +499,7 @@ impl Machine for Replica {
     }
 
     fn handle_timeout(&mut self, now: Instant) {
+        self.now = now;
         match &self.role {
             Acting::Primary(primary) if !primary.holds(&self.config, now) => {
                 self.step_down(None, now);

@@ -1,4 +1,4 @@
-//! A request of 64 bytes and its reply between processes, beside a bare UDP ping-pong.
+//! A request of 64 bytes and its reply between processes, beside a bare ping-pong over the same medium.
 //!
 //! This process is pinned to the first core and every other to the second, bare or not.
 
@@ -8,6 +8,8 @@ use blastema::prelude::*;
 use blastema::{Link, Network};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::time::{Duration, Instant};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream, UdpSocket};
 
 const WARM_UP: usize = 200;
 const ASKS: usize = 3_000;
@@ -29,56 +31,87 @@ impl Handle<Echo> for Mirror {
     }
 }
 
-/// Another process: `bare ADDRESS`, or `node NAME (OWN NEIGHBOUR ADDRESS)...`, or the same with
-/// `single` for a node on one thread.
+/// Another process: `bare MEDIUM ADDRESS`, or `node MEDIUM NAME (OWN NEIGHBOUR ADDRESS)...`, or the same
+/// with `single` for a node on one thread.
 pub(crate) fn child(arguments: &[String]) {
     pin(1);
     match arguments {
-        [kind, address] if kind == "bare" => {
+        [kind, medium, address] if kind == "bare" => {
             let address: SocketAddr = address.parse().expect("the parent writes an address");
-            std::thread::spawn(move || blastema::run(bare_echo(address)));
+            let medium = medium.clone();
+            std::thread::spawn(move || {
+                blastema::run(async move { bare_echo(&medium, address).await })
+            });
             serve_until_told();
         }
-        [kind, name, links @ ..] if kind == "node" || kind == "single" => blastema::run(async {
-            let mut builder = Node::builder(name).child(ChildSpec::new("mirror", || Mirror));
-            if kind == "single" {
-                builder = builder.on_this_thread();
-            }
-            for (number, link) in links.chunks(3).enumerate() {
-                builder = builder.network(network(number, link));
-            }
-            let node = builder.start().await.expect("the node starts");
-            let told = tokio::task::spawn_blocking(serve_until_told);
-            let _ = told.await;
-            node.shutdown().await;
-        }),
+        [kind, medium, name, links @ ..] if kind == "node" || kind == "single" => {
+            blastema::run(async {
+                let mut builder = Node::builder(name).child(ChildSpec::new("mirror", || Mirror));
+                if kind == "single" {
+                    builder = builder.on_this_thread();
+                }
+                for (number, link) in links.chunks(3).enumerate() {
+                    builder = builder.network(network(medium, number, link));
+                }
+                let node = builder.start().await.expect("the node starts");
+                let told = tokio::task::spawn_blocking(serve_until_told);
+                let _ = told.await;
+                node.shutdown().await;
+            })
+        }
         _ => println!("the parent names a kind"),
     }
 }
 
-fn network(number: usize, link: &[String]) -> Network {
+fn network(medium: &str, number: usize, link: &[String]) -> Network {
     let parse = |text: &String| text.parse().expect("the parent writes addresses");
+    let (name, own) = (format!("net{number}"), parse(&link[0]));
     let far = Link::new(&link[1], parse(&link[2]));
-    Network::udp(&format!("net{number}"), parse(&link[0])).link(far)
-}
-
-async fn bare_echo(address: SocketAddr) {
-    let socket = tokio::net::UdpSocket::bind(address).await.expect("the address is free");
-    let mut buffer = [0; 2048];
-    while let Ok((length, from)) = socket.recv_from(&mut buffer).await {
-        let _ = socket.send_to(&buffer[..length], from).await;
+    match medium {
+        "tcp" => Network::tcp(&name, own).link(far),
+        _ => Network::udp(&name, own).link(far),
     }
 }
 
-async fn bare(far: SocketAddr) -> f64 {
-    let socket = tokio::net::UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a free port");
+/// The echo beside which we are measured.
+async fn bare_echo(medium: &str, address: SocketAddr) {
     let mut buffer = [0; 2048];
+    if medium == "tcp" {
+        let listener = TcpListener::bind(address).await.expect("the address is free");
+        while let Ok((mut stream, _)) = listener.accept().await {
+            let _ = stream.set_nodelay(true);
+            while stream.read_exact(&mut buffer[..64]).await.is_ok() {
+                let _ = stream.write_all(&buffer[..64]).await;
+            }
+        }
+    } else {
+        let socket = UdpSocket::bind(address).await.expect("the address is free");
+        while let Ok((length, from)) = socket.recv_from(&mut buffer).await {
+            let _ = socket.send_to(&buffer[..length], from).await;
+        }
+    }
+}
+
+async fn bare(medium: &str, far: SocketAddr) -> f64 {
+    let mut buffer = [7; 64];
     let mut figures = Vec::new();
-    for _ in 0..WARM_UP + ASKS {
-        let start = Instant::now();
-        socket.send_to(&[7; 64], far).await.expect("loopback takes it");
-        socket.recv_from(&mut buffer).await.expect("the echo comes");
-        figures.push(start.elapsed().as_nanos() as f64 / 1e3);
+    if medium == "tcp" {
+        let mut stream = TcpStream::connect(far).await.expect("the echo listens");
+        stream.set_nodelay(true).expect("a connected socket takes it");
+        for _ in 0..WARM_UP + ASKS {
+            let start = Instant::now();
+            stream.write_all(&buffer).await.expect("loopback takes it");
+            stream.read_exact(&mut buffer).await.expect("the echo comes");
+            figures.push(start.elapsed().as_nanos() as f64 / 1e3);
+        }
+    } else {
+        let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a free port");
+        for _ in 0..WARM_UP + ASKS {
+            let start = Instant::now();
+            socket.send_to(&buffer, far).await.expect("loopback takes it");
+            socket.recv_from(&mut buffer).await.expect("the echo comes");
+            figures.push(start.elapsed().as_nanos() as f64 / 1e3);
+        }
     }
     median(figures.split_off(WARM_UP))
 }
@@ -103,27 +136,32 @@ async fn reached(node: &Node, name: &str) -> Sender<Echo> {
 
 pub(crate) fn run(rounds: usize) {
     pin(0);
-    let [echo, near, left, right, far, single_near, single_far] = addresses();
-    let (near_at, left_at) = (near.to_string(), left.to_string());
-    let (right_at, far_at) = (right.to_string(), far.to_string());
-    let _echo = Peer::start("remote", &texts(&["bare", &echo.to_string()]));
-    let middle = ["node", "middle", &left_at, "near", &near_at, &right_at, "far", &far_at];
-    let _middle = Peer::start("remote", &texts(&middle));
-    let _far = Peer::start("remote", &texts(&["node", "far", &far_at, "middle", &right_at]));
-    let single = ["single", "single", &single_far.to_string(), "alone", &single_near.to_string()];
-    let _single = Peer::start("remote", &texts(&single));
+    over("udp", rounds);
+    over("tcp", rounds);
+}
+
+fn over(medium: &str, rounds: usize) {
+    let [echo, near, left, right, far, single_near, single_far] =
+        addresses().map(|address| address.to_string());
+    let start = |arguments: &[&str]| Peer::start("remote", &texts(arguments));
+    let _echo = start(&["bare", medium, &echo]);
+    let _middle = start(&["node", medium, "middle", &left, "near", &near, &right, "far", &far]);
+    let _far = start(&["node", medium, "far", &far, "middle", &right]);
+    let _single = start(&["single", medium, "single", &single_far, "alone", &single_near]);
     blastema::run(async {
-        let network = Network::udp("net0", single_near).link(Link::new("single", single_far));
-        let alone = Node::builder("alone").on_this_thread().network(network).start().await;
+        let link = network(medium, 0, &[single_near, "single".into(), single_far]);
+        let alone = Node::builder("alone").on_this_thread().network(link).start().await;
         let alone = alone.expect("the node starts");
         let on_one_thread = reached(&alone, "single:mirror").await;
-        let network = Network::udp("net0", near).link(Link::new("middle", left));
-        let node = Node::builder("near").network(network).start().await.expect("the node starts");
+        let link = network(medium, 0, &[near, "middle".into(), left]);
+        let node = Node::builder("near").network(link).start().await.expect("the node starts");
         let one = reached(&node, "middle:mirror").await;
         let two = reached(&node, "far:mirror").await;
-        let mut table = Table::new("request and reply of 64 B between processes, UDP", "us");
+        let title = format!("request and reply of 64 B between processes, {medium}");
+        let mut table = Table::new(title, "us");
+        let echo = echo.parse().expect("an address is printed as it is read");
         for _ in 0..rounds {
-            table.add("bare tokio UDP ping-pong", bare(echo).await);
+            table.add("bare tokio ping-pong", bare(medium, echo).await);
             table.add("Sender::ask, nodes on one thread each", asked(&on_one_thread).await);
             table.add("Sender::ask, one hop", asked(&one).await);
             table.add("Sender::ask, two hops", asked(&two).await);

@@ -10,7 +10,7 @@ struct Place {
 }
 
 /// The map of the README as data, from the bottom to the top.
-const PLACES: [Place; 12] = [
+const PLACES: [Place; 13] = [
     Place { package: "blastema-macros", below: &[], below_in_tests: &[] },
     // The derives are written for the core's traits, so the core's tests try them.
     Place { package: "blastema-core", below: &[], below_in_tests: &["blastema-macros"] },
@@ -19,8 +19,10 @@ const PLACES: [Place; 12] = [
     Place {
         package: "blastema-transports",
         below: &["blastema-core", "blastema-contract"],
-        below_in_tests: &["blastema-doubles"],
+        below_in_tests: &["blastema-doubles", "blastema-ptys"],
     },
+    // Its adapters speak the core's SLCAN.
+    Place { package: "blastema-ptys", below: &["blastema-core"], below_in_tests: &[] },
     Place {
         package: "blastema-doubles",
         below: &["blastema-core", "blastema-contract"],
@@ -51,7 +53,7 @@ const PLACES: [Place; 12] = [
     Place {
         package: "blastema-examples",
         below: &["blastema"],
-        below_in_tests: &["blastema", "blastema-testkit"],
+        below_in_tests: &["blastema", "blastema-ptys", "blastema-testkit"],
     },
 ];
 
@@ -62,6 +64,7 @@ const EVERYTHING: &[&str] = &[
     "blastema-contract",
     "blastema-transports",
     "blastema-doubles",
+    "blastema-ptys",
     "blastema",
     "blastema-testkit",
 ];

@@ -23,6 +23,8 @@ pub(super) const EXTENDED: u32 = 1 << 31;
 pub(super) const REMOTE: u32 = 1 << 30;
 /// Marks what the kernel says of the bus.
 const ERROR: u32 = 1 << 29;
+/// Of what the kernel says: the controller is off the bus, after too many errors.
+pub(super) const BUS_OFF: u32 = 1 << 6;
 const FAST: u8 = 1;
 
 /// Writes a frame; the answer is how many bytes that were.
@@ -61,6 +63,12 @@ pub(super) fn read(bytes: &[u8]) -> Option<CanFrame> {
         return CanFrame::remote(named, length);
     }
     CanFrame::new(named, format, bytes.get(HEADER..HEADER + length)?)
+}
+
+/// Whether this is the kernel's word that the controller is off the bus.
+pub(super) fn is_bus_off(bytes: &[u8]) -> bool {
+    let id = bytes.first_chunk().map(|id| u32::from_ne_bytes(*id));
+    id.is_some_and(|id| id & ERROR != 0 && id & BUS_OFF != 0)
 }
 
 #[cfg(test)]
@@ -103,5 +111,16 @@ mod tests {
         check(1, 255);
         check(0x800, 0);
         check(ERROR | 4, 8);
+    }
+
+    #[test]
+    fn the_kernels_word_on_the_bus_is_told_from_frames() {
+        let word = |id: u32| [&id.to_ne_bytes()[..], &[8, 0, 0, 0], &[0; 8]].concat();
+
+        assert!(is_bus_off(&word(ERROR | BUS_OFF)));
+        assert_eq!(read(&word(ERROR | BUS_OFF)), None);
+        assert!(!is_bus_off(&word(ERROR | 4)), "the controller has a problem, and is on the bus");
+        assert!(!is_bus_off(&word(BUS_OFF)), "a frame with this identifier");
+        assert!(!is_bus_off(b"abc"));
     }
 }

@@ -4,6 +4,8 @@
 //!   it is bounded and counted.
 //! * An interface that is down, or was removed, is said to be closed at once, and opened again within a
 //!   second of its return.
+//! * A controller that leaves the bus after too many errors (bus off) says so, and the interface is closed
+//!   until it is back.
 //! * The kernel sorts out what is for others; what other things on the bus say is not seen.
 
 mod layout;
@@ -12,7 +14,7 @@ use crate::can_node::{CanNode, CanPort, addressing};
 use crate::endpoint::CanConfig;
 use blastema_core::Instant;
 use blastema_core::can::{Addressing, CanFrame, Format};
-use layout::{EXTENDED, REMOTE};
+use layout::{BUS_OFF, EXTENDED, REMOTE};
 use socket2::SockRef;
 use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
 use std::future::Future;
@@ -79,10 +81,16 @@ impl CanSocket {
         let socket = CanFdSocket::open(interface)?;
         socket.set_nonblocking(true)?;
         socket.set_filters(&filters(addressing(node), node.address))?;
+        socket.set_error_filter(BUS_OFF)?;
         let options = SockRef::from(socket.as_raw_socket());
         options.set_send_buffer_size(SEND_BUFFER)?;
         // A socket of an interface that is down says so, once.
         options.take_error()?.map_or(Ok(()), Err)?;
+        // The kernel tells the rest of the system that it is off the bus as if its cable were pulled.
+        let carrier = std::fs::read_to_string(format!("/sys/class/net/{interface}/carrier"));
+        if carrier.is_ok_and(|carrier| carrier.trim() == "0") {
+            return Err(self.bus_off());
+        }
         let mtu = std::fs::read_to_string(format!("/sys/class/net/{interface}/mtu"));
         let mtu: Option<u32> = mtu.ok().and_then(|text| text.trim().parse().ok());
         if *fd && mtu.is_some_and(|mtu| mtu < FD_MTU) {
@@ -117,6 +125,15 @@ impl CanSocket {
         }
     }
 
+    fn bus_off(&self) -> io::Error {
+        let interface = &self.config.interface;
+        io::Error::other(format!(
+            "its controller is off the bus, after too many errors: check the wires, their \
+             termination and the bit rate; `ip link set {interface} type can restart-ms 100` lets \
+             it come back by itself"
+        ))
+    }
+
     fn explain(&self, error: io::Error) -> io::Error {
         use rustix::io::Errno;
         let interface = &self.config.interface;
@@ -135,6 +152,10 @@ impl CanSocket {
 impl CanPort for CanSocket {
     fn name(&self) -> String {
         format!("can {}", self.config.interface)
+    }
+
+    fn bitrate(&self) -> u32 {
+        self.config.bitrate
     }
 
     fn open(&mut self, _: Instant) -> io::Result<()> {
@@ -182,6 +203,9 @@ impl CanPort for CanSocket {
         loop {
             ready!(socket.poll_recv_ready(task))?;
             match socket.try_recv(&mut bytes) {
+                Ok(length) if layout::is_bus_off(&bytes[..length]) => {
+                    return Poll::Ready(Err(self.bus_off()));
+                }
                 Ok(length) => return Poll::Ready(Ok(layout::read(&bytes[..length]))),
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                 Err(error) => return Poll::Ready(Err(self.explain(error))),

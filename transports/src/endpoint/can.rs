@@ -10,6 +10,8 @@ pub struct CanNodeConfig {
     /// Our number on the bus, 0 to 254. No two nodes may have the same; peers are given by theirs.
     /// What is sent to 255 goes to all.
     pub address: u8,
+    /// How we are called where two nodes have one address. A node sets its own name.
+    pub name: String,
     /// Identifiers of 11 bits, for buses and adapters that know no others: addresses 0 to 30 then. All
     /// nodes of the bus must do alike.
     pub short_ids: bool,
@@ -28,6 +30,7 @@ impl Default for CanNodeConfig {
     fn default() -> Self {
         CanNodeConfig {
             address: 0,
+            name: String::new(),
             short_ids: false,
             // 148 classic frames: 40 ms of a bus of 500 kbit/s, less than between two hellos.
             mtu: 1_024,
@@ -49,6 +52,9 @@ pub struct CanConfig {
     pub fd: bool,
     /// The payload of CAN FD frames goes at the bus's higher bit rate.
     pub bit_rate_switch: bool,
+    /// The bus's bit rate, in bits a second. It sets nothing: it is what hellos are paced by, for an
+    /// interface of the system does not say how fast it is.
+    pub bitrate: u32,
     /// Who we are there.
     pub node: CanNodeConfig,
 }
@@ -60,6 +66,7 @@ impl CanConfig {
             interface: interface.to_owned(),
             fd: false,
             bit_rate_switch: false,
+            bitrate: 500_000,
             node: CanNodeConfig::default(),
         }
     }
@@ -69,6 +76,9 @@ impl CanConfig {
 pub const SLCAN_BIT_RATES: [u32; 9] =
     [10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000];
 
+/// The bit rates for the payload of CAN FD frames that adapters have a command for, in bits a second.
+pub const SLCAN_DATA_RATES: [u32; 2] = [2_000_000, 5_000_000];
+
 /// A CAN adapter on a serial port (SLCAN), as in `slcan:///dev/ttyACM0?bitrate=500000&address=3`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -77,6 +87,14 @@ pub struct SlcanConfig {
     pub path: PathBuf,
     /// The bus's bit rate, one of [`SLCAN_BIT_RATES`].
     pub bitrate: u32,
+    /// CAN FD frames of up to 64 bytes, for adapters that know them (the CANable's extension of the
+    /// protocol). All nodes of the bus must be able to.
+    pub fd: bool,
+    /// The payload of CAN FD frames goes at `data_bitrate`.
+    pub bit_rate_switch: bool,
+    /// The bus's bit rate for the payload of CAN FD frames, one of [`SLCAN_DATA_RATES`]. Adapters want to
+    /// know it also where it is not used.
+    pub data_bitrate: u32,
     /// The serial line's speed, in bits a second. Adapters on USB do not mind it.
     pub baud: u32,
     /// Who we are on the bus.
@@ -89,6 +107,9 @@ impl SlcanConfig {
         SlcanConfig {
             path: path.into(),
             bitrate: 500_000,
+            fd: false,
+            bit_rate_switch: false,
+            data_bitrate: 2_000_000,
             baud: 115_200,
             node: CanNodeConfig::default(),
         }

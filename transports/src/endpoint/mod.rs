@@ -13,7 +13,7 @@ mod can;
 mod error;
 mod settings;
 
-pub use self::can::{CanConfig, CanNodeConfig, SLCAN_BIT_RATES, SlcanConfig};
+pub use self::can::{CanConfig, CanNodeConfig, SLCAN_BIT_RATES, SLCAN_DATA_RATES, SlcanConfig};
 pub use self::error::{EndpointError, EndpointProblem};
 
 use self::settings::{Settings, is_interface};
@@ -51,8 +51,8 @@ const LONGEST: Duration = Duration::from_secs(3600);
 /// | `tcp://10.0.0.1:7400` | TCP | `interface`, `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout`, `user_timeout` |
 /// | `unix:///run/x.sock` | a Unix-domain socket | `mode` (octal), `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout` |
 /// | `serial:///dev/ttyUSB0` | a serial line | `baud`, `parity`, `stop_bits`, `flow`, `mtu`, `queue_time` |
-/// | `can://can0` | a CAN interface | `fd`, `bit_rate_switch`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
-/// | `slcan:///dev/ttyACM0` | a CAN adapter on a serial port | `bitrate`, `baud`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
+/// | `can://can0` | a CAN interface | `fd`, `bit_rate_switch`, `bitrate`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
+/// | `slcan:///dev/ttyACM0` | a CAN adapter on a serial port | `bitrate`, `fd`, `bit_rate_switch`, `data_bitrate`, `baud`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
 /// | `memory://name` | between nodes of one process | |
 ///
 /// Times have a unit (`500ms`). In a path, `%3F` is a question mark, and `%25` a percent sign.
@@ -468,6 +468,8 @@ fn serial(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
 /// What serial ports of today can, with room above, in bits a second.
 const BAUD: std::ops::RangeInclusive<u64> = 50..=50_000_000;
 
+const ONLY_FD: &str = "only CAN FD frames can switch the bit rate: add fd=true";
+
 fn can(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     let mut settings = parts.settings("can")?;
     if !is_interface(parts.place) {
@@ -478,9 +480,9 @@ fn can(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     settings.switch("fd", &mut config.fd)?;
     settings.switch("bit_rate_switch", &mut config.bit_rate_switch)?;
     if config.bit_rate_switch && !config.fd {
-        let why = "only CAN FD frames can switch the bit rate: add fd=true";
-        return Err(settings.contradiction("bit_rate_switch", why));
+        return Err(settings.contradiction("bit_rate_switch", ONLY_FD));
     }
+    settings.number("bitrate", 10_000..=1_000_000, &mut config.bitrate)?;
     can_node(&mut settings, &mut config.node)?;
     settings.finish()?;
     Ok(Endpoint::Can(config))
@@ -492,6 +494,19 @@ fn slcan(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     let rates = SLCAN_BIT_RATES.map(|rate| rate.to_string()).join(", ");
     let known = |text: &str| text.parse().ok().filter(|rate| SLCAN_BIT_RATES.contains(rate));
     config.bitrate = settings.take("bitrate", rates, known)?.unwrap_or(config.bitrate);
+    settings.switch("fd", &mut config.fd)?;
+    settings.switch("bit_rate_switch", &mut config.bit_rate_switch)?;
+    if config.bit_rate_switch && !config.fd {
+        return Err(settings.contradiction("bit_rate_switch", ONLY_FD));
+    }
+    let rates = SLCAN_DATA_RATES.map(|rate| rate.to_string()).join(", ");
+    let known = |text: &str| text.parse().ok().filter(|rate| SLCAN_DATA_RATES.contains(rate));
+    if let Some(rate) = settings.take("data_bitrate", rates, known)? {
+        if !config.fd {
+            return Err(settings.contradiction("data_bitrate", ONLY_FD));
+        }
+        config.data_bitrate = rate;
+    }
     settings.number("baud", BAUD, &mut config.baud)?;
     can_node(&mut settings, &mut config.node)?;
     settings.finish()?;

@@ -106,7 +106,7 @@ fn can_is_read_with_all_its_settings() {
         panic!()
     };
     assert!(config.bit_rate_switch);
-    let CanNodeConfig { address, short_ids, mtu, queue_frames, block_size, separation } =
+    let CanNodeConfig { address, short_ids, mtu, queue_frames, block_size, separation, .. } =
         config.node;
     assert!(short_ids);
     assert_eq!((address, mtu, queue_frames, block_size), (7, 800, 8, 4));
@@ -123,7 +123,23 @@ fn can_adapters_are_read_with_all_their_settings() {
 
     assert_eq!((config.path, config.bitrate), (PathBuf::from("/dev/ttyACM0"), 125_000));
     assert_eq!((config.baud, config.node.address), (3_000_000, 9));
+    assert!(!config.fd);
     assert_eq!(config.node.separation, Duration::from_millis(5));
+}
+
+#[test]
+fn can_adapters_with_can_fd_have_a_second_rate_and_others_none() {
+    let Endpoint::Slcan(config) =
+        good("slcan:///dev/ttyACM0?fd=true&bit_rate_switch=true&data_bitrate=5000000")
+    else {
+        panic!()
+    };
+    assert_eq!((config.fd, config.bit_rate_switch, config.data_bitrate), (true, true, 5_000_000));
+
+    for wrong in ["data_bitrate=2000000", "bit_rate_switch=true", "fd=true&data_bitrate=8000000"] {
+        let error = format!("slcan:///dev/ttyACM0?{wrong}").parse::<Endpoint>();
+        assert!(error.is_err(), "{wrong}");
+    }
 }
 
 #[test]

@@ -3,7 +3,8 @@
 //! * **Frames** are found again after any garbage ([`framing`]); a wrong speed at the other end is
 //!   nothing but garbage.
 //! * **A slow line** is given no more than it carries, so that what waits, waits here, where it is
-//!   bounded in time and counted, and not in the system's buffers, where hellos would wait behind it.
+//!   bounded in time and counted, and not in the system's buffers, where hellos would wait behind it: they
+//!   wait for the one frame that is going out.
 //! * **Unplugged**, a port reads as an end, or its writes fail: it is closed at once, which lets a USB
 //!   adapter have its old name again, and opened again by its path, with back-off.
 //!
@@ -127,6 +128,10 @@ impl FrameMedium for SerialLine {
 
     fn knows(&self, address: &MediumAddress) -> bool {
         *address == MediumAddress::Line
+    }
+
+    fn poll_room(&mut self, task: &mut Context<'_>) -> Poll<()> {
+        self.pace.poll_due(task)
     }
 
     fn poll_send(

@@ -9,7 +9,7 @@
 use crate::can_node::{CanNode, CanPort};
 use crate::endpoint::SlcanConfig;
 use blastema_core::Instant;
-use blastema_core::can::slcan::{BitRate, Command, Dialogue, Listener, Reply};
+use blastema_core::can::slcan::{BitRate, Command, DataRate, Dialogue, Listener, Reply};
 use blastema_core::can::{CanFrame, Format};
 use std::collections::VecDeque;
 use std::future::Future;
@@ -38,7 +38,9 @@ impl SlcanBus {
     /// The bus at this adapter. The clock must be the one on which this arbiter's timers run.
     pub fn new(config: SlcanConfig, now: fn() -> Instant) -> Self {
         let node = config.node.clone();
-        CanNode::over(SlcanAdapter { config, line: None }, node, Format::Classic, now)
+        let format =
+            if config.fd { Format::Fd { fast: config.bit_rate_switch } } else { Format::Classic };
+        CanNode::over(SlcanAdapter { config, line: None }, node, format, now)
     }
 }
 
@@ -60,6 +62,8 @@ struct Line {
     /// How many lines, and frames, had been refused when that was last looked at.
     refused: u64,
     timer: Option<(Instant, Pin<Box<Sleep>>)>,
+    /// When it is asked next how its bus is.
+    question: Option<(Instant, Pin<Box<Sleep>>)>,
 }
 
 impl SlcanAdapter {
@@ -82,17 +86,33 @@ impl CanPort for SlcanAdapter {
         format!("slcan {}", self.config.path.display())
     }
 
+    fn bitrate(&self) -> u32 {
+        self.config.bitrate
+    }
+
     fn open(&mut self, _: Instant) -> io::Result<()> {
         let hz = self.config.bitrate;
         let rate = BitRate::of(hz).ok_or_else(|| {
             let text = format!("adapters know no bus of {hz} bit/s: choose 10, 20, 50, 100, 125, 250, 500, 800 or 1000 kbit/s");
             io::Error::other(text)
         })?;
+        let data_rate = match (self.config.fd, self.config.data_bitrate) {
+            (false, _) => None,
+            (true, 2_000_000) => Some(DataRate::TwoMegabit),
+            (true, 5_000_000) => Some(DataRate::FiveMegabit),
+            (true, hz) => {
+                let text = format!(
+                    "adapters know no CAN FD at {hz} bit/s for its data: choose 2 or 5 Mbit/s, or \
+                     leave fd out"
+                );
+                return Err(io::Error::other(text));
+            }
+        };
         let builder = tokio_serial::new(self.config.path.to_string_lossy(), self.config.baud);
         let port = SerialStream::open(&builder).map_err(|error| self.explain(&error))?;
         self.line = Some(Line {
             port,
-            dialogue: Dialogue::new(rate),
+            dialogue: Dialogue::new(rate, data_rate),
             listener: Listener::default(),
             chunk: vec![0; CHUNK],
             unread: VecDeque::new(),
@@ -100,6 +120,7 @@ impl CanPort for SlcanAdapter {
             outgoing: b"\r\r\r".iter().copied().collect(),
             refused: 0,
             timer: None,
+            question: None,
         });
         Ok(())
     }
@@ -143,9 +164,10 @@ impl CanPort for SlcanAdapter {
     fn poll_read(
         &mut self,
         task: &mut Context<'_>,
-        _: Instant,
+        now: Instant,
     ) -> Poll<io::Result<Option<CanFrame>>> {
         let Some(line) = &mut self.line else { return Poll::Ready(Err(unplugged())) };
+        line.ask(task, now);
         // What the port had no room for a while ago.
         if let Poll::Ready(flushed) = line.poll_flush(task) {
             flushed?;
@@ -156,6 +178,13 @@ impl CanPort for SlcanAdapter {
             }
             ready!(line.poll_read(task))?;
         }
+    }
+
+    fn poll_trouble(&mut self) -> Option<&'static str> {
+        let line = self.line.as_mut()?;
+        let text =
+            "nobody on the CAN bus confirms our frames: check its wires, termination and bit rate";
+        line.dialogue.poll_trouble().then_some(text)
     }
 
     fn close(&mut self) {
@@ -216,6 +245,23 @@ impl Line {
             self.dialogue.handle_timeout(due);
         }
         Ok(true)
+    }
+
+    /// Asks the adapter how its bus is, when that is due.
+    fn ask(&mut self, task: &mut Context<'_>, now: Instant) {
+        if let Some(command) = self.dialogue.poll_command(now) {
+            self.say(&command);
+        }
+        let Some(due) = self.dialogue.poll_timeout() else { return };
+        if self.question.as_ref().is_none_or(|(armed, _)| *armed != due) {
+            self.question = Some((due, Box::pin(tokio::time::sleep(due - now))));
+        }
+        if let Some((_, timer)) = &mut self.question
+            && timer.as_mut().poll(task).is_ready()
+        {
+            self.question = None;
+            task.waker().wake_by_ref();
+        }
     }
 
     /// Understands what was read: a frame, or something that is none; nothing when more must come.

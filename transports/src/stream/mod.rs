@@ -334,7 +334,7 @@ impl<F: Family> Streams<F> {
     }
 
     pub(crate) fn transmit(&mut self, message: Transmit) {
-        let Transmit { to, frame } = message;
+        let Transmit { to, frame, lane } = message;
         let Some(to) = F::address(to) else {
             self.outlet.counters.refused += 1;
             return;
@@ -354,7 +354,7 @@ impl<F: Family> Streams<F> {
             peer.state = State::Dialing(self.family.dial(&local, &to));
         }
         let resting = matches!(peer.state, State::Resting(_));
-        if resting || !peer.outgoing.push(frame, self.bounds.queue_bytes) {
+        if resting || !peer.outgoing.push(lane, frame, self.bounds.queue_bytes) {
             self.outlet.counters.dropped += 1;
         }
     }

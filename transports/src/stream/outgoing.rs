@@ -2,6 +2,7 @@
 
 use super::ByteStream;
 use super::framing::{HEADER, encode_header};
+use blastema_contract::transport::Lane;
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
@@ -12,25 +13,36 @@ const AT_ONCE: usize = 32;
 /// What a frame costs beside its bytes, so that empty frames have a bound too.
 const OVERHEAD: usize = 64;
 
-/// A bounded queue of frames before one peer.
+/// A bounded queue of frames before one peer, the urgent before the usual.
 #[derive(Default)]
 pub(super) struct Outgoing {
-    frames: VecDeque<Bytes>,
-    /// What the frames cost together.
-    cost: usize,
+    frames: VecDeque<(Lane, Bytes)>,
+    /// What the frames of each lane cost together, the urgent first.
+    costs: [usize; 2],
     /// How much of the first frame, with its header, is written already.
     written: usize,
 }
 
 impl Outgoing {
-    /// Takes a frame, unless the queue would cost more than `limit` bytes.
-    pub(super) fn push(&mut self, frame: Bytes, limit: usize) -> bool {
-        let cost = self.cost + frame.len() + OVERHEAD;
-        if cost > limit {
+    /// Takes a frame, unless those of its lane would cost more than `limit` bytes together.
+    pub(super) fn push(&mut self, lane: Lane, frame: Bytes, limit: usize) -> bool {
+        let cost = &mut self.costs[lane as usize];
+        let more = *cost + frame.len() + OVERHEAD;
+        if more > limit {
             return false;
         }
-        self.cost = cost;
-        self.frames.push_back(frame);
+        *cost = more;
+        match lane {
+            Lane::Usual => self.frames.push_back((lane, frame)),
+            Lane::Urgent => {
+                // Behind the one that has begun, and behind the urgent that wait.
+                let begun = usize::from(self.written > 0);
+                let waiting = self.frames.iter().skip(begun);
+                let ahead = waiting.take_while(|(lane, _)| *lane == Lane::Urgent).count();
+                let place = (begun + ahead).min(self.frames.len());
+                self.frames.insert(place, (lane, frame));
+            }
+        }
         true
     }
 
@@ -71,11 +83,11 @@ impl Outgoing {
 
     fn write_once(&mut self, stream: &impl ByteStream) -> io::Result<u64> {
         let mut headers = [[0; HEADER]; AT_ONCE];
-        for (header, frame) in headers.iter_mut().zip(&self.frames) {
+        for (header, (_, frame)) in headers.iter_mut().zip(&self.frames) {
             *header = encode_header(frame.len());
         }
         let mut slices = [IoSlice::new(&[]); 2 * AT_ONCE];
-        for (pair, (header, frame)) in
+        for (pair, (header, (_, frame))) in
             slices.chunks_exact_mut(2).zip(headers.iter().zip(&self.frames))
         {
             pair[0] = IoSlice::new(header);
@@ -93,11 +105,11 @@ impl Outgoing {
     fn advance(&mut self, bytes: usize) -> u64 {
         self.written += bytes;
         let mut completed = 0;
-        while let Some(first) = self.frames.front()
+        while let Some((lane, first)) = self.frames.front()
             && self.written >= HEADER + first.len()
         {
             self.written -= HEADER + first.len();
-            self.cost -= first.len() + OVERHEAD;
+            self.costs[*lane as usize] -= first.len() + OVERHEAD;
             self.frames.pop_front();
             completed += 1;
         }
@@ -113,22 +125,42 @@ mod tests {
     fn frames_are_complete_when_their_last_byte_is_written() {
         let mut outgoing = Outgoing::default();
         for frame in ["", "abc", "", "de"] {
-            assert!(outgoing.push(frame.into(), 1 << 20));
+            assert!(outgoing.push(Lane::Usual, frame.into(), 1 << 20));
         }
 
         let completed = [3, 1, 6, 1, 4, 6].map(|bytes| outgoing.advance(bytes));
 
         assert_eq!(completed, [0, 1, 0, 1, 1, 1]);
-        assert_eq!((outgoing.cost, outgoing.written, outgoing.frames.len()), (0, 0, 0));
+        assert_eq!((outgoing.costs, outgoing.written, outgoing.frames.len()), ([0, 0], 0, 0));
     }
 
     #[test]
     fn the_queue_is_bounded_for_empty_frames_too() {
         let mut outgoing = Outgoing::default();
 
-        let taken = (0..10_000).filter(|_| outgoing.push(Bytes::new(), 64 * 100)).count();
+        let taken =
+            (0..10_000).filter(|_| outgoing.push(Lane::Usual, Bytes::new(), 64 * 100)).count();
 
         assert_eq!(taken, 100);
-        assert_eq!(outgoing.clear(), 100);
+        assert!(outgoing.push(Lane::Urgent, Bytes::new(), 64), "the urgent has a place of its own");
+        assert_eq!(outgoing.clear(), 101);
+    }
+
+    #[test]
+    fn the_urgent_goes_behind_the_frame_that_has_begun_and_before_all_others() {
+        let mut outgoing = Outgoing::default();
+        let push = |outgoing: &mut Outgoing, lane, frame: &'static str| {
+            assert!(outgoing.push(lane, frame.into(), 1 << 20));
+        };
+        push(&mut outgoing, Lane::Usual, "a");
+        push(&mut outgoing, Lane::Usual, "b");
+        assert_eq!(outgoing.advance(1), 0);
+
+        for frame in ["x", "y"] {
+            push(&mut outgoing, Lane::Urgent, frame);
+        }
+
+        let order: Vec<_> = outgoing.frames.iter().map(|(_, frame)| &frame[..]).collect();
+        assert_eq!(order, [b"a", b"x", b"y", b"b"]);
     }
 }

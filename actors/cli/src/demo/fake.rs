@@ -316,7 +316,7 @@ impl FakeRobot {
     /// What comes only when its row has been closed.
     fn held_back(&self, flow: &Flow) -> u64 {
         let is_late = self.flaw == Flaw::ComesLate && flow.name == FLOWS[0].name;
-        let span = Moment::from_millis(2_000)..Moment::from_millis(8_000);
+        let span = Moment::from_millis(2_800)..Moment::from_millis(8_000);
         if is_late && span.contains(&self.now) { 7 } else { 0 }
     }
 

@@ -93,7 +93,7 @@ fn bytes_that_are_no_message_are_refused_and_counted() {
 }
 
 #[test]
-fn a_message_from_outside_for_which_there_is_no_room_is_counted() {
+fn a_message_from_outside_for_which_there_is_no_room_may_wait_and_is_counted_when_given_up() {
     paused(async {
         let stage = Stage::new();
         let (spec, log) = acc("acc");
@@ -102,9 +102,15 @@ fn a_message_from_outside_for_which_there_is_no_room_is_counted() {
 
         note.deliver(&encoded(&Note(1)), postmark(None), None).unwrap();
         let why = note.deliver(&encoded(&Note(2)), postmark(None), None).unwrap_err();
+        assert_eq!(why, Why::Full);
+        note.room().unwrap().await;
+        note.deliver(&encoded(&Note(2)), postmark(None), None).unwrap();
+        let why = note.deliver(&encoded(&Note(3)), postmark(None), None).unwrap_err();
+        assert_eq!(stage.environment.dead_letters.total(), 0);
+        note.bury(&why);
         settle().await;
 
-        assert_eq!((why, logged(&log)), (Why::Full, vec![1]));
+        assert_eq!(logged(&log), [1, 2]);
         assert_eq!(stage.environment.dead_letters.count(acc.name(), DeadReason::Full), 1);
     });
 }

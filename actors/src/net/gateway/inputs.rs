@@ -23,6 +23,7 @@ impl Handler<SessionReported> for Gateway {
             SessionReported::Reachable { node, incarnation } => {
                 let (peer, gate) = self.meet(&node);
                 self.exchange.handle_reachable(peer, true);
+                gate.set_path(true);
                 self.peers
                     .entry(peer)
                     .and_modify(|peer| peer.left &= peer.incarnation == incarnation);
@@ -33,6 +34,7 @@ impl Handler<SessionReported> for Gateway {
             SessionReported::Unreachable { node } => {
                 let (peer, gate) = self.meet(&node);
                 self.exchange.handle_reachable(peer, false);
+                gate.set_path(false);
                 if !gate.has_session() {
                     self.set(peer, Condition::Unreachable);
                 }

@@ -1,7 +1,7 @@
 //! Requests to other nodes: deadlines, identities, and what is said where nothing can be known.
 
 use super::*;
-use crate::WhenFull;
+use crate::{Outcome, WhenFull};
 
 /// Counts how often it takes effect, slowly.
 #[derive(Clone, Debug, PartialEq, Request)]
@@ -13,6 +13,16 @@ struct Book(u64);
 #[contract(reply = u64, idempotent)]
 struct SetTo(u64);
 
+/// Replies with so many bytes, within its own limit or beyond.
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(reply = Vec<u8>)]
+struct Grow(u32);
+
+/// The same, and no session carries as much as its contract allows. The rest is ballast.
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(reply = Vec<u8>, max_size = 16_000_000)]
+struct GrowMuch(u32, Vec<u8>);
+
 const SERVICE: Duration = Duration::from_millis(100);
 
 /// Takes 100 ms for each request, and writes down what took effect.
@@ -20,7 +30,7 @@ struct Desk(Log);
 
 impl Component for Desk {
     fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Book>().serve::<SetTo>();
+        ports.serve::<Book>().serve::<SetTo>().serve::<Grow>().serve::<GrowMuch>();
     }
 }
 
@@ -41,6 +51,20 @@ impl Handle<Book> for Desk {
 impl Handle<SetTo> for Desk {
     async fn handle(&mut self, SetTo(n): SetTo, _: &mut Context<Self>) -> u64 {
         self.serve(n).await
+    }
+}
+
+impl Handle<Grow> for Desk {
+    async fn handle(&mut self, Grow(bytes): Grow, _: &mut Context<Self>) -> Vec<u8> {
+        self.serve(bytes.into()).await;
+        vec![7; bytes as usize]
+    }
+}
+
+impl Handle<GrowMuch> for Desk {
+    async fn handle(&mut self, message: GrowMuch, _: &mut Context<Self>) -> Vec<u8> {
+        self.serve(message.0.into()).await;
+        vec![7; message.0 as usize]
     }
 }
 
@@ -236,5 +260,33 @@ fn a_tell_by_another_contract_is_a_dead_letter_and_a_fault_of_the_sender() {
         assert_eq!(declared.kind, FaultKind::ContractMismatch);
         assert!(declared.detail.contains("with node right"), "{}", declared.detail);
         assert_eq!(right.declared.expect().await.object, acc);
+    });
+}
+
+#[test]
+fn a_reply_that_is_too_large_says_that_the_request_took_effect_and_whose_limit_it_is() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_desk, log) = desk(&right).await;
+
+        let error = left.sender::<Grow>("right:desk").ask(Grow(70_000)).await.unwrap_err();
+        assert_eq!(error.outcome(), Outcome::TookEffect);
+        assert_eq!((error.why, error.message), (Why::ReplyTooLarge { limit: 65_536 }, None));
+        assert_eq!(log.take(), [70_000]);
+
+        let much = left.sender::<GrowMuch>("right:desk");
+        let error = much.ask(GrowMuch(2_000_000, vec![])).await.unwrap_err();
+        assert_eq!(error.outcome(), Outcome::TookEffect);
+        let Why::ReplyTooLarge { limit } = error.why else { panic!("{error}") };
+        assert_eq!(limit >> 10, 1028);
+        assert_eq!(log.take(), [2_000_000]);
+
+        let error = much.ask(GrowMuch(1, vec![7; 2_000_000])).await.unwrap_err();
+        assert_eq!(error.outcome(), Outcome::NotTaken);
+        assert!(matches!(error.why, Why::TooLargeForSession { .. }), "{error}");
+        assert!(error.to_string().contains("whatever its contract allows"), "{error}");
+        assert_eq!(error.message.map(|message| message.0), Some(1));
+        assert_eq!(much.ask(GrowMuch(3, vec![7; 1 << 20])).await.unwrap(), [7; 3]);
+        assert_eq!(log.take(), [3]);
     });
 }

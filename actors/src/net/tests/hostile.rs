@@ -160,3 +160,53 @@ fn what_is_refused_in_passing_is_no_fault() {
         assert_eq!(left.declared.drain(), []);
     });
 }
+
+/// Sends so much garbage in each of these seconds to `left`'s end of network `a`.
+async fn garbage(sender: &Addr<Memory>, seconds: &[usize]) {
+    let to = MediumAddress::Memory("a/left".into());
+    for count in seconds {
+        for _ in 0..*count {
+            let frame = Bytes::from_static(b"\xffgarbage");
+            sender.do_send(blastema_contract::transport::Transmit::new(to.clone(), frame));
+        }
+        advance(1000 * MS).await;
+    }
+}
+
+#[test]
+fn lasting_garbage_from_a_neighbours_address_is_a_fault_of_the_links_and_passing_garbage_is_none() {
+    paused(async {
+        let mut robot = Robot::default();
+        let left = robot.module("left", 1, &[("a", &["right"])]).await;
+
+        let sender = Memory::new(MemoryConfig::new(&robot.medium, "a/right")).start();
+
+        garbage(&sender, &[1000, 1000, 0, 1000, 40, 40]).await;
+        assert_eq!(left.declared.drain(), []);
+
+        garbage(&sender, &[100, 100, 100, 100]).await;
+        let declared = left.declared.drain();
+        assert_eq!(declared.len(), 1, "{declared:?}");
+        assert_eq!(declared[0].kind, FaultKind::CheckFailed);
+        assert_eq!(declared[0].object.as_str(), "net/links/a");
+        let detail = &declared[0].detail;
+        assert!(detail.contains("a/right") && detail.contains("100 foreign"), "{detail}");
+    });
+}
+
+#[test]
+fn lasting_garbage_from_strangers_is_a_fault_of_the_links() {
+    paused(async {
+        let mut robot = Robot::default();
+        let left = robot.module("left", 1, &[("a", &["right"])]).await;
+
+        let sender = Memory::new(MemoryConfig::new(&robot.medium, "a/stranger")).start();
+
+        garbage(&sender, &[100, 100, 100, 100]).await;
+
+        let declared = left.declared.drain();
+        assert_eq!(declared.len(), 1, "{declared:?}");
+        let detail = &declared[0].detail;
+        assert!(detail.contains("no link of a leads to"), "{detail}");
+    });
+}

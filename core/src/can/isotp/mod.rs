@@ -96,7 +96,8 @@ pub enum IsoTpOutput {
         /// Why not.
         error: ReceiveError,
     },
-    /// Another node speaks under our address. Give one of the two another.
+    /// Another node speaks under our address, or the bus hands back what we said ourselves. What it says
+    /// to all is received nevertheless, as from us.
     AddressTaken,
 }
 
@@ -139,6 +140,8 @@ pub struct IsoTp {
 #[derive(Debug, Default)]
 struct Lane {
     current: Option<Transmission>,
+    /// Goes before the waiting.
+    urgent: VecDeque<Bytes>,
     waiting: VecDeque<Bytes>,
 }
 
@@ -173,6 +176,30 @@ impl IsoTp {
         message: Bytes,
         now: Instant,
     ) -> Result<(), TakeError> {
+        self.take(to, message, false, now)
+    }
+
+    /// Takes a message that goes before those that wait for the same target, and for which there is as much
+    /// room as for all others.
+    ///
+    /// # Errors
+    /// [`TakeError`]; the message is dropped.
+    pub fn handle_urgent(
+        &mut self,
+        to: BusAddress,
+        message: Bytes,
+        now: Instant,
+    ) -> Result<(), TakeError> {
+        self.take(to, message, true, now)
+    }
+
+    fn take(
+        &mut self,
+        to: BusAddress,
+        message: Bytes,
+        urgent: bool,
+        now: Instant,
+    ) -> Result<(), TakeError> {
         if to == self.own || to != BusAddress::ALL && !self.addressing.names(to) {
             return Err(TakeError::NoSuchAddress { to });
         }
@@ -183,11 +210,13 @@ impl IsoTp {
         let lane = self.outgoing.entry(to).or_default();
         if lane.current.is_none() {
             lane.current = Some(Transmission::new(message, audience(to), &self.config, now));
-        } else if lane.waiting.len() >= self.config.queue_messages {
-            return Err(TakeError::Full { to });
-        } else {
-            lane.waiting.push_back(message);
+            return Ok(());
         }
+        let queue = if urgent { &mut lane.urgent } else { &mut lane.waiting };
+        if queue.len() >= self.config.queue_messages {
+            return Err(TakeError::Full { to });
+        }
+        queue.push_back(message);
         Ok(())
     }
 
@@ -200,13 +229,10 @@ impl IsoTp {
         };
         if source == self.own {
             self.refusals.forged += 1;
-            if self.refusals.forged == 1 {
-                self.outputs.push_back(IsoTpOutput::AddressTaken);
-            }
-            return;
+            self.outputs.push_back(IsoTpOutput::AddressTaken);
         }
         let to_all = target == BusAddress::ALL;
-        if !to_all && target != self.own {
+        if !to_all && (source == self.own || target != self.own) {
             return;
         }
         match Pdu::decode(frame.data()) {
@@ -268,7 +294,10 @@ impl IsoTp {
     pub fn handle_loss(&mut self) -> u64 {
         self.incoming.clear();
         let lanes = std::mem::take(&mut self.outgoing).into_values();
-        lanes.map(|lane| u64::from(lane.current.is_some()) + lane.waiting.len() as u64).sum()
+        let all = |lane: Lane| {
+            usize::from(lane.current.is_some()) + lane.urgent.len() + lane.waiting.len()
+        };
+        lanes.map(|lane| all(lane) as u64).sum()
     }
 
     /// The next frame that is to go out now, if any. Ask only when the bus takes one: it counts as sent.
@@ -323,7 +352,7 @@ impl IsoTp {
         let Some(lane) = self.outgoing.get_mut(&to) else { return };
         let Some(result) = lane.current.as_ref().and_then(Transmission::ended) else { return };
         if matches!(result, Err(SendError::Unanswered | SendError::BusStuck)) {
-            let with_it = lane.waiting.len() as u64;
+            let with_it = (lane.urgent.len() + lane.waiting.len()) as u64;
             let error = result.expect_err("it was one a moment ago");
             self.outgoing.remove(&to);
             self.outputs.push_back(IsoTpOutput::NotSent { to, error, with_it });
@@ -333,7 +362,7 @@ impl IsoTp {
             Ok(()) => IsoTpOutput::Sent { to },
             Err(error) => IsoTpOutput::NotSent { to, error, with_it: 0 },
         });
-        match lane.waiting.pop_front() {
+        match lane.urgent.pop_front().or_else(|| lane.waiting.pop_front()) {
             Some(message) => {
                 lane.current = Some(Transmission::new(message, audience(to), &self.config, now));
             }

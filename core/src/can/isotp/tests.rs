@@ -246,7 +246,8 @@ fn what_comes_in_wrong_is_counted_by_its_kind_and_harms_nothing() {
     assert_eq!(hear(2, 1, b"\x30\x00\x00"), []);
     assert_eq!(hear(2, 255, b"\x30\x00\x00"), []);
     assert_eq!(hear(1, 2, b"\x01a"), [IsoTpOutput::AddressTaken]);
-    assert_eq!(hear(1, 2, b"\x01a"), [], "it is told once");
+    let from_us = IsoTpOutput::Received { from: BusAddress(1), message: "a".into() };
+    assert_eq!(hear(1, 255, b"\x01a"), [IsoTpOutput::AddressTaken, from_us], "it may be a claim");
     assert_eq!(hear(2, 3, b"\x01a"), [], "others may talk");
     let from = BusAddress(2);
     let unexpected = IsoTpOutput::NotReceived { from, error: ReceiveError::Unexpected };
@@ -261,6 +262,22 @@ fn what_comes_in_wrong_is_counted_by_its_kind_and_harms_nothing() {
 
     let expected = IsoTpRefusals { malformed: 2, unasked: 2, forged: 2, broken: 2, foreign: 2 };
     assert_eq!(node.refusals(), expected);
+}
+
+#[test]
+fn an_urgent_message_goes_before_those_that_wait_for_the_same_target() {
+    let config = large(Format::Classic);
+    let mut bus = Bus::new(vec![node(1, config), node(2, config)]);
+    let to = BusAddress(2);
+    for length in [100, 200, 300] {
+        assert_eq!(bus.nodes[0].handle_message(to, message(length, 0), bus.now), Ok(()));
+    }
+
+    assert_eq!(bus.nodes[0].handle_urgent(to, message(50, 0), bus.now), Ok(()));
+    bus.run();
+
+    let lengths: Vec<_> = bus.received(1).iter().map(|(_, message)| message.len()).collect();
+    assert_eq!(lengths, [100, 50, 200, 300], "one is under way at a time");
 }
 
 #[test]

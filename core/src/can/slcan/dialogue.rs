@@ -3,17 +3,19 @@
 //! ```text
 //!           a pause               done, or no answer          done, or no answer
 //! Closing ───────────► Setting ────────────────────► Opening ─────────────────► Open
-//!                         │ refused                     │ refused
+//!                         │ refused                     │ refused                 how is the bus?
 //!                         └──────────► Failed ◄─────────┘
 //! ```
+//!
+//! Setting is of one bit rate, or of two where the bus has CAN FD.
 //!
 //! Many an adapter answers nothing at all: silence is no failure. One that is open already, by a program
 //! that died, is closed first, which an adapter that is closed refuses: whatever is heard in the pause
 //! after that says nothing.
 
-use super::{BitRate, Command, Reply};
+use super::{BitRate, Command, DataRate, Reply};
 use crate::Instant;
-use crate::can::CanFrame;
+use crate::can::{CanFrame, bits_on_bus};
 use std::time::Duration;
 
 /// How long an adapter may take for an answer. Those that answer do so within a few milliseconds.
@@ -25,6 +27,15 @@ const PAUSE: Duration = Duration::from_millis(20);
 /// holds. More would only wait there, before what is more urgent.
 const AHEAD: Duration = Duration::from_millis(3);
 
+/// How often an adapter is asked how its bus is: as often as a hello or two goes by, and some bytes on the
+/// serial line.
+const ASKING: Duration = Duration::from_millis(100);
+/// One that leaves so many questions unanswered is asked no more.
+const QUESTIONS: u8 = 3;
+/// What the answer has, of CAN232: too many of its frames were confirmed by nobody, and the last was not.
+const ERROR_PASSIVE: u8 = 1 << 5;
+const BUS_ERROR: u8 = 1 << 7;
+
 /// Why an adapter is of no use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AdapterError {
@@ -34,6 +45,9 @@ pub enum AdapterError {
         /// As configured.
         hz: u32,
     },
+    /// It does not know CAN FD, or not this rate.
+    #[error("the adapter refuses CAN FD at this data rate: choose another, or leave fd out")]
+    DataRate,
     /// It does not go onto the bus.
     #[error("the adapter refuses to open: check the bus's wires, or plug it in again")]
     Open,
@@ -43,7 +57,13 @@ pub enum AdapterError {
 #[derive(Debug)]
 pub struct Dialogue {
     rate: BitRate,
+    /// Where the bus has CAN FD.
+    data_rate: Option<DataRate>,
     state: State,
+    /// When it is asked next how the bus is, while it answers.
+    question: Option<Instant>,
+    unanswered: u8,
+    trouble: Trouble,
     /// When all that was sent will be on the bus.
     free: Instant,
     refused: u64,
@@ -66,14 +86,41 @@ enum State {
 enum Step {
     Close,
     BitRate,
+    DataRate,
     Open,
 }
 
+/// What the adapter says of its bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Trouble {
+    None,
+    /// It is to be told.
+    New,
+    Told,
+}
+
 impl Dialogue {
-    /// An adapter that was just found.
-    pub fn new(rate: BitRate) -> Self {
-        let (state, free) = (State::Saying(Step::Close), Instant::ORIGIN);
-        Dialogue { rate, state, free, refused: 0 }
+    /// An adapter that was just found, on a bus of this rate, and of that rate for the data of CAN FD.
+    pub fn new(rate: BitRate, data_rate: Option<DataRate>) -> Self {
+        Dialogue {
+            rate,
+            data_rate,
+            state: State::Saying(Step::Close),
+            question: Some(Instant::ORIGIN),
+            unanswered: 0,
+            trouble: Trouble::None,
+            free: Instant::ORIGIN,
+            refused: 0,
+        }
+    }
+
+    /// Whether the adapter has found that nobody confirms its frames any more; it is told once.
+    pub fn poll_trouble(&mut self) -> bool {
+        let is_new = self.trouble == Trouble::New;
+        if is_new {
+            self.trouble = Trouble::Told;
+        }
+        is_new
     }
 
     /// How many frames it refused.
@@ -96,14 +143,42 @@ impl Dialogue {
 
     /// The command that is to be written next, if any; it counts as written.
     pub fn poll_command(&mut self, now: Instant) -> Option<Command> {
-        let State::Saying(step) = self.state else { return None };
+        let step = match self.state {
+            State::Saying(step) => step,
+            State::Open => return self.ask(now),
+            State::Waiting { .. } | State::Failed(_) => return None,
+        };
         let patience = if step == Step::Close { PAUSE } else { PATIENCE };
         self.state = State::Waiting { step, until: now + patience };
         Some(match step {
             Step::Close => Command::Close,
             Step::BitRate => Command::BitRate(self.rate),
+            // Without one there is no such step.
+            Step::DataRate => Command::DataRate(self.data_rate.unwrap_or(DataRate::TwoMegabit)),
             Step::Open => Command::Open,
         })
+    }
+
+    fn ask(&mut self, now: Instant) -> Option<Command> {
+        let due = self.question?;
+        if due > now {
+            return None;
+        }
+        // One that answers nothing need not be asked for ever.
+        self.question = (self.unanswered < QUESTIONS).then(|| now + ASKING);
+        self.unanswered = self.unanswered.saturating_add(1);
+        self.question.map(|_| Command::Status)
+    }
+
+    fn handle_status(&mut self, flags: &str) {
+        let Ok(flags) = u8::from_str_radix(flags, 16) else { return };
+        self.unanswered = 0;
+        let silent = flags & ERROR_PASSIVE != 0 && flags & BUS_ERROR != 0;
+        self.trouble = match (silent, self.trouble) {
+            (false, _) => Trouble::None,
+            (true, Trouble::None) => Trouble::New,
+            (true, known) => known,
+        };
     }
 
     /// The adapter has said something other than a frame.
@@ -111,7 +186,13 @@ impl Dialogue {
         let refused = match reply {
             Reply::Refused => true,
             Reply::Done | Reply::Sent => false,
-            Reply::Frame { .. } | Reply::Answer(_) => return,
+            Reply::Answer(text) => {
+                if let (State::Open, Some(flags)) = (self.state, text.strip_prefix('F')) {
+                    self.handle_status(flags);
+                }
+                return;
+            }
+            Reply::Frame { .. } => return,
         };
         match self.state {
             State::Waiting { step: Step::Close, .. } => {}
@@ -120,10 +201,13 @@ impl Dialogue {
                     Step::BitRate if refused => {
                         State::Failed(AdapterError::BitRate { hz: self.rate.hz() })
                     }
+                    Step::DataRate if refused => State::Failed(AdapterError::DataRate),
                     Step::Open if refused => State::Failed(AdapterError::Open),
-                    _ => after(step),
+                    _ => self.after(step),
                 };
             }
+            // It does not know the question, or has refused a frame meanwhile: it is asked no more.
+            State::Open if refused && self.unanswered > 0 => self.question = None,
             State::Open => self.refused += u64::from(refused),
             State::Saying(_) | State::Failed(_) => {}
         }
@@ -143,11 +227,21 @@ impl Dialogue {
         self.free = self.free.max(now) + time_on_bus(frame, self.rate);
     }
 
-    /// When the adapter's answer is given up.
+    fn after(&self, step: Step) -> State {
+        match step {
+            Step::Close => State::Saying(Step::BitRate),
+            Step::BitRate if self.data_rate.is_some() => State::Saying(Step::DataRate),
+            Step::BitRate | Step::DataRate => State::Saying(Step::Open),
+            Step::Open => State::Open,
+        }
+    }
+
+    /// When the adapter's answer is given up, or it is to be asked.
     pub fn poll_timeout(&self) -> Option<Instant> {
         match self.state {
             State::Waiting { until, .. } => Some(until),
-            _ => None,
+            State::Open => self.question,
+            State::Saying(_) | State::Failed(_) => None,
         }
     }
 
@@ -156,25 +250,14 @@ impl Dialogue {
         if let State::Waiting { step, until } = self.state
             && until <= now
         {
-            self.state = after(step);
+            self.state = self.after(step);
         }
     }
 }
 
-fn after(step: Step) -> State {
-    match step {
-        Step::Close => State::Saying(Step::BitRate),
-        Step::BitRate => State::Saying(Step::Open),
-        Step::Open => State::Open,
-    }
-}
-
-/// How long a frame takes on the bus, stuffed bits included: every fifth at worst, a tenth as a rule. A
-/// faster rate for FD's data is not counted on.
+/// How long a frame takes on the bus.
 fn time_on_bus(frame: &CanFrame, rate: BitRate) -> Duration {
-    // Start, control, checksum, confirmation, end and pause (ISO 11898-1).
-    let fixed = if frame.id().is_extended() { 67 } else { 47 };
-    let bits = (fixed + 8 * frame.length() as u64) * 11 / 10;
+    let bits = bits_on_bus(frame.id().is_extended(), frame.length());
     Duration::from_nanos(bits * 1_000_000_000 / u64::from(rate.hz()))
 }
 
@@ -193,7 +276,7 @@ mod tests {
 
     /// One in each of its states, entered at 0 ms.
     fn all() -> [(&'static str, Dialogue); 8] {
-        let with = |state| Dialogue { state, ..Dialogue::new(rate()) };
+        let with = |state| Dialogue { state, ..Dialogue::new(rate(), None) };
         let waiting = |step| with(State::Waiting { step, until: at(200) });
         [
             ("saying close", with(State::Saying(Step::Close))),
@@ -221,7 +304,7 @@ mod tests {
 
     #[test]
     fn an_adapter_that_answers_is_open_after_three_commands() {
-        let mut dialogue = Dialogue::new(rate());
+        let mut dialogue = Dialogue::new(rate(), None);
         let mut said = vec![];
 
         while !dialogue.is_open() {
@@ -258,7 +341,10 @@ mod tests {
         let expected = [close, set, set, join, join, open, open, failed];
         check(|dialogue| dialogue.handle_timeout(at(200)), expected);
         for (name, dialogue) in all() {
-            let due = name.starts_with("waiting").then_some(at(200));
+            let due = match name {
+                "open" => Some(Instant::ORIGIN),
+                _ => name.starts_with("waiting").then_some(at(200)),
+            };
             assert_eq!(dialogue.poll_timeout(), due, "{name}");
         }
     }
@@ -293,5 +379,71 @@ mod tests {
             dialogue.handle_reply(&Reply::Sent);
             assert_eq!(dialogue.refused(), u64::from(name == "open"), "{name}");
         }
+    }
+
+    #[test]
+    fn an_adapter_on_a_bus_with_can_fd_is_told_both_rates_and_may_refuse() {
+        for (refuses, expected) in
+            [(false, State::Open), (true, State::Failed(AdapterError::DataRate))]
+        {
+            let mut dialogue = Dialogue::new(rate(), Some(DataRate::FiveMegabit));
+            let mut said = vec![];
+            for round in 0..4 {
+                said.extend(dialogue.poll_command(at(round)));
+                let refused =
+                    refuses && said.last() == Some(&Command::DataRate(DataRate::FiveMegabit));
+                dialogue.handle_reply(if refused { &Reply::Refused } else { &Reply::Done });
+                dialogue.handle_timeout(at(30));
+            }
+
+            assert_eq!(said[2], Command::DataRate(DataRate::FiveMegabit));
+            assert_eq!(dialogue.state, expected);
+        }
+    }
+
+    fn open() -> Dialogue {
+        let (_, dialogue) = all().into_iter().nth(6).unwrap();
+        dialogue
+    }
+
+    fn status(dialogue: &mut Dialogue, flags: &str) {
+        dialogue.handle_reply(&Reply::Answer(format!("F{flags}")));
+    }
+
+    #[test]
+    fn a_bus_on_which_nobody_confirms_is_told_once_until_it_is_well_again() {
+        let mut dialogue = open();
+        let check = |dialogue: &mut Dialogue, flags: &str, told: bool| {
+            status(dialogue, flags);
+            assert_eq!(dialogue.poll_trouble(), told, "{flags}");
+        };
+        check(&mut dialogue, "00", false);
+        check(&mut dialogue, "20", false);
+        check(&mut dialogue, "80", false);
+        check(&mut dialogue, "A4", true);
+        check(&mut dialogue, "A0", false);
+        check(&mut dialogue, "zz", false);
+        check(&mut dialogue, "04", false);
+        check(&mut dialogue, "a0", true);
+    }
+
+    #[test]
+    fn an_adapter_is_asked_ten_times_a_second_while_it_answers() {
+        let asked = |answer: Option<&Reply>| {
+            let mut dialogue = open();
+            let mut asked = 0;
+            for millis in 0..1_000 {
+                if dialogue.poll_timeout().is_some_and(|due| due <= at(millis)) {
+                    let command = dialogue.poll_command(at(millis));
+                    asked += command.iter().filter(|command| **command == Command::Status).count();
+                    answer.into_iter().for_each(|answer| dialogue.handle_reply(answer));
+                }
+            }
+            assert_eq!(dialogue.refused(), 0);
+            asked
+        };
+        assert_eq!(asked(Some(&Reply::Answer("F00".into()))), 10);
+        assert_eq!(asked(Some(&Reply::Refused)), 1);
+        assert_eq!(asked(None), 3);
     }
 }

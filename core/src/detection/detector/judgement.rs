@@ -193,7 +193,7 @@ impl Detector {
     pub(super) fn judge_link(&mut self, scene: Scene, finding: Finding) {
         let Finding::Link(condition) = finding else { return };
         match condition {
-            LinkCondition::Up => {
+            LinkCondition::Up | LinkCondition::Forgotten => {
                 self.end_kind(&scene, &FaultKind::LinkDown);
                 self.end_kind(&scene, &FaultKind::LinkDegraded);
             }

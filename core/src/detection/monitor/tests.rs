@@ -409,6 +409,23 @@ fn a_stranger_that_dies_is_not_lost_and_one_that_was_stopped_is_no_news() {
 }
 
 #[test]
+fn a_node_that_begins_anew_with_a_smaller_number_is_seen_in_its_new_life() {
+    let mut monitor = Monitor::new(node("m"), MonitorLimits::default(), at(0));
+    monitor.handle_node(node("n"), TWO, NodeCondition::Reachable, at(0));
+    let lost = || NodeCondition::Lost { reason: "gone".to_owned() };
+    monitor.handle_node(node("n"), TWO, lost(), at(10));
+
+    monitor.handle_node(node("n"), ONE, NodeCondition::Reachable, at(20));
+    monitor.handle_node(node("n"), TWO, lost(), at(30));
+
+    let rows = monitor.read_table(at(30));
+    assert_eq!(
+        (rows[0].incarnation, rows[0].opinion, rows[0].restarts),
+        (ONE, Opinion::Trusted, 1)
+    );
+}
+
+#[test]
 fn a_full_table_refuses_and_counts() {
     let limits = MonitorLimits { rows: 1, ..MonitorLimits::default() };
     let mut monitor = Monitor::new(node("m"), limits, at(0));

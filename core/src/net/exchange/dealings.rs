@@ -39,6 +39,8 @@ pub(super) struct Session {
     pub(super) redundant: BTreeSet<u32>,
     /// The requests through them that are not answered.
     pub(super) redundant_calls: BTreeSet<u64>,
+    /// The peer's objects that have no room, and by which of our bindings it has said so.
+    pub(super) full: BTreeMap<ObjectName, BTreeSet<u32>>,
 }
 
 #[derive(Debug)]
@@ -81,7 +83,28 @@ impl Session {
             taken: 0,
             redundant: BTreeSet::new(),
             redundant_calls: BTreeSet::new(),
+            full: BTreeMap::new(),
         }
+    }
+
+    /// The peer says whether an object has room. Answers whether that is news, and of which object;
+    /// `None` if nothing was bound or said that this could be about.
+    pub(super) fn room(&mut self, binding: u32, room: bool) -> Option<(ObjectName, bool)> {
+        let (object, ..) = self.numbers.get(&binding)?;
+        if !room {
+            let full = self.full.entry(object.clone()).or_default();
+            let news = full.is_empty();
+            return full.insert(binding).then(|| (object.clone(), news));
+        }
+        let full = self.full.get_mut(object)?;
+        if !full.remove(&binding) {
+            return None;
+        }
+        let news = full.is_empty();
+        if news {
+            self.full.remove(object);
+        }
+        Some((object.clone(), news))
     }
 
     pub(super) fn stamp_us(&self, sent: Instant) -> u64 {

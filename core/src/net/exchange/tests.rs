@@ -200,7 +200,8 @@ fn everything_is_resolved_when_the_session_ends_and_late_answers_go_nowhere() {
     let unknown = Why::OutcomeUnknown { reason: Why::Stopped.to_string() };
     let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(unknown) };
     let noticed = ExchangeOutput::Noticed { number: 77, arrived: false };
-    assert_eq!(pair.take(0), [resolved, noticed, ExchangeOutput::Forget { peer: right }]);
+    let why = Why::Stopped;
+    assert_eq!(pair.take(0), [resolved, noticed, ExchangeOutput::Forget { peer: right, why }]);
 
     let left = pair.ids[0];
     pair.ends[1].handle_ended(left, &Why::Stopped);
@@ -357,4 +358,61 @@ fn what_waited_on_the_way_arrives_with_its_age() {
     let told = pair.take(1);
     let [ExchangeOutput::Serve { age, .. }] = &told[..] else { panic!("{told:?}") };
     assert_eq!(*age, Duration::from_millis(300));
+}
+
+#[test]
+fn an_object_without_room_is_told_of_once_however_many_bindings_lead_there() {
+    let mut pair = Pair::open();
+    let left = pair.ids[0];
+    let right = pair.ids[1];
+    let mut numbers = Vec::new();
+    for contract in [count(), contract(layout_of_text)] {
+        pair.call(contract, None);
+        let told = pair.take(1);
+        let [.., ExchangeOutput::Bind { epoch, binding, .. }] = &told[..] else {
+            panic!("{told:?}")
+        };
+        pair.ends[1].handle_bound(left, *epoch, *binding, Ok(()));
+        pair.run();
+        numbers.push(*binding);
+    }
+    pair.take(0);
+    let mut says = |binding: u32, room: bool| {
+        pair.ends[1].handle_room(left, binding, room);
+        pair.run();
+        pair.take(0)
+    };
+    let (peer, object) = (right, arm());
+    let full = ExchangeOutput::ObjectFull { peer, object: object.clone() };
+    let room = ExchangeOutput::ObjectRoom { peer, object };
+
+    assert_eq!(says(numbers[0], false), [full.clone()]);
+    assert_eq!(says(numbers[1], false), []);
+    assert_eq!(says(numbers[0], true), []);
+    assert_eq!(says(numbers[1], true), [room]);
+    assert_eq!(says(numbers[1], false), [full]);
+
+    // What makes no sense changes nothing, and is counted.
+    assert_eq!(says(numbers[1], false), []);
+    assert_eq!(says(numbers[0], true), []);
+    assert_eq!(says(99, false), []);
+    assert_eq!(says(99, true), []);
+    assert_eq!(pair.ends[0].refusals().unexpected, 4);
+}
+
+#[test]
+fn a_reply_that_no_session_carries_is_told_to_have_been_made() {
+    let mut pair = Pair::open();
+    pair.call(count(), Some(10));
+    pair.agree();
+    pair.take(1);
+    let left = pair.ids[0];
+    let reply = Message::Reply { call: 1, result: Ok(payload()) }.encode();
+
+    let why = Why::TooLargeForSession { limit: 5 };
+    pair.ends[1].handle_returned(left, reply, why, false);
+    pair.run();
+
+    let result = Err(Why::ReplyTooLarge { limit: 5 });
+    assert_eq!(pair.take(0), [ExchangeOutput::Resolve { reply_as: 10, result }]);
 }

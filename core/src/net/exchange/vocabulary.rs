@@ -121,6 +121,20 @@ pub enum ExchangeOutput {
         /// Whom.
         peer: NodeId,
     },
+    /// The peer's object has no room: senders should stop, for this object.
+    ObjectFull {
+        /// Where.
+        peer: NodeId,
+        /// Which.
+        object: ObjectName,
+    },
+    /// It has room again.
+    ObjectRoom {
+        /// Where.
+        peer: NodeId,
+        /// Which.
+        object: ObjectName,
+    },
     /// Our contract differs from the peer's.
     Differs {
         /// Whose.
@@ -189,9 +203,12 @@ pub enum ExchangeOutput {
         /// Who.
         peer: NodeId,
     },
-    /// The session is over: drop what the peer had here, its bindings and subscriptions.
+    /// The session is over: drop what the peer had here, its bindings and subscriptions, and what it
+    /// has said of its objects' room.
     Forget {
         /// Whose.
         peer: NodeId,
+        /// Why it is over.
+        why: Why,
     },
 }

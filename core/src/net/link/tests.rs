@@ -3,6 +3,8 @@
 use super::*;
 use crate::{Incarnation, NodeName};
 
+mod lives;
+
 fn at(millis: u64) -> Instant {
     Instant::from_millis(millis)
 }
@@ -21,12 +23,14 @@ struct Cable {
     cut: [bool; 2],
     in_flight: Vec<(u64, usize, Bytes)>,
     told: Vec<(u64, usize, LinkOutput)>,
+    /// What the ends have sent.
+    said: Vec<(usize, Bytes)>,
 }
 
 impl Cable {
     fn new(left: LinkConfig, right: LinkConfig) -> Self {
         let ends = [Link::new(left, at(0)), Link::new(right, at(0))];
-        Cable { ends, now: 0, cut: [false; 2], in_flight: vec![], told: vec![] }
+        Cable { ends, now: 0, cut: [false; 2], in_flight: vec![], told: vec![], said: vec![] }
     }
 
     fn run_until(&mut self, end: u64) {
@@ -43,6 +47,7 @@ impl Cable {
                     match output {
                         LinkOutput::Transmit(_) if self.cut[from] => {}
                         LinkOutput::Transmit(frame) => {
+                            self.said.push((from, frame.clone()));
                             self.in_flight.push((self.now + 1, 1 - from, frame));
                         }
                         other => self.told.push((self.now, from, other)),
@@ -75,6 +80,22 @@ fn a_link_is_up_once_both_ends_have_proved_that_they_hear_each_other() {
     assert_eq!(cable.states(), [LinkState::Up; 2]);
     assert_eq!(cable.ends[0].neighbour().unwrap().node.as_str(), "right");
     assert_eq!(cable.ends[0].quality().round_trip, Some(Duration::from_millis(2)));
+}
+
+#[test]
+fn a_neighbour_that_never_comes_is_told_as_missing_once() {
+    let mut cable = Cable::new(config("left", 1), config("right", 1));
+    cable.cut = [true, false];
+
+    cable.run_until(5_040);
+    assert_eq!(cable.told, []);
+    cable.run_until(10_000);
+
+    let missing = |at, end, heard| (at, end, LinkOutput::Missing { heard });
+    assert_eq!(cable.told, [missing(5_050, 0, true), missing(5_050, 1, false)]);
+    cable.cut = [false; 2];
+    cable.run_until(10_100);
+    assert_eq!(cable.states(), [LinkState::Up; 2]);
 }
 
 #[test]
@@ -179,7 +200,7 @@ fn a_cable_that_flaps_proves_nothing() {
 fn a_link_whose_carrier_comes_and_goes_begins_its_proof_anew_each_time() {
     let mut cable = running();
     for _ in 0..20 {
-        cable.ends[0].handle_no_carrier(at(cable.now));
+        cable.ends[0].handle_no_carrier("no carrier", at(cable.now));
         cable.run_until(cable.now + 45);
         assert_eq!(cable.ends[0].state(), LinkState::Down);
     }
@@ -324,7 +345,7 @@ fn a_link_that_its_transport_gives_up_is_down_at_once() {
 fn a_link_whose_interface_lost_its_carrier_is_down_at_once_and_hellos_bring_it_back() {
     let mut cable = running();
 
-    cable.ends[0].handle_no_carrier(at(100));
+    cable.ends[0].handle_no_carrier("no carrier", at(100));
 
     assert_eq!(cable.ends[0].state(), LinkState::Down);
     cable.run_until(300);
@@ -371,6 +392,7 @@ fn a_stranger_a_namesake_and_a_foreign_release_are_refused_and_told_once() {
         link.handle_frame(hello("leg"), at(1));
     }
     link.handle_frame(hello("base"), at(2));
+    link.handle_frame(hello("base"), at(2));
     link.handle_frame(Bytes::from_static(&[0xb9, 0]), at(3));
 
     let node = |name| NodeName::new(name).unwrap();
@@ -380,7 +402,7 @@ fn a_stranger_a_namesake_and_a_foreign_release_are_refused_and_told_once() {
     let namesake = LinkRefusal::NameTaken { node: node("base") };
     assert_eq!(link.poll_output(), Some(LinkOutput::Refused(namesake)));
     assert_eq!(link.poll_output(), None);
-    assert_eq!((link.refusals().unexpected, link.refusals().version), (4, 1));
+    assert_eq!((link.refusals().unexpected, link.refusals().version), (5, 1));
 }
 
 #[test]

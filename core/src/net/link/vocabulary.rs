@@ -16,6 +16,9 @@ pub struct LinkConfig {
     pub incarnation: Incarnation,
     /// Who must be at the other end; `None` takes whoever speaks first.
     pub expected: Option<NodeName>,
+    /// How long after the start, and five hellos, whoever is at the other end may take to prove that it
+    /// is there, before it is told as missing.
+    pub expected_within: Duration,
     /// How often we say hello, unless the medium is too slow for it. Shorter finds a dead link sooner
     /// and costs more.
     pub hello_interval: Duration,
@@ -42,6 +45,9 @@ impl LinkConfig {
             node,
             incarnation,
             expected: None,
+            // A process begins within a second, and a computer that is switched on with it takes longer
+            // and is found later.
+            expected_within: Duration::from_secs(5),
             // A process that shares its cores stands still for some 100 ms when they are overloaded;
             // with 50 ms, such a link is suspect, and not yet down.
             hello_interval: Duration::from_millis(50),
@@ -129,6 +135,11 @@ pub enum LinkOutput {
         neighbour: Option<Neighbour>,
         /// Why, for people.
         reason: &'static str,
+    },
+    /// Nobody has proved to be at the other end since the start. When somebody does, `Changed` says so.
+    Missing {
+        /// Somebody speaks there, and does not hear us.
+        heard: bool,
     },
     /// The link became degraded, or good again, or dearer or cheaper to use.
     Quality(Quality),

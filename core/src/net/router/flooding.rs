@@ -111,6 +111,9 @@ impl Router {
                 better.push(stamp.origin);
                 continue;
             }
+            let held = self.known.get(&stamp.origin).map(|known| known.advertisement.stamp);
+            let later = held.is_some_and(|held| held.incarnation < stamp.incarnation);
+            let contested = later && self.is_contested(&advertisement.node, stamp.incarnation);
             let held = self.known.get(&stamp.origin).map(|known| &known.advertisement);
             match held {
                 Some(held) if held.node != advertisement.node => {
@@ -126,6 +129,11 @@ impl Router {
                     if let Some(adjacent) = self.links.get_mut(&link) {
                         adjacent.pending.remove(&stamp.origin);
                     }
+                }
+                // Confirmed, so that it is not repeated; not kept, so that it is asked for once it counts.
+                Some(_) if contested => {
+                    confirmed.push(stamp);
+                    self.tell_why(link, stamp.origin);
                 }
                 None if self.known.len() >= self.config.nodes_max => {
                     self.refusals.too_large += 1;
@@ -146,7 +154,7 @@ impl Router {
         let origin = advertisement.stamp.origin;
         let expires = self.now + self.config.lifetime;
         self.wake_at = self.wake_at.min(expires);
-        let known = Known { advertisement, expires };
+        let known = Known { advertisement, expires, reached: false, ended: false };
         let before = self.known.insert(origin, known).map(|known| known.advertisement);
         let now = &self.known[&origin].advertisement;
         let same = before.is_some_and(|before| {
@@ -167,10 +175,7 @@ impl Router {
         if advertisement.node != self.own.node {
             self.tell_collision(Some(self.own.node.clone()), advertisement.node.clone());
         } else if theirs.incarnation > ours.incarnation {
-            if !std::mem::replace(&mut self.usurped, true) {
-                let incarnation = theirs.incarnation;
-                self.outputs.push_back(RouterOutput::NameTaken { incarnation });
-            }
+            self.defend(theirs.incarnation);
         } else if theirs > ours || theirs == ours && *advertisement != self.own {
             // This router was built anew within its node's life: it continues the old one's count.
             self.own.stamp.sequence = theirs.sequence;

@@ -327,9 +327,32 @@ fn a_restarted_node_is_told_with_its_new_life() {
     let mut reborn = advertisement("far", 1, &[("left", 1), ("right", 1)]);
     reborn.stamp.incarnation = Incarnation(2);
 
-    tell(&mut router, FIRST, reborn, 1020);
-
+    // Its neighbours have heard the new life instead of the old one, and have proved the links anew.
+    tell(&mut router, FIRST, advertisement("left", 2, &[("own", 1)]), 1020);
+    tell(&mut router, SECOND, advertisement("right", 2, &[("own", 5)]), 1020);
+    let (node, incarnation) = (named("far"), Incarnation(1));
     let told = without_routing(outputs(&mut router, 1030));
+    assert!(told.contains(&RouterOutput::Lost { node, incarnation }), "{told:?}");
+    tell(&mut router, FIRST, advertisement("left", 3, &[("own", 1), ("far", 1)]), 1200);
+    tell(&mut router, FIRST, reborn, 1200);
+
+    let told = without_routing(outputs(&mut router, 1210));
+    let (node, incarnation) = (named("far"), Incarnation(2));
+    assert_eq!(told, [RouterOutput::Reachable { node, incarnation, mtu: 1389 }]);
+}
+
+#[test]
+fn a_new_life_of_which_the_neighbours_say_nothing_waits_for_the_old_one_to_answer() {
+    let mut router = between_two();
+    let mut reborn = advertisement("far", 1, &[("left", 1), ("right", 1)]);
+    reborn.stamp.incarnation = Incarnation(2);
+
+    tell(&mut router, FIRST, reborn.clone(), 1020);
+    assert_eq!(without_routing(outputs(&mut router, 2010)), []);
+    outputs(&mut router, 2020);
+    tell(&mut router, FIRST, reborn, 2030);
+
+    let told = without_routing(outputs(&mut router, 2040));
     let (node, incarnation) = (named("far"), Incarnation(2));
     assert_eq!(told, [RouterOutput::Reachable { node, incarnation, mtu: 1389 }]);
 }
@@ -362,7 +385,7 @@ fn a_second_node_of_our_name_is_told_once() {
     }
 
     let told = without_routing(outputs(&mut router, 1050));
-    assert_eq!(told, [RouterOutput::NameTaken { incarnation: Incarnation(9) }]);
+    assert_eq!(told, [RouterOutput::NameTaken { incarnation: Incarnation(9), first: true }]);
 }
 
 #[test]

@@ -136,9 +136,12 @@ pub enum RouterOutput {
         /// Who is ignored.
         refused: NodeName,
     },
-    /// A node of our name has come up elsewhere in the network.
+    /// Another node of our name is in the network. The older life is taken for it, and the other is kept
+    /// out by all.
     NameTaken {
-        /// Its incarnation, greater than ours.
+        /// The other's incarnation.
         incarnation: Incarnation,
+        /// Ours is the older life.
+        first: bool,
     },
 }

@@ -5,6 +5,11 @@ use std::time::Duration;
 
 /// A mebibyte of the application's, and what says whose it is.
 const MESSAGE_MAX: usize = (1 << 20) + 4096;
+/// What an exchange puts before a message at most: its kind, four numbers and an identity.
+const HEADER_MAX: usize = 64;
+
+/// The most bytes of a message of the application's that a session carries.
+pub const PAYLOAD_MAX: usize = MESSAGE_MAX - HEADER_MAX;
 
 /// How a session behaves.
 #[derive(Clone, Debug)]

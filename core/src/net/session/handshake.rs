@@ -10,7 +10,8 @@ impl Session {
     pub(super) fn open(&mut self, peer: Option<Peer>) {
         self.number = self.number.saturating_add(1);
         self.tag = tag::tag(&self.config, self.number);
-        let pause = self.config.retransmit_min;
+        let narrow = self.path.is_some_and(|mtu| mtu < super::NARROW);
+        let pause = self.config.retransmit_min * if narrow { 10 } else { 1 };
         self.state = State::Opening { peer, again_at: self.now, pause };
         self.say_open();
     }
@@ -39,14 +40,18 @@ impl Session {
             self.refusals.count(&WireError::Version { theirs, ours: VERSION });
             return;
         }
+        // The router speaks for lives, whatever their numbers: one that it does not know is over, or forged,
+        // or will be told in a moment.
+        if let Some(known) = self.known.filter(|known| *known != open.incarnation) {
+            match open.incarnation < known {
+                true => self.refusals.stale += 1,
+                false => self.refusals.unexpected += 1,
+            }
+            return;
+        }
         let key = (open.incarnation, open.number);
         if key < self.newest {
             self.refusals.stale += 1;
-            return;
-        }
-        // The router speaks for lives: one that it does not know is forged, or will be told in a moment.
-        if self.known.is_some_and(|known| open.incarnation > known) {
-            self.refusals.unexpected += 1;
             return;
         }
         let theirs = Peer { incarnation: open.incarnation, number: open.number, tag: open.tag };
@@ -99,7 +104,7 @@ impl Session {
     pub(super) fn end_with_old_peer(&mut self, incarnation: Incarnation) {
         match self.state {
             State::Open { peer } | State::Closing { peer, .. } => {
-                let why = if peer.incarnation < incarnation {
+                let why = if peer.incarnation != incarnation {
                     Why::PeerDied { incarnation: peer.incarnation }
                 } else {
                     self.unreachable()

@@ -9,8 +9,9 @@
 //! ```
 //!
 //! * Both may open at once; the handshake is the same from both ends.
-//! * A peer's session is known by its incarnation and a number that rises within it. A greater pair
-//!   ends the old session; a smaller one is refused. Tags keep apart what belongs to which.
+//! * A peer's session is known by its incarnation and a number that rises within it. A greater number
+//!   ends the old session; a smaller one is refused. Which incarnation is the present one, the router
+//!   says. Tags keep apart what belongs to which.
 //! * Within a session each message of the ordered streams is delivered exactly once and in order.
 //!   When a session ends, every message that was not acknowledged is handed back with the reason: it
 //!   was delivered at most once, perhaps not at all.
@@ -34,7 +35,7 @@ mod round_trip;
 mod tag;
 mod transmission;
 
-pub use self::config::SessionConfig;
+pub use self::config::{PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
 
 use self::assembly::Assembly;
@@ -122,6 +123,10 @@ struct StreamState {
 /// In the order of their places.
 const STREAMS: [Stream; 3] = [Stream::Control, Stream::Data, Stream::Redundant];
 
+/// A path of smaller segments leads over a medium that is taken for slow until it is measured: a serial
+/// line, or CAN.
+const NARROW: usize = 1200;
+
 /// Which round trip and silence a stream has.
 fn lane(stream: Stream) -> usize {
     usize::from(stream == Stream::Redundant)
@@ -130,6 +135,12 @@ fn lane(stream: Stream) -> usize {
 impl Session {
     /// Parts on their way at first.
     const CONGESTION_INITIAL: usize = 32;
+    /// The same on a narrow path.
+    const CONGESTION_NARROW: usize = 4;
+    /// Parts that are on their way however long the queues are.
+    const CONGESTION_LEAST: usize = 2;
+    /// Time in queues above which less is sent. Control and hellos stand in the same queues.
+    const QUEUEING_MAX: Duration = Duration::from_millis(200);
     /// Parts that may always be on their way: fewer would wait for a timer at every loss.
     const CONGESTION_MIN: usize = 8;
     /// How long an unfinished message is kept.
@@ -217,7 +228,7 @@ impl Session {
     ///
     /// # Errors
     /// [`Why::Full`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`] tells when the
-    /// stream takes more. [`Why::TooLarge`], [`Why::Unreachable`], [`Why::Stopped`] after
+    /// stream takes more. [`Why::TooLargeForSession`], [`Why::Unreachable`], [`Why::Stopped`] after
     /// [`handle_close`](Session::handle_close). The message comes back.
     pub fn handle_send(
         &mut self,
@@ -272,7 +283,7 @@ impl Session {
             State::Closing { .. } | State::Closed => refuse(Why::Stopped),
             State::Idle => refuse(self.unreachable()),
             _ if message.len() > self.config.message_max => {
-                refuse(Why::TooLarge { limit: self.config.message_max })
+                refuse(Why::TooLargeForSession { limit: self.config.message_max })
             }
             _ => Ok(()),
         }
@@ -287,7 +298,11 @@ impl Session {
     pub fn handle_path(&mut self, mtu: usize, now: Instant) {
         self.now = now;
         self.path = Some(mtu);
-        self.trips.iter_mut().for_each(RoundTrip::progress);
+        let narrow = mtu < NARROW;
+        self.trips.iter_mut().for_each(|trip| trip.change_path(narrow));
+        if narrow {
+            self.congestion = self.congestion.min(Self::CONGESTION_NARROW);
+        }
         match self.state {
             State::Idle => self.open(None),
             State::Opening { peer, pause, .. } => {
@@ -315,11 +330,12 @@ impl Session {
         self.owed_since.get_or_insert(now);
     }
 
-    /// The router has heard of this life of the peer: sessions with earlier ones are over.
+    /// The router says that this is the peer's present life: sessions with any other are over, whichever
+    /// number is greater.
     pub fn handle_incarnation(&mut self, incarnation: Incarnation, now: Instant) {
         self.now = now;
-        self.known = self.known.max(Some(incarnation));
-        if self.newest < (incarnation, 0) {
+        self.known = Some(incarnation);
+        if self.newest.0 != incarnation {
             self.newest = (incarnation, 0);
             self.end_with_old_peer(incarnation);
         }
@@ -459,7 +475,10 @@ impl Session {
         let pieces = Assembly::new(assembly, Self::ASSEMBLY_PATIENCE);
         self.best_effort = BestEffort::new(self.config.channels_max, pieces);
         self.replicas = Replicas::default();
-        self.congestion = Self::CONGESTION_INITIAL;
+        self.congestion = match self.path {
+            Some(mtu) if mtu < NARROW => Self::CONGESTION_NARROW,
+            _ => Self::CONGESTION_INITIAL,
+        };
         self.reduced_until = self.orders[0];
         self.retransmit_at = [None; 2];
         self.owed_since = None;

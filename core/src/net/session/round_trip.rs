@@ -7,6 +7,10 @@ use std::time::Duration;
 pub(crate) struct RoundTrip {
     smoothed: Option<Duration>,
     deviation: Duration,
+    /// The shortest on this path: what is above it was spent in queues.
+    least: Option<Duration>,
+    /// What is waited before the first measurement.
+    initial: Duration,
     /// Doublings since the last sign of progress.
     backoff: u32,
     shortest: Duration,
@@ -16,16 +20,29 @@ pub(crate) struct RoundTrip {
 impl RoundTrip {
     /// Before the first measurement: several round trips of any medium aboard a robot.
     const INITIAL: Duration = Duration::from_millis(100);
+    /// The same where the medium is probably slow (RFC 6298, 2.1).
+    const INITIAL_NARROW: Duration = Duration::from_secs(1);
 
     pub(crate) fn new(shortest: Duration, longest: Duration) -> Self {
-        RoundTrip { smoothed: None, deviation: Duration::ZERO, backoff: 0, shortest, longest }
+        RoundTrip {
+            smoothed: None,
+            deviation: Duration::ZERO,
+            least: None,
+            initial: Self::INITIAL,
+            backoff: 0,
+            shortest,
+            longest,
+        }
     }
 
     pub(crate) fn smoothed(&self) -> Option<Duration> {
         self.smoothed
     }
 
-    pub(crate) fn measure(&mut self, sample: Duration) {
+    /// Answers how much of it was spent in queues.
+    pub(crate) fn measure(&mut self, sample: Duration) -> Duration {
+        let least = self.least.map_or(sample, |least| least.min(sample));
+        self.least = Some(least);
         match self.smoothed {
             None => {
                 self.smoothed = Some(sample);
@@ -36,12 +53,21 @@ impl RoundTrip {
                 self.smoothed = Some((smoothed * 7 + sample) / 8);
             }
         }
+        sample - least
+    }
+
+    /// Another path has another shortest. On a narrow one a single segment may take long.
+    pub(crate) fn change_path(&mut self, narrow: bool) {
+        self.least = None;
+        self.initial = if narrow { Self::INITIAL_NARROW } else { Self::INITIAL };
+        self.progress();
     }
 
     pub(crate) fn timeout(&self) -> Duration {
-        let base = self.smoothed.map_or(Self::INITIAL, |smoothed| smoothed + 4 * self.deviation);
-        let base = base.clamp(self.shortest, self.longest);
-        base.saturating_mul(1 << self.backoff).min(self.longest)
+        let base = self.smoothed.map_or(self.initial, |smoothed| smoothed + 4 * self.deviation);
+        let base = base.max(self.shortest);
+        // A slow line's round trip may be longer than the longest that one waits elsewhere.
+        base.saturating_mul(1 << self.backoff).min(self.longest.max(base))
     }
 
     pub(crate) fn back_off(&mut self) {

@@ -30,6 +30,9 @@ struct Pair {
     ends: [Session; 2],
     now: u64,
     wire: VecDeque<(u64, usize, Bytes)>,
+    /// Bytes per second each way, where the wire is slow, and until when each way is taken.
+    rate: Option<u64>,
+    taken: [u64; 2],
     /// Every segment that went out, by its sender.
     sent: Vec<(usize, Segment)>,
     told: [Vec<SessionOutput>; 2],
@@ -46,6 +49,8 @@ impl Pair {
             ends: [Session::new(left, at(0)), Session::new(right, at(0))],
             now: 0,
             wire: VecDeque::new(),
+            rate: None,
+            taken: [0; 2],
             sent: vec![],
             told: [vec![], vec![]],
             lose: Box::new(|_, _| false),
@@ -62,8 +67,12 @@ impl Pair {
     }
 
     fn connect(&mut self) {
+        self.connect_over(1389);
+    }
+
+    fn connect_over(&mut self, mtu: usize) {
         for end in 0..2 {
-            self.ends[end].handle_path(1389, at(self.now));
+            self.ends[end].handle_path(mtu, at(self.now));
         }
         self.run(20);
     }
@@ -71,8 +80,8 @@ impl Pair {
     fn run(&mut self, millis: u64) {
         let end = self.now + millis;
         while self.now <= end {
-            while self.wire.front().is_some_and(|(due, ..)| *due <= self.now) {
-                let (_, to, segment) = self.wire.pop_front().unwrap();
+            while let Some(first) = self.wire.iter().position(|(due, ..)| *due <= self.now) {
+                let (_, to, segment) = self.wire.remove(first).unwrap();
                 self.ends[to].handle_segment(segment, at(self.now));
                 self.drain();
             }
@@ -96,7 +105,10 @@ impl Pair {
                 };
                 let decoded = Segment::decode(segment.clone()).unwrap();
                 if !(self.lose)(end, &decoded) {
-                    self.wire.push_back((self.now + 1, 1 - end, segment));
+                    let takes = self.rate.map_or(1, |rate| segment.len() as u64 * 1000 / rate);
+                    let begins = if self.rate.is_some() { self.taken[end] } else { 0 };
+                    self.taken[end] = begins.max(self.now) + takes;
+                    self.wire.push_back((self.taken[end], 1 - end, segment));
                 }
                 self.sent.push((end, decoded));
             }
@@ -336,6 +348,28 @@ fn the_routers_word_of_a_new_life_ends_the_session_before_the_peer_says_anything
 }
 
 #[test]
+fn a_peer_whose_new_life_has_a_smaller_number_is_talked_to_and_the_old_one_is_refused() {
+    let mut pair = Pair::open();
+    for life in [9, 3, 2] {
+        let old: Vec<_> = pair.sent.iter().filter(|(end, _)| *end == 1).cloned().collect();
+        pair.ends[0].handle_incarnation(Incarnation(life), at(pair.now));
+        pair.ends[1] = Session::new(config("right", life, "left"), at(pair.now));
+        pair.ends[1].handle_path(1389, at(pair.now));
+        pair.run(30);
+        assert_eq!(pair.take(0).last(), Some(&opened(life)));
+        assert_eq!(pair.take(1), [opened(1)]);
+
+        for (_, segment) in old {
+            pair.ends[0].handle_segment(segment.encode(), at(pair.now));
+        }
+        pair.send(0, text("a"));
+        pair.run(30);
+
+        assert_eq!((pair.take(0), pair.take(1)), (vec![], vec![message(text("a"))]));
+    }
+}
+
+#[test]
 fn what_was_said_to_an_earlier_session_is_never_taken_for_the_present_one() {
     let mut pair = Pair::open();
     pair.send(0, text("old"));
@@ -487,7 +521,7 @@ fn a_message_larger_than_the_limit_is_refused_before_it_is_sent() {
     let limit = pair.ends[0].config.message_max;
     let huge = Bytes::from(vec![0; limit + 1]);
     let refused = pair.ends[0].handle_send(Stream::Data, huge, at(pair.now)).unwrap_err();
-    assert_eq!(refused.0, Why::TooLarge { limit });
+    assert_eq!(refused.0, Why::TooLargeForSession { limit });
 }
 
 #[test]
@@ -638,4 +672,32 @@ fn a_peer_that_promises_an_absurd_window_is_sent_no_more_than_ours() {
 
     let flying = pair.ends[0].streams[Stream::Redundant as usize].outbound.flying();
     assert_eq!(flying, 256);
+}
+
+#[test]
+fn a_line_of_9600_baud_carries_everything_once_and_small_messages_do_not_wait_long() {
+    let mut pair = Pair::new();
+    pair.rate = Some(960);
+    pair.connect_over(600);
+    pair.run(1000);
+    assert_eq!((pair.take(0), pair.take(1)), (vec![opened(1)], vec![opened(1)]));
+
+    pair.send(0, Bytes::from(vec![7; 300]));
+    pair.send(1, Bytes::from(vec![7; 300]));
+    pair.run(2000);
+    for _ in 0..10 {
+        pair.send(0, text("small"));
+        pair.run(200);
+    }
+    pair.send(0, Bytes::from(vec![7; 12_000]));
+    pair.run(20_000);
+    pair.send(0, text("last"));
+    pair.run(500);
+
+    assert_eq!((pair.take(0).len(), pair.take(1).len()), (1, 13));
+    let repeated = [0, 1].map(|end| pair.ends[end].counters().repeated);
+    assert_eq!(repeated, [0, 0]);
+    // Half a second is in the queue, not all of the twelve.
+    let parts = Duration::from_secs_f64(4.0 * 600.0 / 960.0);
+    assert!(pair.ends[0].round_trip().unwrap() < parts, "{:?}", pair.ends[0].round_trip());
 }

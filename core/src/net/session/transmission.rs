@@ -145,9 +145,8 @@ impl Session {
             Err(error) => return self.refusals.count(&error),
         };
         let of = lane(stream);
-        if let Some(sample) = progress.round_trip {
-            self.trips[of].measure(sample);
-        }
+        let queueing = progress.round_trip.map(|sample| self.trips[of].measure(sample));
+        let crowded = queueing.is_some_and(|queueing| queueing > Self::QUEUEING_MAX);
         if let Some(order) = progress.order {
             self.trips[of].progress();
             let mut lost = false;
@@ -156,12 +155,17 @@ impl Session {
                 lost |= self.streams[stream as usize].outbound.find_lost(order);
             }
             if stream != Stream::Redundant {
-                self.congestion =
-                    (self.congestion + progress.parts).min(self.config.window as usize);
+                // A window that is not used tells nothing of a larger one (RFC 7661).
+                let used = self.flying(0) + progress.parts >= self.congestion;
+                if used && !crowded {
+                    let most = self.config.window as usize;
+                    self.congestion = (self.congestion + progress.parts).min(most);
+                }
                 // Once per round trip, as in RFC 9002: one burst of losses is one sign.
-                if lost && order >= self.reduced_until {
+                if (lost || crowded) && order >= self.reduced_until {
                     self.reduced_until = self.orders[0];
-                    self.congestion = (self.congestion / 2).max(Self::CONGESTION_MIN);
+                    let least = if crowded { Self::CONGESTION_LEAST } else { Self::CONGESTION_MIN };
+                    self.congestion = (self.congestion / 2).max(least.min(self.congestion));
                 }
             }
             let flying = self.flying(of) > 0;
@@ -187,7 +191,7 @@ impl Session {
     pub(super) fn handle_silence(&mut self, of: usize) {
         self.trips[of].back_off();
         if of == 0 {
-            self.congestion = Self::CONGESTION_MIN;
+            self.congestion = self.congestion.min(Self::CONGESTION_MIN);
             self.reduced_until = self.orders[0];
         }
         for stream in STREAMS.into_iter().filter(|stream| lane(*stream) == of) {

@@ -202,7 +202,9 @@ impl Replica {
                 late.push(node.clone());
             }
         }
-        let (state, table) = (state.to_vec(), self.table.iter().cloned().collect());
+        // What comes after is told as changes of the last state that was kept.
+        let kept = self.state.as_ref().filter(|_| self.config.kind == StandbyKind::Warm);
+        let (state, table) = (kept.unwrap_or(state).to_vec(), self.table.clone());
         let snapshot = Message::Snapshot { epoch, position, state, table };
         late.iter().for_each(|node| self.send(node, &snapshot));
     }
@@ -218,7 +220,7 @@ impl Replica {
     /// A request has been executed: whoever is in step has to know before its caller does.
     pub(super) fn commit_later(
         &mut self,
-        id: MessageId,
+        (id, settled): (MessageId, u64),
         request: Bytes,
         result: Result<Bytes, Why>,
         state: Option<Bytes>,
@@ -235,20 +237,20 @@ impl Replica {
         let told: Vec<_> = told.map(|(node, _)| node.clone()).collect();
         let died = result.is_err();
         let served = Served { id, result: result.map(Vec::from) };
-        self.note(served.clone());
+        self.table.settle(id.sender, settled);
+        self.table.note(served.clone());
         if self.config.kind != StandbyKind::Cold {
-            let body = match (self.config.kind, state) {
+            let after = match (self.config.kind, state) {
                 (StandbyKind::Warm, Some(state)) => {
-                    self.state = Some(state.clone());
-                    state
+                    let change = Change::between(self.state.as_deref(), &state);
+                    self.state = Some(state);
+                    After::State(change)
                 }
-                // A component that could not give its state has failed: the last one stands.
-                (StandbyKind::Warm, None) => self.last_state(),
-                // What kills one of them need not kill the others.
-                _ if died => Bytes::new(),
-                _ => request,
+                _ if died => After::Failed,
+                (StandbyKind::Warm, None) => After::Failed,
+                _ => After::Request(request.into()),
             };
-            let entry = Message::Entry { epoch, position, served, body: body.to_vec() };
+            let entry = Message::Entry { epoch, position, served, settled, after };
             told.iter().for_each(|node| self.send(node, &entry));
         }
         self.release(now);
@@ -286,8 +288,11 @@ impl Replica {
         }
         let leaves = primary.damaged && primary.held.is_empty();
         for (caller, id) in answers {
-            let Some(served) = self.served(id) else { continue };
-            let outcome = ServiceOutcome::Served(served.result.clone().map(Bytes::from));
+            let outcome = match self.table.find(id) {
+                Some(served) => ServiceOutcome::Served(served.result.clone().map(Bytes::from)),
+                // Its caller has given it up meanwhile.
+                None => ServiceOutcome::Refused(Why::Expired),
+            };
             self.answer(caller, outcome);
         }
         if leaves {

@@ -215,7 +215,7 @@ impl Replica {
         }
         self.position.number += 1;
         self.state = state.or(self.state.take());
-        self.note(Served { id, result: result.map(Vec::from) });
+        self.table.note(Served { id, result: result.map(Vec::from) });
     }
 
     /// Whether two replicas at one position have the same. Where each half of a network goes on by
@@ -245,10 +245,10 @@ impl Replica {
     pub(super) fn hear_entry(
         &mut self,
         from: &NodeName,
-        epoch: u64,
-        position: Position,
+        (epoch, position): (u64, Position),
         served: Served,
-        body: Vec<u8>,
+        settled: u64,
+        after: After,
     ) {
         let Acting::Standby(standby) = &mut self.role else { return };
         if epoch < self.epoch || standby.in_step != Some(epoch) {
@@ -258,14 +258,21 @@ impl Replica {
             standby.fall_behind();
             return self.tell_role();
         }
-        self.position = position;
-        self.note(served);
-        match self.config.kind {
-            StandbyKind::Warm => self.state = Some(body.into()),
-            StandbyKind::Hot if body.is_empty() => {}
-            StandbyKind::Hot => self.jobs.push_back(Job::Replay { request: body.into() }),
-            StandbyKind::Cold => {}
+        match after {
+            After::State(change) => match change.apply(self.state.as_deref()) {
+                Some(state) => self.state = Some(state.into()),
+                // What it has is not what the primary takes it for.
+                None => {
+                    standby.fall_behind();
+                    return self.tell_role();
+                }
+            },
+            After::Request(request) => self.jobs.push_back(Job::Replay { request: request.into() }),
+            After::Failed => {}
         }
+        self.position = position;
+        self.table.settle(served.id.sender, settled);
+        self.table.note(served);
         self.work();
         self.confirm(from, epoch);
     }
@@ -275,7 +282,7 @@ impl Replica {
         from: &NodeName,
         (epoch, position): (u64, Position),
         state: Vec<u8>,
-        table: Vec<Served>,
+        table: Table,
     ) {
         let Acting::Standby(standby) = &mut self.role else { return };
         if epoch < self.epoch {
@@ -285,7 +292,7 @@ impl Replica {
         standby.whole = true;
         self.see(epoch);
         self.position = position;
-        self.table = table.into_iter().take(TABLE_MAX).collect();
+        self.table = table.bounded();
         // What is being served since before is in none of this.
         if let Some(Job::Serve { request, .. }) = &self.working {
             self.working = Some(Job::Replay { request: request.clone() });

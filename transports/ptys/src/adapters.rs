@@ -20,8 +20,11 @@ const MEMORY: usize = 512 * 1024;
 /// Adapters from this number on answer no commands, as many do.
 const MUTE: u8 = 100;
 
-/// A bus with adapters that can be unplugged and plugged in again.
-pub(crate) struct Adapters {
+/// A bus with adapters that can be unplugged and plugged in again. Those from number 100 on answer no commands,
+/// as many do not.
+///
+/// All of its methods panic where the system has no ptys.
+pub struct Adapters {
     folder: TempDir,
     orders: SyncSender<Order>,
     /// The thread looks for orders when a byte comes here, and ends when it is closed.
@@ -33,6 +36,7 @@ enum Order {
     Plug { at: PathBuf, mute: bool },
     Unplug { at: PathBuf },
     Inject { at: PathBuf, bytes: Vec<u8> },
+    Trouble { at: PathBuf, flags: u8 },
 }
 
 struct Adapter {
@@ -44,12 +48,13 @@ struct Adapter {
     is_open: bool,
     /// It answers no commands.
     mute: bool,
+    /// What it says of its bus.
+    flags: u8,
     waiting: Vec<u8>,
 }
 
-impl Adapters {
-    /// A bus with nobody on it.
-    pub(crate) fn new() -> Self {
+impl Default for Adapters {
+    fn default() -> Self {
         let folder = TempDir::new().expect("a folder for the ports");
         let (orders, taken) = sync_channel(64);
         let (woken, wake) = pipe_with(PipeFlags::CLOEXEC).expect("a pipe");
@@ -57,14 +62,21 @@ impl Adapters {
         let bus = std::thread::spawn(move || run(&taken, &woken));
         Adapters { folder, orders, wake: Some(wake), bus: Some(bus) }
     }
+}
+
+impl Adapters {
+    /// A bus with nobody on it.
+    pub fn new() -> Self {
+        Adapters::default()
+    }
 
     /// The port of the adapter with this number.
-    pub(crate) fn port(&self, number: u8) -> PathBuf {
+    pub fn port(&self, number: u8) -> PathBuf {
         self.folder.path().join(number.to_string())
     }
 
     /// Plugs in the adapter with this number; it is there when this returns.
-    pub(crate) fn plug(&self, number: u8) {
+    pub fn plug(&self, number: u8) {
         self.order(Order::Plug { at: self.port(number), mute: number >= MUTE });
         while !self.port(number).exists() {
             std::thread::yield_now();
@@ -72,7 +84,7 @@ impl Adapters {
     }
 
     /// Unplugs it; its port is gone when this returns.
-    pub(crate) fn unplug(&self, number: u8) {
+    pub fn unplug(&self, number: u8) {
         self.order(Order::Unplug { at: self.port(number) });
         while self.port(number).exists() {
             std::thread::yield_now();
@@ -80,8 +92,13 @@ impl Adapters {
     }
 
     /// Lets the adapter say these bytes to its program.
-    pub(crate) fn inject(&self, number: u8, bytes: &[u8]) {
+    pub fn inject(&self, number: u8, bytes: &[u8]) {
         self.order(Order::Inject { at: self.port(number), bytes: bytes.to_vec() });
+    }
+
+    /// Lets the adapter say this of its bus when it is asked: the bits of CAN232.
+    pub fn trouble(&self, number: u8, flags: u8) {
+        self.order(Order::Trouble { at: self.port(number), flags });
     }
 
     fn order(&self, order: Order) {
@@ -119,7 +136,16 @@ impl Adapter {
         rustix::io::ioctl_fionbio(&master, true).expect("a file");
         symlink(name.to_str().expect("ASCII"), at).expect("no port is there");
         let (at, lines) = (at.to_owned(), Lines::default());
-        Adapter { at, master, _slave: slave, lines, is_open: false, mute, waiting: Vec::new() }
+        Adapter {
+            at,
+            master,
+            _slave: slave,
+            lines,
+            is_open: false,
+            mute,
+            flags: 0,
+            waiting: Vec::new(),
+        }
     }
 
     fn say(&mut self, reply: &Reply) {
@@ -161,7 +187,12 @@ impl Adapter {
                     self.is_open = false;
                     self.answer(&Reply::Done);
                 }
-                Ok(Command::BitRate(_)) if !self.is_open => self.answer(&Reply::Done),
+                Ok(Command::Status) => {
+                    self.answer(&Reply::Answer(format!("F{:02X}", self.flags)));
+                }
+                Ok(Command::BitRate(_) | Command::DataRate(_)) if !self.is_open => {
+                    self.answer(&Reply::Done)
+                }
                 _ => self.answer(&Reply::Refused),
             }
         }
@@ -208,6 +239,10 @@ fn carry_out(order: Order, adapters: &mut Vec<Adapter>) {
         Order::Unplug { at } => {
             adapters.retain(|adapter| adapter.at != at);
             std::fs::remove_file(at).expect("it was plugged in");
+        }
+        Order::Trouble { at, flags } => {
+            let adapter = adapters.iter_mut().find(|adapter| adapter.at == at);
+            adapter.expect("it is plugged in").flags = flags;
         }
         Order::Inject { at, bytes } => {
             let adapter = adapters.iter_mut().find(|adapter| adapter.at == at);

@@ -13,8 +13,18 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use tempfile::TempDir;
 
-/// Two ends, `left` and `right`, that can be unplugged and plugged in again.
-pub(crate) struct Cable {
+/// Two ends, `left` and `right`, that can be unplugged and plugged in again. Where they are opened with
+/// different speeds, neither understands the other.
+///
+/// ```
+/// let cable = blastema_ptys::Cable::new();
+/// assert!(cable.left().exists());
+/// cable.unplug();
+/// assert!(!cable.left().exists());
+/// ```
+///
+/// All of its methods panic where the system has no ptys.
+pub struct Cable {
     folder: TempDir,
     plugged: RefCell<Option<Plugged>>,
 }
@@ -33,24 +43,33 @@ struct Pty {
     slave: OwnedFd,
 }
 
-impl Cable {
-    pub(crate) fn new() -> Self {
+impl Default for Cable {
+    fn default() -> Self {
         let folder = TempDir::new().expect("a folder for the ends");
         let cable = Cable { folder, plugged: RefCell::default() };
         cable.plug();
         cable
     }
+}
 
-    pub(crate) fn left(&self) -> PathBuf {
+impl Cable {
+    /// A cable that is plugged in.
+    pub fn new() -> Self {
+        Cable::default()
+    }
+
+    /// The path of one end.
+    pub fn left(&self) -> PathBuf {
         self.folder.path().join("left")
     }
 
-    pub(crate) fn right(&self) -> PathBuf {
+    /// The path of the other end.
+    pub fn right(&self) -> PathBuf {
         self.folder.path().join("right")
     }
 
     /// Both ends appear at their paths.
-    pub(crate) fn plug(&self) {
+    pub fn plug(&self) {
         let ends = Arc::new([Pty::open(&self.left()), Pty::open(&self.right())]);
         let (stopped, stop) = pipe_with(PipeFlags::CLOEXEC).expect("a pipe");
         let between = ends.clone();
@@ -59,7 +78,7 @@ impl Cable {
     }
 
     /// Both ends vanish, and their devices with them, as USB adapters do.
-    pub(crate) fn unplug(&self) {
+    pub fn unplug(&self) {
         let Some(Plugged { stop, relay, ends }) = self.plugged.borrow_mut().take() else { return };
         for end in [self.left(), self.right()] {
             std::fs::remove_file(end).expect("it was plugged in");
@@ -69,7 +88,7 @@ impl Cable {
     }
 
     /// Puts bytes onto the line towards the left or the right end.
-    pub(crate) fn inject(&self, towards: &Path, bytes: &[u8]) {
+    pub fn inject(&self, towards: &Path, bytes: &[u8]) {
         let plugged = self.plugged.borrow();
         let Plugged { ends, .. } = plugged.as_ref().expect("it is plugged in");
         let end = if towards == self.left() { &ends[0] } else { &ends[1] };

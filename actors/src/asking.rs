@@ -1,0 +1,69 @@
+//! Asking more than once, where that can do no harm.
+
+use crate::platform;
+use crate::sender::{Inlet, RequestError, next_id};
+use blastema_core::{Contract, Instant, MessageId, RetryRule, Why, codec};
+use std::time::Duration;
+
+/// Asks by this rule.
+pub(crate) async fn ask_by<M: Contract>(
+    inlet: &(impl Inlet<M> + ?Sized),
+    message: M,
+    rule: &RetryRule,
+) -> Result<M::Reply, RequestError<M>> {
+    pursue(inlet, message, rule, |_| true).await
+}
+
+/// Asks once; where the receiver has died of something else's fault while it served the request, and
+/// that does no harm, the next life is asked.
+pub(crate) async fn ask_idempotent<M: Contract>(
+    inlet: &(impl Inlet<M> + ?Sized),
+    message: M,
+    within: Duration,
+) -> Result<M::Reply, RequestError<M>> {
+    let rule = RetryRule { within, ..RetryRule::default() };
+    pursue(inlet, message, &rule, |why| matches!(why, Why::PeerDied { .. })).await
+}
+
+async fn pursue<M: Contract>(
+    inlet: &(impl Inlet<M> + ?Sized),
+    message: M,
+    rule: &RetryRule,
+    concerns: impl Fn(&Why) -> bool,
+) -> Result<M::Reply, RequestError<M>> {
+    let until = platform::now() + rule.within;
+    // One identity for all attempts: a request that kills one life after the other is quarantined.
+    let id = M::IDEMPOTENT.then(next_id);
+    // What the receiver takes up does not come back.
+    let mut copy = Vec::new();
+    let copied = M::IDEMPOTENT && codec::encode(&message, &mut copy).is_ok();
+    let (mut message, mut asked) = (message, 0);
+    loop {
+        let RequestError { why, message: back } = match attempt(inlet, message, id, until).await {
+            Ok(reply) => return Ok(reply),
+            Err(error) => error,
+        };
+        asked += 1;
+        let wait = rule.again(asked, &why, M::IDEMPOTENT, until.as_nanos());
+        let wait = wait.filter(|wait| concerns(&why) && platform::now() + *wait < until);
+        let Some(wait) = wait else { return Err(RequestError { why, message: back }) };
+        let kept = || codec::decode::<M>(&copy).ok().filter(|_| copied);
+        match back.or_else(kept) {
+            Some(back) => message = back,
+            None => return Err(RequestError { why, message: None }),
+        }
+        if !wait.is_zero() {
+            tokio::time::sleep(wait).await;
+        }
+    }
+}
+
+async fn attempt<M: Contract>(
+    inlet: &(impl Inlet<M> + ?Sized),
+    message: M,
+    id: Option<MessageId>,
+    until: Instant,
+) -> Result<M::Reply, RequestError<M>> {
+    let left = until - platform::now();
+    inlet.ask(message, id, Some(left))?.within(left).await
+}

@@ -1,0 +1,455 @@
+//! The body of discovery: neighbours that nobody has described.
+
+use super::LinkSpec;
+use super::letters::{LetterArrived, Letters};
+use super::links::{Forget, Learn, Seen, TellNeighbours};
+use crate::drive::{Body, Wake};
+use crate::guardian::answers_the_monitor;
+use crate::platform;
+use crate::registry::Registry;
+use actix::prelude::*;
+use blastema_contract::reports::FaultDeclared;
+use blastema_contract::router::PanicOnPurpose;
+use blastema_contract::session::PeerSeen;
+use blastema_contract::transport::{
+    Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
+};
+use blastema_core::net::complaints::Complaints;
+use blastema_core::net::discovery::{
+    Admission, Discovery, DiscoveryConfig, DiscoveryOutput, Ground,
+};
+use blastema_core::net::{LinkNumber, NodeId};
+use blastema_core::{FaultKind, NodeName};
+use bytes::Bytes;
+use std::collections::{BTreeMap, BTreeSet};
+use std::net::{IpAddr, SocketAddr};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+use tracing::{info, warn};
+
+/// How often it is looked at what was refused.
+const LOOK: Duration = Duration::from_secs(1);
+/// How often a beacon is sent. With it a node that joins is found within a second.
+const BEACON: Duration = Duration::from_secs(1);
+/// Beacons of one network that are listened to in a second: each node there sends one.
+const BEACONS_MAX: u32 = 1000;
+/// The first bytes of a beacon, with its version.
+const BEACON_MARK: &[u8] = b"BLB\x01";
+
+/// How a network discovers.
+#[derive(Clone, Debug)]
+pub(crate) struct DiscoverySpec {
+    /// What it is made of, such as `udp`.
+    pub(crate) medium: &'static str,
+    pub(crate) admission: Admission,
+    /// How often hellos are said on a link that is learned.
+    pub(crate) hello_interval: Duration,
+    /// Where beacons are sent and heard, and to whom they go.
+    pub(crate) beacons: Option<(Transport, SocketAddr)>,
+}
+
+/// A network that discovers, as the body sees it.
+pub(super) struct Field {
+    pub(super) network: Arc<str>,
+    pub(super) spec: DiscoverySpec,
+    /// The numbers of links that it may make there.
+    pub(super) numbers: Vec<LinkNumber>,
+    /// Neighbours that were described.
+    pub(super) described: Vec<(NodeName, MediumAddress)>,
+}
+
+/// Who stands around it.
+pub(super) struct Wiring {
+    pub(super) node: NodeName,
+    pub(super) registry: Registry,
+    pub(super) fields: Vec<Field>,
+    pub(super) faults: Option<Recipient<FaultDeclared>>,
+}
+
+/// The links of the networks that discover, in their order. They are made after the body.
+#[derive(Clone, Message)]
+#[rtype(result = "()")]
+pub(super) struct AddFields(pub(super) Vec<FieldLinks>);
+
+/// The links of one network.
+#[derive(Clone)]
+pub(super) struct FieldLinks {
+    pub(super) learn: Recipient<Learn>,
+    pub(super) forget: Recipient<Forget>,
+    pub(super) tell: Recipient<TellNeighbours>,
+}
+
+/// The body.
+pub(super) struct DiscoveryBody {
+    wiring: Wiring,
+    links: Vec<FieldLinks>,
+    machine: Discovery,
+    wake: Wake,
+    letters: Letters,
+    /// Links that were made: at most so many for each network as it has numbers.
+    made: BTreeMap<(usize, NodeName), (LinkNumber, MediumAddress)>,
+    /// Nodes that a session is open with.
+    peers: BTreeMap<NodeId, NodeName>,
+    complaints: Complaints<Option<NodeName>>,
+    /// The ports at which our networks are open, for beacons.
+    ports: BTreeMap<usize, u16>,
+}
+
+impl DiscoveryBody {
+    pub(super) fn new(wiring: Wiring, reader: Recipient<LetterArrived>) -> Self {
+        DiscoveryBody {
+            machine: begin(&wiring),
+            links: Vec::new(),
+            wake: Wake::default(),
+            letters: Letters::at(super::named("discovery"), &wiring.registry, reader),
+            made: BTreeMap::new(),
+            peers: BTreeMap::new(),
+            complaints: Complaints::default(),
+            ports: BTreeMap::new(),
+            wiring,
+        }
+    }
+
+    fn connect(&mut self, ground: usize, node: NodeName, address: &str) {
+        let (Some(field), Some(links)) = (self.wiring.fields.get(ground), self.links.get(ground))
+        else {
+            return;
+        };
+        let taken: BTreeSet<_> = self.made.values().map(|(number, _)| *number).collect();
+        let number = field.numbers.iter().find(|number| !taken.contains(number)).copied();
+        let remote = parse(field.spec.medium, address);
+        let (Some(number), Some(remote)) = (number, remote) else {
+            return self.machine.handle_unusable(ground, &node, platform::now());
+        };
+        info!(network = %field.network, %node, %remote, "a neighbour is learned of");
+        let spec = LinkSpec {
+            name: format!("{}/{node}", field.network).into(),
+            remote: remote.clone(),
+            neighbour: Some(node.clone()),
+            cost: None,
+            hello_interval: field.spec.hello_interval,
+            expected_within: None,
+        };
+        self.made.insert((ground, node), (number, remote));
+        links.learn.do_send(Learn { number, spec });
+    }
+
+    fn disconnect(&mut self, ground: usize, node: NodeName) {
+        info!(%node, "a neighbour that was learned of is given up");
+        let made = self.made.remove(&(ground, node));
+        if let (Some((number, _)), Some(links)) = (made, self.links.get(ground)) {
+            links.forget.do_send(Forget { number });
+        }
+    }
+
+    /// Whoever says for seconds what must be refused is named.
+    fn look_at_refusals(&mut self) {
+        let looks = self.machine.refusals().map(|(node, refusals)| (node.cloned(), refusals));
+        let looks: Vec<_> = looks.collect();
+        for (node, refusals) in looks {
+            let Some(since) = self.complaints.handle_look(node.clone(), refusals) else { continue };
+            let who = node.map_or("by beacons".to_owned(), |node| format!("by {node}"));
+            let detail = format!(
+                "of the neighbours that are told {who}, many are refused all the time: {since}"
+            );
+            warn!("{detail}");
+            if let Some(faults) = &self.wiring.faults {
+                let object = super::named("discovery");
+                let incarnation = crate::guardian::alive().incarnation;
+                let kind = FaultKind::CheckFailed;
+                faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+            }
+        }
+    }
+
+    fn say_beacons(&self) {
+        for (ground, field) in self.wiring.fields.iter().enumerate() {
+            let (Some((transport, group)), Some(port)) =
+                (&field.spec.beacons, self.ports.get(&ground))
+            else {
+                continue;
+            };
+            let frame = beacon(&self.wiring.node, *port);
+            let to = MediumAddress::Ip(*group);
+            transport.transmit.do_send(Transmit::new(to, frame));
+        }
+    }
+
+    fn attach(&self, context: &mut Context<Self>) {
+        for (ground, field) in self.wiring.fields.iter().enumerate() {
+            if let Some((transport, _)) = &field.spec.beacons {
+                let (frames, reports) = (context.address(), context.address());
+                let ears = Ears { ground, body: frames, left: BEACONS_MAX }.start();
+                let reports = reports.recipient();
+                transport.attach.do_send(Attach { frames: ears.recipient(), reports });
+            }
+        }
+    }
+}
+
+fn begin(wiring: &Wiring) -> Discovery {
+    let ground = |field: &Field| Ground {
+        name: field.network.to_string(),
+        medium: field.spec.medium.to_owned(),
+        admission: field.spec.admission.clone(),
+    };
+    let grounds = wiring.fields.iter().map(ground).collect();
+    let now = platform::now();
+    let mut machine = Discovery::new(DiscoveryConfig::new(wiring.node.clone(), grounds), now);
+    for (ground, field) in wiring.fields.iter().enumerate() {
+        for (node, address) in &field.described {
+            machine.handle_link(ground, node.clone(), address.to_string(), false, now);
+        }
+    }
+    machine
+}
+
+/// An address as it is told, where it can be one of a single neighbour.
+fn parse(medium: &str, text: &str) -> Option<MediumAddress> {
+    match medium {
+        "udp" | "tcp" => {
+            let address: SocketAddr = text.parse().ok()?;
+            let ip = address.ip();
+            let broadcast = matches!(ip, IpAddr::V4(ip) if ip.is_broadcast());
+            let one = !ip.is_unspecified() && !ip.is_multicast() && !broadcast;
+            (one && address.port() > 0).then_some(MediumAddress::Ip(address))
+        }
+        "unix" => {
+            let path = text.starts_with('/') && !text.contains('\0');
+            path.then(|| MediumAddress::Unix(Arc::from(Path::new(text))))
+        }
+        "memory" => Some(MediumAddress::Memory(text.into())),
+        _ => None,
+    }
+}
+
+/// ```text
+/// BLB 3 │ version 1 │ port 2 │ name to the end
+/// ```
+fn beacon(node: &NodeName, port: u16) -> Bytes {
+    [BEACON_MARK, &port.to_be_bytes(), node.as_str().as_bytes()].concat().into()
+}
+
+fn read_beacon(frame: &[u8]) -> Option<(NodeName, u16)> {
+    let rest = frame.strip_prefix(BEACON_MARK)?;
+    let (port, name) = rest.split_first_chunk::<2>()?;
+    let name = std::str::from_utf8(name).ok()?;
+    Some((NodeName::new(name).ok()?, u16::from_be_bytes(*port)))
+}
+
+/// Hears the beacons of one network.
+struct Ears {
+    ground: usize,
+    body: Addr<DiscoveryBody>,
+    /// So many are still listened to until the next look.
+    left: u32,
+}
+
+impl Actor for Ears {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        context.run_interval(LOOK, |ears, _| ears.left = BEACONS_MAX);
+    }
+}
+
+impl Handler<Received> for Ears {
+    type Result = ();
+
+    fn handle(&mut self, Received { from, frame }: Received, _: &mut Context<Self>) {
+        if let MediumAddress::Ip(from) = from {
+            // A flood is heard in part: enough to be refused, counted and named.
+            let Some(left) = self.left.checked_sub(1) else { return };
+            self.left = left;
+            self.body.do_send(Beacon { ground: self.ground, from: from.ip(), frame });
+        }
+    }
+}
+
+/// A beacon, or what somebody else said to the group.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Beacon {
+    ground: usize,
+    from: IpAddr,
+    frame: Bytes,
+}
+
+answers_the_monitor!(DiscoveryBody);
+
+impl Actor for DiscoveryBody {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        context.run_interval(LOOK, |body, _| body.look_at_refusals());
+        if self.wiring.fields.iter().any(|field| field.spec.beacons.is_some()) {
+            self.attach(context);
+            context.run_interval(BEACON, |body, _| body.say_beacons());
+        }
+        self.drive(context);
+    }
+}
+
+impl Supervised for DiscoveryBody {
+    /// The links that it has made stay; who is up, it is told again.
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        self.machine = begin(&self.wiring);
+        for ((ground, node), (_, address)) in &self.made {
+            let (node, address) = (node.clone(), address.to_string());
+            self.machine.handle_learned(*ground, node, address, platform::now());
+        }
+        self.links.iter().for_each(|links| links.tell.do_send(TellNeighbours));
+        self.wake = Wake::default();
+        self.complaints = Complaints::default();
+        self.started(context);
+    }
+}
+
+impl Body for DiscoveryBody {
+    type Machine = Discovery;
+
+    fn machine(&mut self) -> &mut Discovery {
+        &mut self.machine
+    }
+
+    fn wake(&mut self) -> &mut Wake {
+        &mut self.wake
+    }
+
+    fn carry_out(&mut self, output: DiscoveryOutput, _: &mut Context<Self>) {
+        match output {
+            DiscoveryOutput::Send { to, message } => {
+                // Who is up and has no session yet is told when it has one.
+                if self.peers.contains_key(&NodeId::of(&to)) {
+                    self.letters.send(&to, &message);
+                }
+            }
+            DiscoveryOutput::Connect { ground, node, address } => {
+                self.connect(ground, node, &address);
+            }
+            DiscoveryOutput::Disconnect { ground, node } => self.disconnect(ground, node),
+        }
+    }
+}
+
+impl Handler<AddFields> for DiscoveryBody {
+    type Result = ();
+
+    fn handle(&mut self, AddFields(links): AddFields, _: &mut Context<Self>) {
+        self.links = links;
+    }
+}
+
+impl Handler<Seen> for DiscoveryBody {
+    type Result = ();
+
+    fn handle(&mut self, seen: Seen, context: &mut Context<Self>) {
+        match seen {
+            Seen::Neighbour { ground, node, remote, up } => {
+                self.machine.handle_link(ground, node, remote.to_string(), up, platform::now());
+                self.drive(context);
+            }
+            Seen::Open { ground, port } => {
+                self.ports.insert(ground, port);
+                self.say_beacons();
+            }
+        }
+    }
+}
+
+impl Handler<PeerSeen> for DiscoveryBody {
+    type Result = ();
+
+    fn handle(&mut self, seen: PeerSeen, context: &mut Context<Self>) {
+        match seen {
+            PeerSeen::Opened { node, .. } => {
+                self.peers.insert(NodeId::of(&node), node);
+                self.machine.handle_opened(platform::now());
+            }
+            PeerSeen::Ended { node } | PeerSeen::Left { node } => {
+                self.peers.remove(&NodeId::of(&node));
+            }
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<LetterArrived> for DiscoveryBody {
+    type Result = ();
+
+    fn handle(&mut self, letter: LetterArrived, context: &mut Context<Self>) {
+        self.letters.read_one();
+        if let Some(node) = self.peers.get(&letter.from) {
+            self.machine.handle_message(node, &letter.bytes, platform::now());
+            self.drive(context);
+        }
+    }
+}
+
+impl Handler<Beacon> for DiscoveryBody {
+    type Result = ();
+
+    fn handle(&mut self, beacon: Beacon, context: &mut Context<Self>) {
+        let Beacon { ground, from, frame } = beacon;
+        match read_beacon(&frame) {
+            Some((node, port)) => {
+                let address = SocketAddr::new(from, port).to_string();
+                self.machine.handle_beacon(ground, node, address, platform::now());
+            }
+            None => self.machine.handle_noise(),
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<TransportReport> for DiscoveryBody {
+    type Result = ();
+
+    fn handle(&mut self, report: TransportReport, _: &mut Context<Self>) {
+        match report {
+            TransportReport::Opened { .. } => self.say_beacons(),
+            TransportReport::Closed { reason } => warn!("no beacons: {reason}"),
+            TransportReport::Rate { .. }
+            | TransportReport::PeerLost { .. }
+            | TransportReport::Bus { .. }
+            | TransportReport::NoCarrier { .. }
+            | TransportReport::Clash { .. } => {}
+        }
+    }
+}
+
+impl Handler<PanicOnPurpose> for DiscoveryBody {
+    type Result = ();
+
+    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+        panic!("the discovery panics on purpose");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_beacon_says_who_is_at_which_port_and_nothing_else_is_one() {
+        let node = NodeName::new("module1").unwrap();
+        assert_eq!(&beacon(&node, 7400)[..], b"BLB\x01\x1c\xe8module1");
+        assert_eq!(read_beacon(&beacon(&node, 7400)), Some((node, 7400)));
+        for noise in
+            [&b""[..], b"BLB\x01\0", b"BLB\x02\0\0a", b"BLB\x01\0\x01", b"BLB\x01\0\x01a b"]
+        {
+            assert_eq!(read_beacon(noise), None, "{noise:?}");
+        }
+    }
+
+    #[test]
+    fn an_address_that_is_not_of_one_neighbour_is_none() {
+        for text in ["10.0.0.1:7400", "[fd00::1]:7400"] {
+            assert_eq!(parse("udp", text).unwrap().to_string(), text);
+        }
+        let wrong = ["0.0.0.0:7400", "10.0.0.1:0", "239.0.0.1:7400", "255.255.255.255:1", "x", ""];
+        assert!(wrong.iter().all(|text| parse("udp", text).is_none()));
+        assert!(parse("unix", "run/x").is_none() && parse("serial", "/dev/ttyUSB0").is_none());
+    }
+}

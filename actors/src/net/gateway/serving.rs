@@ -1,0 +1,254 @@
+//! What other nodes send to the objects of this one: who takes it, and what waits for room.
+
+use super::Gateway;
+use crate::platform;
+use crate::registry::{Doorway, Postmark, ReplyTo, Room};
+use actix::prelude::*;
+use blastema_core::net::NodeId;
+use blastema_core::net::complaints::Complaints;
+use blastema_core::net::exchange::Epoch;
+use blastema_core::net::waiting_room::{Admission, WaitingRoom};
+use blastema_core::{Delivery, FaultKind, Instant, ObjectName, PeerIdentity, Why};
+use bytes::Bytes;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::task::{Context as Waiting, Waker};
+use std::time::Duration;
+use tracing::{debug, error, info, warn};
+
+/// How often it is looked at who does not stop.
+pub(super) const LOOK: Duration = Duration::from_secs(1);
+/// So many that waited are handed over in one turn; then the network has its own.
+const AT_ONCE: usize = 64;
+
+/// What a peer has bound here.
+#[derive(Clone)]
+pub(super) struct Bound {
+    object: ObjectName,
+    doorway: Arc<dyn Doorway>,
+    /// Of what comes this way the newest counts: it waits for nothing.
+    newest: bool,
+}
+
+/// What waits for room with objects of this node.
+#[derive(Default)]
+pub(super) struct Queues {
+    room: WaitingRoom<Held>,
+    /// Who waits for room, for each line.
+    watches: BTreeMap<(NodeId, ObjectName), Watch>,
+    complaints: Complaints<NodeId>,
+}
+
+/// A message that waits.
+struct Held {
+    binding: u32,
+    payload: Bytes,
+    postmark: Postmark,
+    arrived: Instant,
+}
+
+/// Waits for room until dropped: a receiver that hangs may never have any.
+struct Watch(actix_rt::task::JoinHandle<()>);
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
+/// An object may have room for what waits.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct RoomFound {
+    peer: NodeId,
+    object: ObjectName,
+}
+
+impl Gateway {
+    pub(super) fn bind(
+        &mut self,
+        peer: NodeId,
+        epoch: Epoch,
+        binding: u32,
+        object: &ObjectName,
+        identity: &PeerIdentity,
+    ) {
+        let newest = identity.delivery == Delivery::Newest;
+        let mut open = |doorway| {
+            let bound = Bound { object: object.clone(), doorway, newest };
+            self.doorways.insert((peer, binding), bound);
+        };
+        let result = match self.wiring.registry.doorway(object, &identity.name) {
+            Err(why) => Err((why, None)),
+            Ok((known, doorway)) => match (known.check(identity), doorway.former(identity)) {
+                (Ok(()), _) => {
+                    open(doorway);
+                    Ok(())
+                }
+                (Err(_), Some(former)) => {
+                    let (here, there) = (known.version, identity.version);
+                    info!(%object, contract = known.name, here, there, "an earlier version");
+                    open(former);
+                    Ok(())
+                }
+                (Err(difference), None) => {
+                    let difference = difference.to_string();
+                    error!(%object, "a peer's contract differs: {difference}");
+                    doorway.declare(FaultKind::ContractMismatch, difference.clone());
+                    Err((Why::ContractDiffers { difference }, Some(known)))
+                }
+            },
+        };
+        self.exchange.handle_bound(peer, epoch, binding, result);
+    }
+
+    pub(super) fn serve(
+        &mut self,
+        (peer, binding): (NodeId, u32),
+        payload: &Bytes,
+        postmark: Postmark,
+        reply_to: Option<ReplyTo>,
+        context: &mut Context<Self>,
+    ) {
+        let Some(bound) = self.doorways.get(&(peer, binding)) else {
+            match reply_to {
+                Some(reply_to) => reply_to(Err(Why::Unknown { name: "binding".into() })),
+                None => self.lost += 1,
+            }
+            return;
+        };
+        // Nobody overtakes what waits.
+        let behind = self.queues.room.is_waiting(peer, &bound.object)
+            && !bound.newest
+            && bound.doorway.room().is_some();
+        match reply_to {
+            Some(reply_to) if behind => reply_to(Err(Why::Full)),
+            None if behind => self.hold((peer, binding), payload, postmark, context),
+            reply_to => {
+                let told = reply_to.is_none();
+                match bound.doorway.deliver(payload, postmark, reply_to) {
+                    Err(Why::Full | Why::Restarting) if told => {
+                        self.hold((peer, binding), payload, postmark, context);
+                    }
+                    // The object's own dead letters tell of what it did not take.
+                    Err(Why::Undecodable { .. }) => self.breaks_its_word(peer),
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    /// The receiver has no room for this: it waits, if it is to.
+    fn hold(
+        &mut self,
+        (peer, binding): (NodeId, u32),
+        payload: &Bytes,
+        postmark: Postmark,
+        context: &mut Context<Self>,
+    ) {
+        let Some(bound) = self.doorways.get(&(peer, binding)).cloned() else { return };
+        let Bound { object, doorway, newest } = bound;
+        let Some(room) = doorway.room().filter(|_| !newest) else {
+            return doorway.bury(&Why::Full);
+        };
+        // A copy: what waits must not keep the whole frame that it came in.
+        let payload = Bytes::copy_from_slice(payload);
+        let bytes = payload.len();
+        let held = Held { binding, payload, postmark, arrived: platform::now() };
+        match self.queues.room.handle_full(peer, &object, binding, (held, bytes)) {
+            Admission::First => {
+                debug!(%peer, %object, "full: the peer is told to stop");
+                self.exchange.handle_room(peer, binding, false);
+                self.watch(peer, object, room, context);
+            }
+            Admission::Behind => {}
+            Admission::Refused(_) => doorway.bury(&Why::Full),
+        }
+    }
+
+    fn watch(&mut self, peer: NodeId, object: ObjectName, room: Room, context: &mut Context<Self>) {
+        let (gateway, found) = (context.address(), RoomFound { peer, object: object.clone() });
+        let waits = actix_rt::spawn(async move {
+            room.await;
+            gateway.do_send(found);
+        });
+        self.queues.watches.insert((peer, object), Watch(waits));
+    }
+
+    /// Hands over what has waited, in order, as far as there is room.
+    fn hand_over(&mut self, peer: NodeId, object: ObjectName, context: &mut Context<Self>) {
+        for _ in 0..AT_ONCE {
+            let Some(Held { binding, payload, postmark, arrived }) =
+                self.queues.room.first(peer, &object)
+            else {
+                return;
+            };
+            if let Some(Bound { doorway, .. }) = self.doorways.get(&(peer, *binding))
+                && let Some(mut room) = doorway.room()
+            {
+                // Asked first, so that nothing is decoded in vain.
+                if room.as_mut().poll(&mut Waiting::from_waker(Waker::noop())).is_pending() {
+                    return self.watch(peer, object, room, context);
+                }
+                let age = postmark.age + (platform::now() - *arrived);
+                match doorway.deliver(payload, Postmark { age, ..*postmark }, None) {
+                    // Somebody else was quicker.
+                    Err(Why::Full | Why::Restarting) => {
+                        if let Some(room) = doorway.room() {
+                            self.watch(peer, object, room, context);
+                        }
+                        return;
+                    }
+                    Err(Why::Undecodable { .. }) => self.breaks_its_word(peer),
+                    _ => {}
+                }
+            }
+            if let Some(binding) = self.queues.room.handle_taken(peer, &object) {
+                self.queues.watches.remove(&(peer, object));
+                self.exchange.handle_room(peer, binding, true);
+                return;
+            }
+        }
+        context.notify(RoomFound { peer, object });
+    }
+
+    /// The session with this peer is over: what waits is not served any more.
+    pub(super) fn end_lines(&mut self, peer: NodeId, why: &Why) {
+        for (object, held) in self.queues.room.handle_ended(peer) {
+            self.queues.watches.remove(&(peer, object));
+            if let Some(bound) = self.doorways.get(&(peer, held.binding)) {
+                bound.doorway.bury(why);
+            }
+        }
+    }
+
+    fn breaks_its_word(&self, peer: NodeId) {
+        self.offends(peer, "it breaks a contract that it has agreed to");
+    }
+
+    /// Whoever goes on for seconds although it was told to stop is named.
+    pub(super) fn look_at_refusals(&mut self) {
+        let looks: Vec<_> = self.queues.room.refusals().collect();
+        for (peer, refusals) in looks {
+            let Some(since) = self.queues.complaints.handle_look(peer, refusals) else { continue };
+            let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
+            let lost = since.too_large;
+            let detail = format!(
+                "{node} does not stop sending to objects that have no room, as it was told: {lost} \
+                 messages of it were lost within a second"
+            );
+            warn!("{detail}");
+            self.offends(peer, "it did not stop sending to what has no room");
+            self.declare(FaultKind::CheckFailed, detail);
+        }
+    }
+}
+
+impl Handler<RoomFound> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: RoomFound, context: &mut Context<Self>) {
+        self.hand_over(message.peer, message.object, context);
+        self.drive(context);
+    }
+}

@@ -1,0 +1,334 @@
+//! Receivers that are slower than their senders, on another node.
+
+use super::*;
+use crate::{Event, Outcome, WhenFull};
+use blastema_contract::session::Say;
+use blastema_core::codec;
+use blastema_core::net::NodeId;
+use blastema_core::net::message::Message;
+use blastema_core::net::segment::Stream;
+use blastema_core::net::waiting_room::MESSAGES_MAX;
+use bytes::Bytes;
+
+/// Is worked at for a while.
+#[derive(Clone, Debug, PartialEq, Event)]
+struct Job(u64);
+
+/// Another contract, taken by the same object and through the same queue.
+#[derive(Clone, Debug, PartialEq, Event)]
+struct Memo(u64);
+
+/// A reading of which only the newest counts.
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(delivery = "newest")]
+struct Glance(u64);
+
+/// Is this one busy?
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(reply = ())]
+struct Busy;
+
+/// The job that kills.
+const DEADLY: u64 = 1_000_000;
+const QUEUE: usize = 64;
+
+/// Takes its time for each message.
+struct Slow {
+    log: Log,
+    takes: Duration,
+}
+
+impl Component for Slow {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Job>().accept::<Memo>().accept::<Glance>().serve::<Busy>();
+    }
+}
+
+impl Slow {
+    async fn work(&mut self, n: u64) {
+        assert_ne!(n, DEADLY, "it kills");
+        tokio::time::sleep(self.takes).await;
+        self.log.0.lock().unwrap().push(n);
+    }
+}
+
+impl Handle<Job> for Slow {
+    async fn handle(&mut self, Job(n): Job, _: &mut Context<Self>) {
+        self.work(n).await;
+    }
+}
+
+impl Handle<Memo> for Slow {
+    async fn handle(&mut self, Memo(n): Memo, _: &mut Context<Self>) {
+        self.work(n).await;
+    }
+}
+
+impl Handle<Glance> for Slow {
+    async fn handle(&mut self, Glance(n): Glance, _: &mut Context<Self>) {
+        self.work(n).await;
+    }
+}
+
+impl Handle<Busy> for Slow {
+    async fn handle(&mut self, Busy: Busy, _: &mut Context<Self>) {}
+}
+
+/// A component `slow` at this module that needs so long for each message, and what it has done.
+async fn slow(module: &Module, takes: Duration, full: WhenFull) -> (Box<dyn Child>, Log) {
+    let log = Log::default();
+    let kept = log.clone();
+    let spec = ChildSpec::new("slow", move || Slow { log: kept.clone(), takes });
+    let (mut child, _) = spec.queue(QUEUE, full).into_child(&module.host).unwrap();
+    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient());
+    settle().await;
+    (child, log)
+}
+
+const NEVER: Duration = Duration::from_secs(1_000_000);
+
+async fn deliver_all(sender: &Sender<Job>, jobs: impl Iterator<Item = u64>) {
+    for n in jobs {
+        sender.deliver(Job(n)).await.unwrap();
+    }
+}
+
+fn lost(modules: [&Module; 2]) -> [u64; 2] {
+    modules.map(|module| module.host.dead_letters.total())
+}
+
+fn dead_at(module: &Module) -> u64 {
+    module.host.dead_letters.count(&ObjectName::new("slow").unwrap(), DeadReason::Full)
+}
+
+#[test]
+fn what_is_delivered_to_a_slow_object_of_another_node_arrives_all_and_in_order() {
+    paused(async {
+        for full in [WhenFull::Refuse, WhenFull::Wait] {
+            let (_robot, left, right) = pair().await;
+            let (_slow, log) = slow(&right, MS, full).await;
+            let jobs = left.sender::<Job>("right:slow");
+
+            tokio::join!(deliver_all(&jobs, 0..3000), advance(6000 * MS));
+
+            assert_eq!(log.take(), (0..3000).collect::<Vec<_>>());
+            assert_eq!(lost([&left, &right]), [0, 0]);
+        }
+    });
+}
+
+#[test]
+fn who_tells_a_full_object_of_another_node_gets_the_message_back_and_no_other_object_is_held_up() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_slow, log) = slow(&right, 10 * MS, WhenFull::Refuse).await;
+        let jobs = left.sender::<Job>("right:slow");
+        for n in 0..200 {
+            jobs.tell(Job(n)).unwrap();
+        }
+        advance(20 * MS).await;
+
+        let error = jobs.tell(Job(200)).unwrap_err();
+        assert_eq!((error.why, error.message), (Why::Full, Job(200)));
+        // Whatever the contract, it is the same queue.
+        assert_eq!(left.sender::<Memo>("right:slow").tell(Memo(0)).unwrap_err().why, Why::Full);
+        let error = left.sender::<Busy>("right:slow").ask(Busy).await.unwrap_err();
+        assert_eq!((error.outcome(), error.why), (Outcome::NotTaken, Why::Full));
+
+        let other = left.sender::<Add>("right:acc");
+        for n in 1..=50 {
+            assert_eq!(other.ask_within(Add(1), 5 * MS).await.unwrap(), n);
+            left.sender::<Note>("right:acc").tell(Note(n)).unwrap();
+        }
+        advance(5 * MS).await;
+        assert_eq!(right.log.take().len(), 50);
+        assert!(log.take().len() < 50, "it is still busy");
+
+        advance(3000 * MS).await;
+        jobs.tell(Job(200)).unwrap();
+        advance(100 * MS).await;
+        assert_eq!(log.take().last(), Some(&200));
+        assert_eq!(lost([&left, &right]), [0, 0]);
+    });
+}
+
+#[test]
+fn what_waits_for_room_is_overtaken_by_nothing_of_its_sender() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_slow, log) = slow(&right, MS, WhenFull::Refuse).await;
+        let (jobs, memos) = (left.sender::<Job>("right:slow"), left.sender("right:slow"));
+        jobs.tell(Job(0)).unwrap();
+        memos.tell(Memo(1)).unwrap();
+        left.sender::<Busy>("right:slow").ask(Busy).await.unwrap();
+
+        for n in 1..500 {
+            jobs.tell(Job(2 * n)).unwrap();
+            memos.tell(Memo(2 * n + 1)).unwrap();
+        }
+        // It comes when others wait, and does not wait.
+        let asked = left.sender::<Busy>("right:slow").ask(Busy).await.unwrap_err();
+        advance(2000 * MS).await;
+
+        assert_eq!(asked.why, Why::Full);
+        assert_eq!(log.take(), (0..1000).collect::<Vec<_>>());
+        assert_eq!(lost([&left, &right]), [0, 0]);
+    });
+}
+
+#[test]
+fn a_restart_of_the_slow_object_costs_the_message_that_killed_it_and_no_other() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (mut child, log) = slow(&right, MS, WhenFull::Refuse).await;
+        let jobs = left.sender::<Job>("right:slow");
+        let all = (0..500).chain([DEADLY]).chain(500..1500);
+        let restart = async {
+            advance(2500 * MS).await;
+            assert_eq!(log.take(), (0..500).collect::<Vec<_>>());
+            child.start(Incarnation(2), Probe::<ChildReport>::start().recipient());
+            advance(3000 * MS).await;
+        };
+
+        tokio::join!(deliver_all(&jobs, all), restart);
+
+        assert_eq!(log.take(), (500..1500).collect::<Vec<_>>());
+        assert_eq!(lost([&left, &right]), [0, 0]);
+    });
+}
+
+#[test]
+fn an_object_that_is_stopped_for_good_turns_what_waits_into_dead_letters_and_nobody_waits_for_it() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (mut child, _log) = slow(&right, NEVER, WhenFull::Refuse).await;
+        let jobs = left.sender::<Job>("right:slow");
+        for n in 0..200 {
+            jobs.tell(Job(n)).unwrap();
+        }
+        advance(20 * MS).await;
+        assert_eq!(jobs.tell(Job(200)).unwrap_err().why, Why::Full);
+
+        child.stop();
+        advance(10_000 * MS).await;
+
+        let name = ObjectName::new("slow").unwrap();
+        assert!(right.host.dead_letters.count(&name, DeadReason::Stopped) >= 199);
+        jobs.tell(Job(200)).unwrap();
+    });
+}
+
+#[test]
+fn what_waits_when_the_session_ends_is_counted_and_the_next_session_begins_with_nothing_full() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let (_slow, log) = slow(&right, NEVER, WhenFull::Refuse).await;
+        let jobs = left.sender::<Job>("right:slow");
+        for n in 0..200 {
+            jobs.tell(Job(n)).unwrap();
+        }
+        advance(20 * MS).await;
+        assert_eq!(jobs.tell(Job(200)).unwrap_err().why, Why::Full);
+
+        ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
+        advance(5000 * MS).await;
+        assert!(matches!(jobs.tell(Job(200)).unwrap_err().why, Why::Unreachable { .. }));
+        ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.restore(end));
+        advance(5000 * MS).await;
+
+        // One is being served, and the queue is full.
+        assert_eq!(lost([&left, &right]), [0, 200 - 1 - QUEUE as u64]);
+        jobs.tell(Job(200)).unwrap();
+        assert_eq!(log.take(), []);
+    });
+}
+
+#[test]
+fn a_panic_of_the_gateway_leaves_nothing_full_and_nothing_uncounted() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_slow, _log) = slow(&right, NEVER, WhenFull::Refuse).await;
+        let jobs = left.sender::<Job>("right:slow");
+        for n in 0..200 {
+            jobs.tell(Job(n)).unwrap();
+        }
+        advance(20 * MS).await;
+
+        for module in [&right, &left] {
+            module.net.victims()[2].do_send(PanicOnPurpose);
+            advance(2000 * MS).await;
+        }
+
+        assert_eq!(lost([&left, &right]), [0, 200 - 1 - QUEUE as u64]);
+        jobs.tell(Job(200)).unwrap();
+    });
+}
+
+#[test]
+fn policies_that_drop_and_readings_keep_their_meaning() {
+    paused(async {
+        for full in [WhenFull::DropOldest, WhenFull::DropNewest] {
+            let (_robot, left, right) = pair().await;
+            let (_slow, log) = slow(&right, MS, full).await;
+            let jobs = left.sender::<Job>("right:slow");
+
+            tokio::join!(deliver_all(&jobs, 0..1000), advance(2000 * MS));
+
+            let done = log.take();
+            assert!(done.len() < 1000 && done.is_sorted(), "{full:?}: {}", done.len());
+            assert_eq!(done.contains(&999), full == WhenFull::DropOldest);
+            assert_eq!(dead_at(&right), 1000 - done.len() as u64);
+        }
+
+        let (_robot, left, right) = pair().await;
+        let (_slow, _log) = slow(&right, NEVER, WhenFull::Refuse).await;
+        let glances = left.sender::<Glance>("right:slow");
+        for n in 0..200 {
+            glances.tell(Glance(n)).unwrap();
+            advance(MS).await;
+        }
+        assert_eq!(dead_at(&right), 200 - 1 - QUEUE as u64);
+    });
+}
+
+/// Says this to `right`'s `slow` by the first binding of the session, whatever was heard.
+fn blurt(left: &Module, count: usize) {
+    let mut payload = Vec::new();
+    codec::encode(&Job(7), &mut payload).unwrap();
+    let payload = Bytes::from(payload);
+    let message = Message::Tell { binding: 1, stamp_us: 0, id: None, payload }.encode();
+    let peer = NodeId::of(&NodeName::new("right").unwrap());
+    for _ in 0..count {
+        let (stream, message) = (Stream::Data, message.clone());
+        left.net.sessions.do_send(Say { peer, session: 1, stream, message, credit: None });
+    }
+}
+
+#[test]
+fn a_peer_that_does_not_stop_loses_what_is_too_much_and_is_named_and_others_are_not_hindered() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_slow, _log) = slow(&right, NEVER, WhenFull::Refuse).await;
+        left.sender::<Job>("right:slow").tell(Job(0)).unwrap();
+        advance(20 * MS).await;
+
+        let fit = QUEUE + MESSAGES_MAX;
+        for part in [4000, 4000, 4000, 4000, fit - 16_000] {
+            blurt(&left, part);
+            advance(100 * MS).await;
+        }
+        assert_eq!(lost([&left, &right]), [0, 0]);
+        for _ in 0..4 {
+            blurt(&left, 100);
+            left.sender::<Add>("right:acc").ask_within(Add(1), 100 * MS).await.unwrap();
+            advance(1000 * MS).await;
+        }
+
+        assert_eq!(dead_at(&right), 400);
+        let declared = right.declared.drain();
+        assert_eq!(declared.len(), 1, "{declared:?}");
+        assert_eq!(declared[0].kind, FaultKind::CheckFailed);
+        assert_eq!(declared[0].object.as_str(), "net/gateway");
+        assert!(declared[0].detail.contains("left does not stop"), "{}", declared[0].detail);
+    });
+}

@@ -1,0 +1,209 @@
+//! A file in which values outlive the node's process.
+//!
+//! ```text
+//!  "blastema-variables 1\n" │ values, by the codec │ CRC-32C of all before, little-endian
+//! ```
+//!
+//! It is written anew as a whole beside the old one, brought to the disk, and then put in its place: whatever
+//! ends the process, or the power, leaves the old one or the new one, and nothing in between.
+
+use crate::platform;
+use blastema_core::codec;
+use blastema_core::variables::KeptValue;
+use crc::{CRC_32_ISCSI, Crc};
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+static CHECK: Crc<u32> = Crc::<u32>::new(&CRC_32_ISCSI);
+const MAGIC: &[u8] = b"blastema-variables 1\n";
+/// The most bytes of a file: all that a robot's settings take, many times over.
+const FILE_MAX: usize = 16 * 1024 * 1024;
+/// Writes that may wait for the disk; beyond, writers are told to slow down.
+const WAITING_MAX: usize = 4096;
+
+/// Why a file's values cannot be had.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum LoadError {
+    #[error("it cannot be read: {0}")]
+    Unreadable(#[from] io::Error),
+    #[error("it is no file of variables, or of another version")]
+    Foreign,
+    #[error("it is damaged: its checksum differs")]
+    Damaged,
+}
+
+/// The values of the file; none where there is no file.
+pub(super) fn load(path: &Path) -> Result<Vec<KeptValue>, LoadError> {
+    let bytes = match fs::read(path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(error.into()),
+    };
+    let Some((checked, sum)) = bytes.split_last_chunk::<4>() else {
+        return Err(LoadError::Damaged);
+    };
+    if CHECK.checksum(checked) != u32::from_le_bytes(*sum) {
+        return Err(LoadError::Damaged);
+    }
+    let values = checked.strip_prefix(MAGIC).ok_or(LoadError::Foreign)?;
+    codec::decode_bounded::<_, FILE_MAX>(values).map_err(|_| LoadError::Foreign)
+}
+
+/// Puts a file aside that cannot be used, for somebody to look at.
+pub(super) fn set_aside(path: &Path) -> io::Result<PathBuf> {
+    let aside = beside(path, "damaged");
+    fs::rename(path, &aside)?;
+    Ok(aside)
+}
+
+fn beside(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".");
+    name.push(ending);
+    name.into()
+}
+
+fn save(path: &Path, values: &Vec<KeptValue>) -> io::Result<()> {
+    let mut encoded = Vec::new();
+    codec::encode_bounded(values, FILE_MAX, &mut encoded).map_err(io::Error::other)?;
+    let mut bytes = [MAGIC, &encoded].concat();
+    bytes.extend(CHECK.checksum(&bytes).to_le_bytes());
+    let new = beside(path, "new");
+    let mut file = File::create(&new)?;
+    file.write_all(&bytes)?;
+    file.sync_all()?;
+    fs::rename(&new, path)?;
+    // That it has its name now is the folder's content.
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+}
+
+/// Told whether the values are on the disk.
+pub(super) type Then = Box<dyn FnOnce(Result<(), String>) + Send>;
+
+/// Writes the file on a thread of its own: of several changes that come while it writes, all are in the next
+/// file. Dropped, it writes what was given to it, and ends.
+pub(super) struct Keeper(Arc<Shared>);
+
+struct Shared {
+    order: Mutex<Order>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct Order {
+    values: Option<Vec<KeptValue>>,
+    /// Who waits for that.
+    waiting: Vec<Then>,
+    ended: bool,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Order> {
+        self.order.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Keeper {
+    /// `failed` is told when the file cannot be written, once until it can be again.
+    pub(super) fn start(
+        path: PathBuf,
+        failed: impl Fn(String) + Send + 'static,
+    ) -> io::Result<Self> {
+        let shared =
+            Arc::new(Shared { order: Mutex::new(Order::default()), changed: Condvar::new() });
+        let kept = shared.clone();
+        platform::start_thread("variables", move || write_when_told(&path, &kept, failed))?;
+        Ok(Keeper(shared))
+    }
+
+    pub(super) fn has_room(&self) -> bool {
+        self.0.lock().waiting.len() < WAITING_MAX
+    }
+
+    pub(super) fn keep(&self, values: Vec<KeptValue>, then: Then) {
+        let mut order = self.0.lock();
+        order.values = Some(values);
+        order.waiting.push(then);
+        drop(order);
+        self.0.changed.notify_one();
+    }
+}
+
+impl Drop for Keeper {
+    fn drop(&mut self) {
+        self.0.lock().ended = true;
+        self.0.changed.notify_one();
+    }
+}
+
+fn write_when_told(path: &Path, shared: &Shared, failed: impl Fn(String)) {
+    let mut failing = false;
+    loop {
+        let mut order = shared.lock();
+        while order.values.is_none() && !order.ended {
+            order = shared.changed.wait(order).unwrap_or_else(PoisonError::into_inner);
+        }
+        let Some(values) = order.values.take() else { return };
+        let waiting = std::mem::take(&mut order.waiting);
+        drop(order);
+        let saved = save(path, &values).map_err(|error| error.to_string());
+        if let Err(error) = &saved
+            && !std::mem::replace(&mut failing, true)
+        {
+            failed(format!("variables cannot be kept in {}: {error}", path.display()));
+        }
+        failing &= saved.is_err();
+        waiting.into_iter().for_each(|then| then(saved.clone()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_core::ObjectName;
+
+    fn values(count: u8) -> Vec<KeptValue> {
+        let object = ObjectName::new("arm").unwrap();
+        let value = |n: u8| KeptValue {
+            variable: (object.clone(), format!("v{n}")),
+            fingerprint: 7,
+            value: vec![n; usize::from(n)],
+        };
+        (0..count).map(value).collect()
+    }
+
+    #[test]
+    fn what_was_saved_is_loaded_and_no_file_is_no_value() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("variables");
+        assert_eq!(load(&path).unwrap(), []);
+
+        save(&path, &values(3)).unwrap();
+        save(&path, &values(9)).unwrap();
+
+        assert_eq!(load(&path).unwrap(), values(9));
+        assert!(!beside(&path, "new").exists());
+    }
+
+    #[test]
+    fn a_file_of_which_any_bit_is_wrong_or_missing_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("variables");
+        save(&path, &values(3)).unwrap();
+        let right = fs::read(&path).unwrap();
+
+        for at in 0..right.len() {
+            let mut wrong = right.clone();
+            wrong[at] ^= 1 << (at % 8);
+            fs::write(&path, wrong).unwrap();
+            assert!(load(&path).is_err(), "byte {at}");
+            fs::write(&path, &right[..at]).unwrap();
+            assert!(load(&path).is_err(), "cut off at {at}");
+        }
+        let aside = set_aside(&path).unwrap();
+        assert!(aside.exists() && load(&path).unwrap().is_empty());
+    }
+}

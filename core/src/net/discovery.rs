@@ -1,0 +1,433 @@
+//! Neighbours that nobody has described: learned from those that were.
+//!
+//! ```text
+//!  A ──── B ──── C      A and C are described to know B, which tells each of the other:
+//!  └ ─ ─ ─ ─ ─ ─ ┘      when B has gone, they have a link of their own
+//! ```
+//!
+//! A node tells each neighbour, over their session, where its others on the same medium are (*gossip*);
+//! or nodes say by multicast where they are themselves (*beacons*). What is learned is tried, if its name
+//! is admitted, as a link that takes nobody but that name; what does not prove itself soon is given
+//! up, and what was down for long is forgotten.
+//!
+//! Nothing that is told is trusted: how much is tried at a time, and in all, is bounded for every
+//! network, as is how often a neighbour is listened to. What goes beyond is counted, by who said it.
+
+use super::wire::Refusals;
+use crate::codec;
+use crate::{Instant, Machine, NodeName};
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+
+/// The most neighbours that are learned on one network: with as many that are described, a router's
+/// announcement still holds all of them.
+pub const LEARNED_MAX: usize = 32;
+/// The most of them that are tried at a time: each costs a hello every so often, sent to who may never
+/// have asked for it.
+const TRIED_MAX: usize = 16;
+/// The most neighbours that one message names: a node has no more.
+const TOLD_MAX: usize = 64;
+/// The longest address, in bytes: a path of a socket.
+const ADDRESS_MAX: usize = 108;
+/// Addresses that did not prove themselves; the oldest is forgotten first.
+const FAILED_MAX: usize = 256;
+/// The most bytes of one message.
+pub const MESSAGE_MAX: usize = 32 * 1024;
+
+/// Who is admitted as a neighbour that nobody has described.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Admission {
+    /// Whoever is heard of.
+    Anybody,
+    /// These, and no others.
+    Only(BTreeSet<NodeName>),
+}
+
+impl Admission {
+    fn admits(&self, node: &NodeName) -> bool {
+        match self {
+            Admission::Anybody => true,
+            Admission::Only(names) => names.contains(node),
+        }
+    }
+}
+
+/// One network on which neighbours are learned, and told of.
+#[derive(Clone, Debug)]
+pub struct Ground {
+    /// Its name in this node's configuration.
+    pub name: String,
+    /// What it is made of, such as `udp`.
+    pub medium: String,
+    /// Who is admitted.
+    pub admission: Admission,
+}
+
+/// How neighbours are learned.
+#[derive(Clone, Debug)]
+pub struct DiscoveryConfig {
+    /// Our name.
+    pub node: NodeName,
+    /// The networks, by their place.
+    pub grounds: Vec<Ground>,
+    /// How long what was learned may take to prove itself; after that it is not tried again for six times
+    /// as long. Longer suits slow media; a forged address is sent hellos for as long.
+    pub prove_within: Duration,
+    /// How long a learned neighbour that is down is still tried. Longer finds it again after longer
+    /// absences, and costs hellos for as long.
+    pub forget_after: Duration,
+    /// How often neighbours are told what nothing has changed in.
+    pub repeat: Duration,
+}
+
+impl DiscoveryConfig {
+    /// The usual behaviour for this node.
+    pub fn new(node: NodeName, grounds: Vec<Ground>) -> Self {
+        DiscoveryConfig {
+            node,
+            grounds,
+            // A link that has failed often needs 48 hellos, of 50 ms: and as much again.
+            prove_within: Duration::from_secs(5),
+            forget_after: Duration::from_secs(600),
+            repeat: Duration::from_secs(10),
+        }
+    }
+}
+
+/// What is to be done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum DiscoveryOutput {
+    /// Tell this neighbour.
+    Send {
+        /// Whom.
+        to: NodeName,
+        /// What.
+        message: Bytes,
+    },
+    /// Make a link.
+    Connect {
+        /// On which network, by its place.
+        ground: usize,
+        /// To whom.
+        node: NodeName,
+        /// Where it is said to be, as its medium writes it.
+        address: String,
+    },
+    /// Give a link up that was made.
+    Disconnect {
+        /// On which network.
+        ground: usize,
+        /// To whom.
+        node: NodeName,
+    },
+}
+
+/// The neighbours on one network.
+#[derive(Serialize, Deserialize)]
+struct Gossip {
+    network: String,
+    medium: String,
+    neighbours: Vec<(NodeName, String)>,
+}
+
+#[derive(Debug)]
+struct Neighbour {
+    address: String,
+    up: bool,
+    /// Since when it is up, or is not.
+    since: Instant,
+    /// How it came to be known.
+    origin: Origin,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Origin {
+    /// By this node's configuration.
+    Described,
+    /// Told, and still to prove itself.
+    Tried,
+    /// Told, and it has been up.
+    Learned,
+}
+
+/// What is known of who tells us.
+#[derive(Debug, Default)]
+struct Teller {
+    heard: Option<Instant>,
+    refusals: Refusals,
+}
+
+/// The neighbours of one node, described and learned.
+#[derive(Debug)]
+pub struct Discovery {
+    config: DiscoveryConfig,
+    neighbours: BTreeMap<(usize, NodeName), Neighbour>,
+    /// Addresses that did not prove themselves, and until when they are not tried.
+    failed: BTreeMap<(usize, String), Instant>,
+    /// Neighbours that were up once; as many as there are.
+    tellers: BTreeMap<NodeName, Teller>,
+    /// What came by beacon from whom nobody knows.
+    beacons: Refusals,
+    tell_at: Option<Instant>,
+    repeat_at: Instant,
+    outputs: VecDeque<DiscoveryOutput>,
+}
+
+impl Discovery {
+    /// Changes that come together are told together.
+    const TOGETHER: Duration = Duration::from_millis(20);
+    /// A neighbour is listened to no more often.
+    const LISTEN: Duration = Duration::from_millis(10);
+
+    /// Nobody is known yet.
+    pub fn new(config: DiscoveryConfig, now: Instant) -> Self {
+        let repeat_at = now + config.repeat;
+        Discovery {
+            config,
+            neighbours: BTreeMap::new(),
+            failed: BTreeMap::new(),
+            tellers: BTreeMap::new(),
+            beacons: Refusals::default(),
+            tell_at: None,
+            repeat_at,
+            outputs: VecDeque::new(),
+        }
+    }
+
+    /// What was refused of each neighbour, and of beacons.
+    pub fn refusals(&self) -> impl Iterator<Item = (Option<&NodeName>, Refusals)> {
+        let told = self.tellers.iter().map(|(node, teller)| (Some(node), teller.refusals));
+        told.chain([(None, self.beacons)])
+    }
+
+    /// A link to a neighbour came up, or is up no more.
+    pub fn handle_link(
+        &mut self,
+        ground: usize,
+        node: NodeName,
+        address: String,
+        up: bool,
+        now: Instant,
+    ) {
+        if up {
+            self.tellers.entry(node.clone()).or_default();
+        }
+        let origin = Origin::Described;
+        let fresh = Neighbour { address, up: false, since: now, origin };
+        let known = self.neighbours.entry((ground, node)).or_insert(fresh);
+        if known.up != up {
+            (known.up, known.since) = (up, now);
+            if known.origin == Origin::Tried {
+                known.origin = Origin::Learned;
+            }
+            self.tell_at.get_or_insert(now + Self::TOGETHER);
+        }
+    }
+
+    /// A session has begun: whoever it is with is told.
+    pub fn handle_opened(&mut self, now: Instant) {
+        self.tell_at.get_or_insert(now + Self::TOGETHER);
+    }
+
+    /// This one was learned by the machine before this, and has a link.
+    pub fn handle_learned(&mut self, ground: usize, node: NodeName, address: String, now: Instant) {
+        let known = Neighbour { address, up: false, since: now, origin: Origin::Learned };
+        self.neighbours.insert((ground, node), known);
+    }
+
+    /// A neighbour tells who its others are.
+    pub fn handle_message(&mut self, from: &NodeName, message: &[u8], now: Instant) {
+        let near = self.neighbours.iter().any(|((_, node), known)| node == from && known.up);
+        let Some(teller) = self.tellers.get_mut(from) else { return };
+        if !near || teller.heard.is_some_and(|heard| now < heard + Self::LISTEN) {
+            teller.refusals.unexpected += 1;
+            return;
+        }
+        teller.heard = Some(now);
+        let Ok(told) = codec::decode_bounded::<Vec<Gossip>, MESSAGE_MAX>(message) else {
+            teller.refusals.malformed += 1;
+            return;
+        };
+        let mut left = TOLD_MAX;
+        for Gossip { network, medium, neighbours } in told {
+            let grounds = self.grounds_with(from, &network, &medium);
+            for (node, address) in neighbours {
+                let Some(rest) = left.checked_sub(1) else {
+                    self.refuse(Some(from), |refusals| &mut refusals.too_large);
+                    continue;
+                };
+                left = rest;
+                for ground in &grounds {
+                    self.sight(*ground, node.clone(), address.clone(), Some(from), now);
+                }
+            }
+        }
+    }
+
+    /// A node itself says where it is.
+    pub fn handle_beacon(&mut self, ground: usize, node: NodeName, address: String, now: Instant) {
+        self.sight(ground, node, address, None, now);
+    }
+
+    /// A beacon that could not be read.
+    pub fn handle_noise(&mut self) {
+        self.beacons.malformed += 1;
+    }
+
+    /// What was told is no address on its medium.
+    pub fn handle_unusable(&mut self, ground: usize, node: &NodeName, now: Instant) {
+        let key = (ground, node.clone());
+        if let Some(known) = self.neighbours.get(&key)
+            && known.origin != Origin::Described
+        {
+            let address = known.address.clone();
+            self.neighbours.remove(&key);
+            self.fail(ground, address, now);
+        }
+    }
+
+    /// Our networks of this kind on which we have the teller ourselves: that of the same name, or all.
+    fn grounds_with(&self, from: &NodeName, network: &str, medium: &str) -> Vec<usize> {
+        let grounds = self.config.grounds.iter().enumerate();
+        let there =
+            |n: usize| self.neighbours.get(&(n, from.clone())).is_some_and(|known| known.up);
+        let alike = grounds.filter(|(n, ground)| ground.medium == medium && there(*n));
+        let alike: Vec<_> = alike.collect();
+        let same: Vec<_> =
+            alike.iter().filter(|(_, g)| g.name == network).map(|(n, _)| *n).collect();
+        if same.is_empty() { alike.into_iter().map(|(n, _)| n).collect() } else { same }
+    }
+
+    fn refuse(&mut self, by: Option<&NodeName>, which: fn(&mut Refusals) -> &mut u64) {
+        let refusals = match by {
+            Some(node) => self.tellers.get_mut(node).map(|teller| &mut teller.refusals),
+            None => Some(&mut self.beacons),
+        };
+        if let Some(refusals) = refusals {
+            *which(refusals) += 1;
+        }
+    }
+
+    fn sight(
+        &mut self,
+        ground: usize,
+        node: NodeName,
+        address: String,
+        by: Option<&NodeName>,
+        now: Instant,
+    ) {
+        let Some(Ground { admission, .. }) = self.config.grounds.get(ground) else { return };
+        if node == self.config.node || !admission.admits(&node) {
+            return;
+        }
+        if address.is_empty() || address.len() > ADDRESS_MAX {
+            return self.refuse(by, |refusals| &mut refusals.malformed);
+        }
+        if self.failed.get(&(ground, address.clone())).is_some_and(|until| now < *until) {
+            return;
+        }
+        let key = (ground, node.clone());
+        match self.neighbours.get(&key) {
+            None => {}
+            Some(known) if known.origin == Origin::Described || known.up => return,
+            Some(known) if known.address == address => return,
+            // It has been away for a while, and may have come back elsewhere.
+            Some(known) if now < known.since + self.config.prove_within => return,
+            Some(_) => {
+                self.neighbours.remove(&key);
+                self.outputs.push_back(DiscoveryOutput::Disconnect { ground, node: node.clone() });
+            }
+        }
+        let here = |origins: &[Origin]| {
+            let all = self.neighbours.iter();
+            all.filter(|((n, _), known)| *n == ground && origins.contains(&known.origin)).count()
+        };
+        let full = here(&[Origin::Tried, Origin::Learned]) >= LEARNED_MAX;
+        if full || here(&[Origin::Tried]) >= TRIED_MAX {
+            return self.refuse(by, |refusals| &mut refusals.too_large);
+        }
+        let fresh =
+            Neighbour { address: address.clone(), up: false, since: now, origin: Origin::Tried };
+        self.neighbours.insert(key, fresh);
+        self.outputs.push_back(DiscoveryOutput::Connect { ground, node, address });
+    }
+
+    fn fail(&mut self, ground: usize, address: String, now: Instant) {
+        if self.failed.len() >= FAILED_MAX
+            && let Some(first) = self.failed.iter().min_by_key(|(_, until)| **until)
+        {
+            let first = first.0.clone();
+            self.failed.remove(&first);
+        }
+        self.failed.insert((ground, address), now + self.config.prove_within * 6);
+    }
+
+    /// When it is given up as what it is now; never what was described, nor who is up.
+    fn ends(&self, known: &Neighbour) -> Option<Instant> {
+        match known.origin {
+            Origin::Tried => Some(known.since + self.config.prove_within),
+            Origin::Learned if !known.up => Some(known.since + self.config.forget_after),
+            Origin::Learned | Origin::Described => None,
+        }
+    }
+
+    /// Tells every neighbour of the others that are up on the same network.
+    fn tell(&mut self) {
+        let up = || self.neighbours.iter().filter(|(_, known)| known.up);
+        let nodes: BTreeSet<&NodeName> = up().map(|((_, node), _)| node).collect();
+        for to in nodes {
+            let gossip = |(n, ground): (usize, &Ground)| {
+                up().find(|((m, node), _)| *m == n && node == to)?;
+                let others = up().filter(|((m, node), _)| *m == n && node != to);
+                let others = others.map(|((_, node), known)| (node.clone(), known.address.clone()));
+                let neighbours: Vec<_> = others.take(TOLD_MAX).collect();
+                let (network, medium) = (ground.name.clone(), ground.medium.clone());
+                (!neighbours.is_empty()).then_some(Gossip { network, medium, neighbours })
+            };
+            let told: Vec<_> = self.config.grounds.iter().enumerate().filter_map(gossip).collect();
+            if !told.is_empty() {
+                let message = codec::encode_unbounded(&told).into();
+                self.outputs.push_back(DiscoveryOutput::Send { to: to.clone(), message });
+            }
+        }
+    }
+}
+
+impl Machine for Discovery {
+    type Output = DiscoveryOutput;
+
+    fn poll_output(&mut self) -> Option<DiscoveryOutput> {
+        self.outputs.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let ends = self.neighbours.values().filter_map(|known| self.ends(known));
+        ends.chain(self.tell_at).chain([self.repeat_at]).min()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        if now >= self.repeat_at || self.tell_at.is_some_and(|at| now >= at) {
+            (self.tell_at, self.repeat_at) = (None, now + self.config.repeat);
+            self.tell();
+        }
+        self.failed.retain(|_, until| now < *until);
+        let over = |known: &Neighbour| self.ends(known).is_some_and(|end| now >= end);
+        let gone: Vec<_> = self.neighbours.iter().filter(|(_, known)| over(known)).collect();
+        let gone: Vec<_> = gone
+            .into_iter()
+            .map(|(key, known)| (key.clone(), known.address.clone(), known.origin))
+            .collect();
+        for ((ground, node), address, origin) in gone {
+            self.neighbours.remove(&(ground, node.clone()));
+            if origin == Origin::Tried {
+                self.fail(ground, address, now);
+            }
+            self.outputs.push_back(DiscoveryOutput::Disconnect { ground, node });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,91 @@
+//! Whether a request is asked again, and when.
+
+use crate::Why;
+use crate::recovery::Backoff;
+use std::time::Duration;
+
+/// How often a request is asked, where asking again can do no harm.
+///
+/// That is so where it was not taken up: there was no room, no way, or the receiver was between two lives.
+/// Where it may have taken effect (the receiver died while it served it, or the way to its answer was
+/// lost), it is asked again only if its contract is declared `idempotent`.
+///
+/// ```
+/// use blastema_core::Why;
+/// use blastema_core::RetryRule;
+///
+/// let rule = RetryRule { attempts: 2, ..RetryRule::default() };
+/// assert!(rule.again(1, &Why::Full, false, 7).is_some());
+/// assert!(rule.again(2, &Why::Full, false, 7).is_none());
+/// let unknown = Why::OutcomeUnknown { reason: "the cable was cut".into() };
+/// assert!(rule.again(1, &unknown, false, 7).is_none());
+/// assert!(rule.again(1, &unknown, true, 7).is_some());
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RetryRule {
+    /// How often it is asked at most, the first time included. More outlasts longer faults; each that is
+    /// served is work for the receiver.
+    pub attempts: u32,
+    /// How long to wait in between. Longer spares a receiver that has no room.
+    pub backoff: Backoff,
+    /// All of it is over by then: the deadline of the last attempt.
+    pub within: Duration,
+}
+
+impl Default for RetryRule {
+    /// Ten times at most, after 10, 20, 40 ms and so on up to half a second, within five seconds: longer
+    /// than a component, or a process, needs to come back.
+    fn default() -> Self {
+        let backoff =
+            Backoff { factor: 2, limit: Duration::from_millis(500), ..Backoff::default() };
+        RetryRule { attempts: 10, backoff, within: Duration::from_secs(5) }
+    }
+}
+
+impl RetryRule {
+    /// How long to wait before it is asked again, after it has been asked so often, the last time in vain
+    /// because of `why`; `None` if that would do harm, or not help. The same `seed` gives the same jitter.
+    pub fn again(&self, asked: u32, why: &Why, idempotent: bool, seed: u64) -> Option<Duration> {
+        let helps = match why {
+            Why::Full | Why::Restarting | Why::Unreachable { .. } | Why::Left { .. } => true,
+            Why::PeerDied { .. } | Why::OutcomeUnknown { .. } => idempotent,
+            _ => false,
+        };
+        (helps && asked < self.attempts).then(|| self.backoff.delay(asked.saturating_add(1), seed))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Incarnation;
+
+    #[test]
+    fn what_may_have_taken_effect_is_asked_again_only_if_that_does_no_harm() {
+        let rule = RetryRule::default();
+        let again = |why: &Why, idempotent| rule.again(1, why, idempotent, 1).is_some();
+
+        for why in [Why::Full, Why::Restarting, Why::Unreachable { node: "far".into() }] {
+            assert!(again(&why, false) && again(&why, true), "{why}");
+        }
+        let died = Why::PeerDied { incarnation: Incarnation(1) };
+        assert!(!again(&died, false) && again(&died, true));
+        for why in [Why::DeadlinePassed, Why::Stopped, Why::Quarantined { kills: 3 }, Why::Isolated]
+        {
+            assert!(!again(&why, true), "{why} does not pass by itself");
+        }
+    }
+
+    #[test]
+    fn waits_grow_and_attempts_end() {
+        let rule = RetryRule {
+            attempts: 4,
+            backoff: Backoff { jitter_percent: 0, ..RetryRule::default().backoff },
+            ..RetryRule::default()
+        };
+        let waits: Vec<_> = (1..6)
+            .map(|asked| rule.again(asked, &Why::Full, false, 1).map(|wait| wait.as_millis()))
+            .collect();
+        assert_eq!(waits, [Some(10), Some(20), Some(40), None, None]);
+    }
+}

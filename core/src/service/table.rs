@@ -1,0 +1,124 @@
+//! What was served, for requests that come again.
+
+use super::message::Served;
+use crate::MessageId;
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// Replies that are kept for requests that come again: all that callers can have under way, several
+/// times over.
+pub const TABLE_MAX: usize = 1024;
+/// The most bytes of them, the newest apart: with the largest state they fit into one message.
+const TABLE_BYTES_MAX: usize = 768 * 1024;
+/// Callers that are known by what they have got; those beyond, the longest silent first, are forgotten.
+const CALLERS_MAX: usize = 256;
+/// What an entry takes beside its reply, about.
+const ENTRY: usize = 32;
+
+/// The replies of one service.
+///
+/// A caller says with each request below which of its numbers it has all its answers: those replies go, and
+/// what comes under such a number is late and not served any more.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Table {
+    served: VecDeque<Served>,
+    /// Below which number each caller has its answers; what it said last is last.
+    settled: VecDeque<(u64, u64)>,
+}
+
+impl Table {
+    pub(super) fn find(&self, id: MessageId) -> Option<&Served> {
+        self.served.iter().rev().find(|served| served.id == id)
+    }
+
+    /// It was answered, and its caller has the answer.
+    pub(super) fn is_settled(&self, id: MessageId) -> bool {
+        let settled = self.settled.iter().find(|(sender, _)| *sender == id.sender);
+        settled.is_some_and(|(_, below)| id.sequence < *below)
+    }
+
+    /// The caller has all its answers below this number.
+    pub(super) fn settle(&mut self, sender: u64, below: u64) {
+        let known = self.settled.iter().position(|(known, _)| *known == sender);
+        let before = known.and_then(|at| self.settled.remove(at)).map_or(0, |(_, below)| below);
+        let below = below.max(before);
+        if below == 0 {
+            return;
+        }
+        if self.settled.len() >= CALLERS_MAX {
+            self.settled.pop_front();
+        }
+        self.settled.push_back((sender, below));
+        if below > before {
+            self.served.retain(|served| served.id.sender != sender || served.id.sequence >= below);
+        }
+    }
+
+    pub(super) fn note(&mut self, served: Served) {
+        self.served.push_back(served);
+        let mut bytes: usize = self.served.iter().map(bytes_of).sum();
+        while self.served.len() > TABLE_MAX || (bytes > TABLE_BYTES_MAX && self.served.len() > 1) {
+            bytes -= self.served.pop_front().as_ref().map_or(0, bytes_of);
+        }
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.served.clear();
+    }
+
+    /// A table that another replica has sent, no larger than ours would be.
+    pub(super) fn bounded(mut self) -> Self {
+        let over = self.served.len().saturating_sub(TABLE_MAX);
+        self.served.drain(..over);
+        let over = self.settled.len().saturating_sub(CALLERS_MAX);
+        self.settled.drain(..over);
+        self
+    }
+}
+
+fn bytes_of(served: &Served) -> usize {
+    ENTRY + served.result.as_ref().map_or(0, Vec::len)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Why;
+
+    fn served(sender: u64, sequence: u64, length: usize) -> Served {
+        Served { id: MessageId { sender, sequence }, result: Ok(vec![7; length]) }
+    }
+
+    #[test]
+    fn what_a_caller_has_got_is_forgotten_and_not_served_again() {
+        let mut table = Table::default();
+        (1..=10).for_each(|sequence| table.note(served(1, sequence, 8)));
+        table.note(served(2, 1, 8));
+
+        table.settle(1, 9);
+        table.settle(1, 4);
+
+        assert_eq!(table.served.len(), 3);
+        let id = |sender, sequence| MessageId { sender, sequence };
+        assert!(table.is_settled(id(1, 8)) && !table.is_settled(id(1, 9)));
+        assert!(!table.is_settled(id(2, 1)), "another caller has said nothing");
+        assert!(table.find(id(1, 9)).is_some() && table.find(id(1, 8)).is_none());
+    }
+
+    #[test]
+    fn replies_are_bounded_by_number_and_bytes_and_callers_by_number() {
+        let mut table = Table::default();
+        (0..2000).for_each(|sequence| table.note(served(1, sequence, 8)));
+        assert_eq!(table.served.len(), TABLE_MAX);
+        (0..100).for_each(|sequence| table.note(served(2, sequence, 100_000)));
+        assert_eq!(table.served.len(), 7);
+        table.note(served(3, 1, 2_000_000));
+        assert_eq!(table.served.len(), 1, "the newest is kept whatever its size");
+        table.note(Served { id: MessageId { sender: 4, sequence: 1 }, result: Err(Why::Stopped) });
+
+        (0..1000).for_each(|sender| table.settle(sender, 5));
+        assert_eq!(table.settled.len(), CALLERS_MAX);
+        assert!(table.is_settled(MessageId { sender: 999, sequence: 4 }));
+        assert_eq!(table.clone().bounded(), table);
+    }
+}
