@@ -190,8 +190,8 @@ pub mod prelude {
     pub use crate::core::recovery::{Ladder, Measure, Plan, Restart, Strategy};
     pub use crate::{
         ActorRef, ChildSpec, Component, Context, Event, Failure, FaultKind, Handle, Node,
-        NodeState, Ports, Publisher, Request, Sender, StartError, Structure, SupervisorSpec,
-        Variable, VariableRef, VariableSpec, WhenFull, Why, sleep,
+        NodeState, Outcome, Ports, Publisher, Request, Sender, StartError, Structure,
+        SupervisorSpec, Variable, VariableRef, VariableSpec, WhenFull, Why, sleep,
     };
 }
 

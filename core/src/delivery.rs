@@ -78,8 +78,9 @@ pub enum Why {
         /// The name that was looked for.
         name: String,
     },
-    /// No path leads to the receiver's node.
-    #[error("node {node} cannot be reached")]
+    /// No path leads to the receiver's node, or it has fallen silent. See its links, and those of the nodes
+    /// in between.
+    #[error("node {node} cannot be reached: no path leads there, or it has fallen silent")]
     Unreachable {
         /// The node that was to be reached.
         node: String,
@@ -153,6 +154,14 @@ pub enum Why {
         /// What the file system said.
         reason: String,
     },
+    /// What was sent to the receiver's node came back from a node on the way, and no answer came by any other.
+    #[error("node {node} cannot be reached: what is sent there comes back, since {reason}")]
+    Undelivered {
+        /// The node that was to be reached.
+        node: String,
+        /// Why it came back, and what helps.
+        reason: String,
+    },
     /// Nobody holds this name of the whole robot now. Try again when it is claimed.
     #[error("nobody holds the name {name}")]
     Unclaimed {
@@ -203,6 +212,7 @@ impl Why {
             | Why::Expired
             | Why::Unknown { .. }
             | Why::Unreachable { .. }
+            | Why::Undelivered { .. }
             | Why::TooLarge { .. }
             | Why::TooLargeForSession { .. }
             | Why::Left { .. }

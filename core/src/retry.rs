@@ -47,7 +47,11 @@ impl RetryRule {
     /// because of `why`; `None` if that would do harm, or not help. The same `seed` gives the same jitter.
     pub fn again(&self, asked: u32, why: &Why, idempotent: bool, seed: u64) -> Option<Duration> {
         let helps = match why {
-            Why::Full | Why::Restarting | Why::Unreachable { .. } | Why::Left { .. } => true,
+            Why::Full
+            | Why::Restarting
+            | Why::Unreachable { .. }
+            | Why::Undelivered { .. }
+            | Why::Left { .. } => true,
             Why::PeerDied { .. } | Why::OutcomeUnknown { .. } => idempotent,
             _ => false,
         };

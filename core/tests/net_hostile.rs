@@ -40,7 +40,12 @@ fn genuine() -> Vec<Bytes> {
     let stamp =
         Stamp { origin: NodeId::of(&name("peer")), incarnation: Incarnation(1), sequence: 2 };
     let edges = vec![Edge { to: NodeId::of(&name("own")), cost: 1, mtu: 1400 }];
-    let announce = Routing::Announce(vec![Advertisement { stamp, node: name("peer"), edges }]);
+    let announce = Routing::Announce(vec![Advertisement {
+        stamp,
+        node: name("peer"),
+        edges,
+        withdrawn: false,
+    }]);
     let range = Some((NodeId(0), NodeId(u32::MAX)));
     let have = Routing::Have { range, stamps: vec![stamp] };
     let ack = Ack { next: 0, window: 100, ranges: vec![(2, 3)] };
@@ -233,7 +238,8 @@ fn a_flood_of_invented_nodes_is_refused_beyond_the_limit() {
         let node = name(&format!("n{n}"));
         let stamp = Stamp { origin: NodeId::of(&node), incarnation: Incarnation(1), sequence: 1 };
         let edges = vec![Edge { to: NodeId::of(&name("peer")), cost: 1, mtu: 1400 }];
-        let announce = Routing::Announce(vec![Advertisement { stamp, node, edges }]);
+        let announce =
+            Routing::Announce(vec![Advertisement { stamp, node, edges, withdrawn: false }]);
         router.handle_routing(LinkNumber(0), announce.encode(), Instant::ORIGIN);
         router.handle_timeout(Instant::ORIGIN);
         drain(&mut router);

@@ -33,6 +33,7 @@ impl Binding {
     }
 
     /// Whether this is the address that was taken last.
+    #[cfg(feature = "udp")]
     pub(crate) fn is_at(&self, address: SocketAddr) -> bool {
         self.last == Some(address)
     }

@@ -11,20 +11,24 @@ use std::task::{self, Poll};
 /// their right. 64 small datagrams take about a tenth of a millisecond.
 pub(crate) const BUDGET: usize = 64;
 /// And how many bytes: a large frame may hold hundreds of messages, each of which somebody serves.
+#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
 const BUDGET_BYTES: usize = 128 * 1024;
 
 /// What is left of one turn.
+#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
 pub(crate) struct Budget {
     frames: usize,
     bytes: usize,
 }
 
+#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
 impl Default for Budget {
     fn default() -> Self {
         Budget { frames: BUDGET, bytes: BUDGET_BYTES }
     }
 }
 
+#[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
 impl Budget {
     /// Whether another frame may be tried; the first always may.
     pub(crate) fn next(&mut self) -> bool {

@@ -64,10 +64,10 @@ impl Router {
     }
 
     /// Names that are given twice: whoever gave them has to act.
-    fn declare(&self, detail: String) {
+    fn declare(&self, kind: FaultKind, detail: String) {
         error!("{detail}");
         if let Some(faults) = &self.faults {
-            let (object, kind) = (super::named("router"), FaultKind::NameTaken);
+            let object = super::named("router");
             let incarnation = crate::guardian::alive().incarnation;
             faults.do_send(FaultDeclared { object, incarnation, kind, detail });
         }
@@ -181,22 +181,28 @@ impl Body for Router {
                 self.report_path(PathReported::Changed { node, mtu });
             }
             RouterOutput::Lost { node, incarnation } => self.lost(node, incarnation),
+            RouterOutput::Forged { neighbour, times } => {
+                let what = "links are announced in this node's name that it has not";
+                let detail =
+                    format!("{what}: {times} times within ten seconds, by way of {neighbour}");
+                self.declare(FaultKind::CheckFailed, detail);
+            }
             RouterOutput::NumberTaken { node, refused } => {
-                self.declare(format!(
+                self.declare(FaultKind::NameTaken, format!(
                     "the names {node} and {refused} give one node number: {refused} is kept out; \
                      rename it"
                 ));
             }
             RouterOutput::NameTaken { incarnation, first: true } => {
                 let name = &self.config.node;
-                self.declare(format!(
+                self.declare(FaultKind::NameTaken, format!(
                     "another node called {name} has come up as {incarnation}: it is kept out; end \
                      it, or give it another name"
                 ));
             }
             RouterOutput::NameTaken { incarnation, first: false } => {
                 let name = &self.config.node;
-                self.declare(format!(
+                self.declare(FaultKind::NameTaken, format!(
                     "another node called {name} was there before, as {incarnation}: this one is \
                      kept out by all; give it another name, or end the other"
                 ));

@@ -1,6 +1,7 @@
 //! What the network promises to objects, each as a test: whole nodes in one process, over memory
 //! behind faulty cables, in virtual time.
 
+mod absence;
 mod calls;
 mod delivery;
 mod hostile;

@@ -32,6 +32,9 @@ use tracing::{info, warn};
 
 /// How soon a component that could not take a state over is given it again.
 const LOAD_AGAIN: Duration = Duration::from_millis(5);
+/// How often a component that was stopped or isolated is asked whether it takes something again. Shorter
+/// makes its node a candidate sooner; each question is one small message within the node.
+const LOOK_AGAIN: Duration = Duration::from_millis(100);
 /// The most bytes of one task: the caller's limit, which is checked there as well.
 const TASK_MAX: usize = 2 * 1024 * 1024;
 
@@ -73,6 +76,8 @@ pub(crate) struct ReplicaBody {
     wondering: VecDeque<Wondered>,
     inquiry: Option<SpawnHandle>,
     next: u64,
+    /// It is going to be asked whether it takes something again.
+    looking: bool,
     others: BTreeMap<NodeName, Sender<ReplicaSays>>,
 }
 
@@ -100,6 +105,7 @@ impl ReplicaBody {
                 wondering: VecDeque::new(),
                 inquiry: None,
                 next: 0,
+                looking: false,
                 others: BTreeMap::new(),
             }
         };
@@ -188,8 +194,10 @@ impl ReplicaBody {
                     .map_err(|error| Why::Undecodable { reason: error.to_string() })
             });
             match loaded {
-                Ok(_) => Done::Loaded,
-                Err(_) => Done::NotLoaded { state },
+                Ok(true) => Done::Loaded,
+                Ok(false) => Done::NotLoaded,
+                Err(Why::Stopped | Why::Isolated) => Done::Gone,
+                Err(_) => Done::LoadAgain { state },
             }
         };
         self.hand_over((LoadState::NAME, &bytes), then, context);
@@ -296,7 +304,17 @@ impl ReplicaBody {
         let mut bytes = Vec::new();
         // A number always fits.
         let _ = codec::encode(&RoleChanged { epoch }, &mut bytes);
-        self.hand_over((RoleChanged::NAME, &bytes), |_| Done::Told, context);
+        self.hand_over((RoleChanged::NAME, &bytes), |told| Done::Told(told.map(drop)), context);
+    }
+
+    /// Asks in a while whether the component takes something again.
+    fn look_again(&mut self, context: &mut Context<Self>) {
+        if !std::mem::replace(&mut self.looking, true) {
+            context.run_later(LOOK_AGAIN, |body, context| {
+                body.looking = false;
+                body.tell_role(context);
+            });
+        }
     }
 
     /// Waits for the others that this service needs; there is one inquiry at a time.
@@ -375,6 +393,9 @@ impl Supervised for ReplicaBody {
     fn restarting(&mut self, context: &mut Context<Self>) {
         let (config, initial) = (self.carried.config.clone(), self.carried.initial.clone());
         self.machine = Replica::new(config, initial, platform::now());
+        // The component lives on, but nobody knows any more what it has done.
+        self.machine.handle_component_died(platform::now());
+        self.looking = false;
         self.wake = Wake::default();
         self.callers.clear();
         self.wondering.clear();
@@ -464,12 +485,27 @@ impl Handler<Died> for ReplicaBody {
 #[derive(Message)]
 #[rtype(result = "()")]
 enum Done {
-    Executed { result: Result<Bytes, Why>, save: bool },
-    Both { result: Result<Bytes, Why>, state: Result<Bytes, Why> },
-    Saved { state: Result<Bytes, Why> },
+    Executed {
+        result: Result<Bytes, Why>,
+        save: bool,
+    },
+    Both {
+        result: Result<Bytes, Why>,
+        state: Result<Bytes, Why>,
+    },
+    Saved {
+        state: Result<Bytes, Why>,
+    },
     Loaded,
-    NotLoaded { state: Bytes },
-    Told,
+    /// It could not, and has said so.
+    NotLoaded,
+    /// It takes nothing, and has not loaded the state either.
+    Gone,
+    LoadAgain {
+        state: Bytes,
+    },
+    /// It knows its role, or why not.
+    Told(Result<(), Why>),
 }
 
 impl Handler<Done> for ReplicaBody {
@@ -481,17 +517,33 @@ impl Handler<Done> for ReplicaBody {
             Done::Executed { result: Ok(reply), save: true } => {
                 return self.save(Some(Ok(reply)), context);
             }
-            Done::Executed { result, .. } => self.machine.handle_executed(result, None, now),
+            Done::Executed { result, .. } => {
+                if let Err(Why::Stopped | Why::Isolated) = result {
+                    self.look_again(context);
+                }
+                self.machine.handle_executed(result, None, now);
+            }
             Done::Both { result, state } => {
                 self.machine.handle_executed(result, Some(state), now);
             }
             Done::Saved { state } => self.machine.handle_saved(state, now),
             Done::Loaded => self.machine.handle_loaded(),
-            Done::NotLoaded { state } => {
+            Done::NotLoaded => self.machine.handle_not_loaded(now),
+            Done::Gone => {
+                self.machine.handle_not_loaded(now);
+                self.machine.handle_component_gone(now);
+                self.look_again(context);
+            }
+            Done::LoadAgain { state } => {
                 context.run_later(LOAD_AGAIN, move |body, context| body.load(state, context));
                 return;
             }
-            Done::Told => return,
+            Done::Told(Ok(())) => self.machine.handle_component_back(now),
+            Done::Told(Err(Why::Stopped | Why::Isolated)) => {
+                self.machine.handle_component_gone(now);
+                self.look_again(context);
+            }
+            Done::Told(Err(_)) => return,
         }
         self.drive(context);
     }

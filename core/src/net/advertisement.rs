@@ -10,6 +10,10 @@
 //! stamp:         origin 4 │ incarnation 8 │ sequence 4
 //! ```
 //!
+//! A count of 128 withdraws the advertisement of that stamp. Only so can an origin get rid of what
+//! somebody else has said in its name under the highest sequence, or of a life that it never had
+//! (RFC 2328, 12.1.6 and 14.1, where an age does the same).
+//!
 //! Flooding is reliable hop by hop, as in IS-IS: an advertisement is repeated until the neighbour
 //! says that it has it (or a newer one). A `have` with a range lists everything between two nodes'
 //! numbers, so that what is missing in it is known to be missing.
@@ -28,6 +32,7 @@ pub(crate) const HAVE_HEADER: usize = 10;
 
 const ANNOUNCE: u8 = 0;
 const HAVE: u8 = 1;
+const WITHDRAWN: u8 = 128;
 const DISPUTE: u8 = 2;
 const DEFEND: u8 = 3;
 
@@ -51,10 +56,12 @@ pub struct Advertisement {
     pub node: NodeName,
     /// Whom it has links to, at most [`NEIGHBOURS_MAX`].
     pub edges: Vec<Edge>,
+    /// The one of this stamp is void; it has no edges.
+    pub withdrawn: bool,
 }
 
 /// One link, in one direction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Edge {
     /// To whom.
     pub to: NodeId,
@@ -114,9 +121,18 @@ impl Advertisement {
         STAMP + 2 + self.node.as_str().len() + 8 * self.edges.len()
     }
 
+    /// What takes this one back.
+    pub(crate) fn withdrawal(&self) -> Advertisement {
+        let node = self.node.clone();
+        Advertisement { stamp: self.stamp, node, edges: Vec::new(), withdrawn: true }
+    }
+
     fn put(&self, bytes: &mut BytesMut) {
         self.stamp.put(bytes);
         bytes.sized(self.node.as_str().as_bytes());
+        if self.withdrawn {
+            return bytes.put_u8(WITHDRAWN);
+        }
         bytes.put_u8(self.edges.len().min(NEIGHBOURS_MAX) as u8);
         for edge in self.edges.iter().take(NEIGHBOURS_MAX) {
             bytes.put_u32(edge.to.0);
@@ -131,7 +147,11 @@ impl Advertisement {
         if NodeId::of(&node) != stamp.origin || stamp.sequence == 0 {
             return Err(WireError::Malformed { what: "an advertisement's origin" });
         }
-        let count = usize::from(reader.u8()?);
+        let count = reader.u8()?;
+        if count == WITHDRAWN {
+            return Ok(Advertisement { stamp, node, edges: Vec::new(), withdrawn: true });
+        }
+        let count = usize::from(count);
         if count > NEIGHBOURS_MAX {
             return Err(WireError::TooLarge { what: "an advertisement" });
         }
@@ -143,7 +163,7 @@ impl Advertisement {
             }
             edges.push(edge);
         }
-        Ok(Advertisement { stamp, node, edges })
+        Ok(Advertisement { stamp, node, edges, withdrawn: false })
     }
 }
 
@@ -234,7 +254,8 @@ mod tests {
     fn advertisement() -> Advertisement {
         let node = NodeName::new("m1").unwrap();
         let stamp = Stamp { origin: NodeId::of(&node), incarnation: Incarnation(2), sequence: 3 };
-        Advertisement { stamp, node, edges: vec![Edge { to: NodeId(9), cost: 10, mtu: 1400 }] }
+        let edges = vec![Edge { to: NodeId(9), cost: 10, mtu: 1400 }];
+        Advertisement { stamp, node, edges, withdrawn: false }
     }
 
     #[test]
@@ -250,7 +271,8 @@ mod tests {
 
     #[test]
     fn routing_messages_come_back_as_they_were_and_cut_ones_do_not() {
-        let announce = Routing::Announce(vec![advertisement(), advertisement()]);
+        let withdrawal = advertisement().withdrawal();
+        let announce = Routing::Announce(vec![advertisement(), withdrawal, advertisement()]);
         assert_eq!(Routing::decode(announce.encode()), Ok(announce));
         for range in [None, Some((NodeId(0), NodeId(u32::MAX)))] {
             let have = Routing::Have { range, stamps: vec![advertisement().stamp; 3] };

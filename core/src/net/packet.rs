@@ -75,6 +75,19 @@ pub enum Undelivered {
     TooLarge,
 }
 
+impl Undelivered {
+    /// What somebody can do about it.
+    pub fn advice(self) -> &'static str {
+        match self {
+            Undelivered::NoRoute => "see the links of the nodes in between",
+            Undelivered::TooManyHops => {
+                "the path is too long, or nodes disagree about it: compare their routes"
+            }
+            Undelivered::TooLarge => "let the links on the way carry larger frames",
+        }
+    }
+}
+
 impl fmt::Display for Undelivered {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

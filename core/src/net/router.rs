@@ -48,9 +48,16 @@ pub struct Router {
     refresh_at: Instant,
     /// The last pair told of, so that a collision is told once and not with every flood.
     told: Option<(NodeName, NodeName)>,
+    /// What was withdrawn in our name, the last last.
+    withdrew: VecDeque<Stamp>,
+    /// How often within the last seconds somebody spoke in our name, and since when.
+    forged: (Instant, u32),
     /// The other node of our name that was told of last, and when we last said that we are here.
     usurper: Option<Incarnation>,
     defended_at: Instant,
+    /// A greater life of our name that others know of, its last word, and since when we have known:
+    /// perhaps an earlier one of ours, before the clock was set back.
+    rumour: Option<(Stamp, Instant)>,
     /// Names of which a later life is kept out; at most as many as nodes are remembered.
     disputes: BTreeMap<NodeId, Dispute>,
     /// Links to those lives. They carry, and are not used.
@@ -72,6 +79,18 @@ struct Known {
     /// A path has led to this life since, and does no more.
     reached: bool,
     ended: bool,
+    /// What counts until then, after a withdrawal: what is true follows it.
+    believed: Option<(Advertisement, Instant)>,
+    /// What the origin has withdrawn, the last first.
+    withdrawn: VecDeque<Stamp>,
+}
+
+impl Known {
+    /// What the ways are computed from.
+    fn effective(&self) -> Option<&Advertisement> {
+        let newest = Some(&self.advertisement).filter(|newest| !newest.withdrawn);
+        self.believed.as_ref().map(|(believed, _)| believed).or(newest)
+    }
 }
 
 /// A link's smallest MTU in bytes: an advertisement with all neighbours must fit.
@@ -82,7 +101,8 @@ impl Router {
     pub fn new(config: RouterConfig, now: Instant) -> Self {
         let id = NodeId::of(&config.node);
         let stamp = Stamp { origin: id, incarnation: config.incarnation, sequence: 1 };
-        let own = Advertisement { stamp, node: config.node.clone(), edges: Vec::new() };
+        let (node, edges) = (config.node.clone(), Vec::new());
+        let own = Advertisement { stamp, node, edges, withdrawn: false };
         let refresh_at = now + config.refresh;
         Router {
             config,
@@ -97,8 +117,11 @@ impl Router {
             computed_at: Instant::ORIGIN,
             refresh_at,
             told: None,
+            withdrew: VecDeque::new(),
+            forged: (now, 0),
             usurper: None,
             defended_at: Instant::ORIGIN,
+            rumour: None,
             disputes: BTreeMap::new(),
             contested: BTreeMap::new(),
             remembered: None,
@@ -283,7 +306,7 @@ impl Router {
         self.compute_at = None;
         self.computed_at = self.now;
         let known = self.known.iter().filter(|(id, _)| !self.kept_out.contains(id));
-        let known = known.map(|(id, known)| (*id, &known.advertisement));
+        let known = known.filter_map(|(id, known)| Some((*id, known.effective()?)));
         let topology = Topology::new(self.id, &self.links, known);
         let mut before = std::mem::replace(&mut self.routes, topology.routes());
         for (id, route) in &self.routes {
@@ -320,7 +343,9 @@ impl Router {
             .links
             .values()
             .flat_map(|adjacent| adjacent.pending.values().copied().chain([adjacent.compare_at]));
-        let ages = self.known.values().map(|known| known.expires);
+        let ages = self.known.values().flat_map(|known| {
+            known.believed.iter().map(|(_, until)| *until).chain([known.expires])
+        });
         let remembered = self.remembered.iter().map(|(until, _)| *until);
         let disputes = self.dispute_ends();
         links.chain(ages).chain(remembered).chain(disputes).fold(self.refresh_at, Instant::min)

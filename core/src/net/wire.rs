@@ -57,6 +57,8 @@ pub struct Refusals {
     pub unexpected: u64,
     /// Understood, but from a node that is isolated, or by its way.
     pub isolated: u64,
+    /// Said in this node's own name, and not by it.
+    pub forged: u64,
 }
 
 impl Refusals {
@@ -83,6 +85,7 @@ impl Refusals {
             stale: since(self.stale, before.stale),
             unexpected: since(self.unexpected, before.unexpected),
             isolated: since(self.isolated, before.isolated),
+            forged: since(self.forged, before.forged),
         }
     }
 
@@ -96,6 +99,7 @@ impl Refusals {
             + self.stale
             + self.unexpected
             + self.isolated
+            + self.forged
     }
 }
 
@@ -110,6 +114,7 @@ impl fmt::Display for Refusals {
             (self.stale, "stale"),
             (self.unexpected, "unexpected"),
             (self.isolated, "of isolated nodes"),
+            (self.forged, "forged"),
         ];
         let mut counts = counts.into_iter().filter(|(count, _)| *count > 0);
         let Some((count, what)) = counts.next() else { return f.write_str("none") };

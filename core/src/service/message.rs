@@ -50,4 +50,6 @@ pub(super) enum Message {
     Entry { epoch: u64, position: Position, served: Served, settled: u64, after: After },
     /// Everything, for a standby that is not in step.
     Snapshot { epoch: u64, position: Position, state: Vec<u8>, table: Table },
+    /// The primary of this epoch serves no more: promises made to it are over.
+    Resigned { epoch: u64 },
 }

@@ -18,6 +18,11 @@
 //! them. A request that comes again is answered from that table. The election is won only by who has
 //! the newest entry of a majority: what was answered once stays done.
 //!
+//! With hot standbys, a component that begins a new life has no state, whatever its replica knows. Such a
+//! member resigns, votes for nobody who has come less far than it knows of, and does not stand for
+//! election before it was sent the state, or has waited for twenty leases in vain. So does one whose
+//! component takes nothing any more, whatever the standbys do.
+//!
 //! The replicas keep their table in memory. A process that begins anew has forgotten it: that is one
 //! failure. What the machine promises, it promises for fewer than half of the nodes failing at a time.
 

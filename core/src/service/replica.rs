@@ -1,5 +1,6 @@
 //! One replica of a service.
 
+mod component;
 mod primary;
 mod standby;
 #[cfg(test)]
@@ -12,6 +13,7 @@ use super::{OnPartition, ReplicaConfig, StandbyKind};
 use crate::codec;
 use crate::{Instant, Machine, MessageId, NodeName, Why};
 use bytes::Bytes;
+use component::Health;
 use primary::Primary;
 use standby::Standby;
 use std::collections::{BTreeMap, VecDeque};
@@ -148,6 +150,9 @@ pub struct Replica {
     now: Instant,
     /// The component is busy with this.
     working: Option<Job>,
+    /// Since it was given that, it began a new life: what comes of it is of no account.
+    void: bool,
+    health: Health,
     refused: u64,
     outputs: VecDeque<ReplicaOutput>,
 }
@@ -177,6 +182,8 @@ impl Replica {
             jobs: VecDeque::new(),
             now,
             working: None,
+            void: false,
+            health: Health::Whole,
             refused: 0,
             outputs: VecDeque::new(),
         }
@@ -186,7 +193,15 @@ impl Replica {
     pub fn role(&self) -> Role {
         match &self.role {
             Acting::Primary(primary) => Role::Primary { epoch: primary.epoch },
-            Acting::Standby(standby) => standby.role(self.epoch, self.config.kind),
+            Acting::Standby(standby) => {
+                let kept = standby.role(self.epoch, self.config.kind);
+                match (kept, self.health) {
+                    (Role::Standby { primary, .. }, Health::Bare { .. } | Health::Gone { .. }) => {
+                        Role::Standby { primary, in_step: false }
+                    }
+                    (role, _) => role,
+                }
+            }
         }
     }
 
@@ -248,9 +263,16 @@ impl Replica {
         now: Instant,
     ) {
         self.now = now;
+        let void = std::mem::take(&mut self.void);
+        if void && result.is_ok() && !matches!(state, Some(Err(_))) {
+            self.serve_again();
+            return self.work();
+        }
         let (result, state) = self.kept(result, state);
         match self.working.take() {
             Some(Job::Serve { id, settled, request, .. }) => match (&mut self.role, result) {
+                (_, Err(Why::Stopped | Why::Isolated)) => self.handle_component_gone(now),
+                (Acting::Standby(_), _) if void => {}
                 // It was begun while this replica served: it counts, should it serve again.
                 (Acting::Standby(_), result) => self.note_late(id, result, state),
                 // It did not get that far: the same request may come again.
@@ -264,7 +286,8 @@ impl Replica {
                     self.commit_later((id, settled), request, result, state, now);
                 }
             },
-            Some(Job::Replay { .. }) | None => {}
+            Some(Job::Replay { .. }) => self.note_replayed(result, void, now),
+            None => {}
             Some(other) => self.working = Some(other),
         }
         self.work();
@@ -296,8 +319,8 @@ impl Replica {
 
     fn refuse_state(&mut self, why: &Why) {
         // That a component dies is told by others.
-        if matches!(why, Why::TooLarge { .. }) && !std::mem::replace(&mut self.state_refused, true)
-        {
+        let large = matches!(why, Why::TooLarge { .. } | Why::ReplyTooLarge { .. });
+        if large && !std::mem::replace(&mut self.state_refused, true) {
             let detail = format!(
                 "its state cannot be kept for its standbys, of which none can take over: {why}; let it \
                  be smaller, or keep large things elsewhere"
@@ -306,29 +329,13 @@ impl Replica {
         }
     }
 
-    /// A life of the component has ended, and its state with it.
-    pub fn handle_component_died(&mut self, now: Instant) {
-        match (&mut self.role, self.config.kind) {
-            (Acting::Primary(_), StandbyKind::Warm | StandbyKind::Cold) => {
-                let state = self.last_state();
-                self.jobs.push_front(Job::Load { state });
-                self.work();
-            }
-            (Acting::Primary(_), StandbyKind::Hot) => self.handle_damage(now),
-            // It has to be told everything anew.
-            (Acting::Standby(standby), StandbyKind::Hot) => {
-                standby.fall_behind();
-                self.tell_role();
-            }
-            (Acting::Standby(_), _) => {}
-        }
-    }
-
     /// The component has given its state, or could not.
     pub fn handle_saved(&mut self, state: Result<Bytes, Why>, now: Instant) {
         match self.working.take() {
             Some(Job::Save) => {
+                let void = std::mem::take(&mut self.void);
                 match state.and_then(|state| within_bounds(&state).map(|()| state)) {
+                    Ok(_) if void => {}
                     Ok(state) => self.send_snapshots(&state, now),
                     Err(why) => self.refuse_state(&why),
                 }
@@ -345,7 +352,7 @@ impl Replica {
     /// The component has taken over a state, or could not.
     pub fn handle_loaded(&mut self) {
         match self.working.take() {
-            Some(Job::Load { .. }) => {}
+            Some(Job::Load { .. }) => self.void = false,
             other => self.working = other,
         }
         self.work();
@@ -384,6 +391,7 @@ impl Replica {
             Message::Snapshot { epoch, position, state, table } => {
                 self.hear_snapshot(from, (epoch, position), state, table);
             }
+            Message::Resigned { epoch } => self.hear_resigned(from, epoch, now),
         }
     }
 
@@ -395,6 +403,9 @@ impl Replica {
     fn work(&mut self) {
         if self.working.is_some() {
             return;
+        }
+        if let Health::Gone { .. } = self.health {
+            return self.jobs.clear();
         }
         let Some(job) = self.next_job() else { return };
         self.outputs.push_back(match &job {

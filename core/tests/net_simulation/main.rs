@@ -1,5 +1,6 @@
 //! Whole networks over bad wires: what the sessions promise holds.
 
+mod lives;
 mod redundant;
 mod routing;
 mod world;

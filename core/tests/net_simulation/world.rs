@@ -62,6 +62,8 @@ pub(crate) struct World {
     pub(crate) now: Instant,
     pub(crate) random: Random,
     pub(crate) weather: Weather,
+    /// How probably one bit of a frame is changed on its way.
+    pub(crate) flips: f64,
     pub(crate) wires: Vec<Wire>,
     pub(crate) nodes: Vec<Option<Node>>,
     /// When each node wants to be woken.
@@ -71,6 +73,8 @@ pub(crate) struct World {
     pub(crate) count: u64,
     /// How often some traffic went another way.
     pub(crate) path_changes: u64,
+    /// In whose name lies were told, and by way of whom.
+    pub(crate) liars: BTreeSet<(NodeName, NodeName)>,
     pub(crate) trace: DefaultHasher,
     pub(crate) sent: BTreeMap<(usize, u64, usize), u64>,
     /// What arrived, and in which life of the receiver.
@@ -100,6 +104,7 @@ impl World {
             now: Instant::from_millis(1_000_000),
             random: Random::new(seed),
             weather,
+            flips: 0.0,
             wires,
             nodes: (0..nodes).map(|_| None).collect(),
             due: vec![None; nodes],
@@ -107,6 +112,7 @@ impl World {
             frames: BTreeMap::new(),
             count: 0,
             path_changes: 0,
+            liars: BTreeSet::new(),
             trace: DefaultHasher::new(),
             sent: BTreeMap::new(),
             delivered: BTreeMap::new(),
@@ -269,9 +275,23 @@ impl World {
             let delay = least + Duration::from_nanos(self.random.below(spread + 1));
             if !lost && !cut {
                 self.count += 1;
-                self.frames.insert((self.now + delay, self.count), (wire, 1 - side, frame.clone()));
+                let struck = self.flips > 0.0 && self.random.chance(self.flips);
+                let frame = if struck { self.strike(frame) } else { frame.clone() };
+                self.frames.insert((self.now + delay, self.count), (wire, 1 - side, frame));
             }
         }
+    }
+
+    /// Changes one bit. What an application says is for a check of its own: here all of it must be true.
+    fn strike(&mut self, frame: &Bytes) -> Bytes {
+        const DATA: u8 = 2;
+        const HEADERS: u64 = 11;
+        let mut bytes = frame.to_vec();
+        let length = bytes.len() as u64;
+        let end = if bytes[1] == DATA && length > 60 { HEADERS } else { length };
+        let bit = self.random.below(8 * end) as usize;
+        bytes[bit / 8] ^= 1 << (bit % 8);
+        bytes.into()
     }
 
     fn settle_router(&mut self, node: &mut Node) -> bool {
@@ -288,7 +308,9 @@ impl World {
                     node.links[link.0 as usize].2.handle_packet(packet);
                 }
                 RouterOutput::Segment { source, segment, .. } => {
-                    sessions.get_mut(&source).unwrap().handle_segment(segment, now);
+                    if let Some(session) = sessions.get_mut(&source) {
+                        session.handle_segment(segment, now);
+                    }
                 }
                 RouterOutput::Reachable { node: peer, incarnation, mtu } => {
                     let id = NodeId::of(&peer);
@@ -311,6 +333,10 @@ impl World {
                         session.handle_undelivered(reason, now);
                     }
                 }
+                RouterOutput::Forged { neighbour, .. } => {
+                    self.liars.insert((node.name.clone(), neighbour));
+                }
+                RouterOutput::NameTaken { .. } => {}
                 other => panic!("{other:?}"),
             }
         }

@@ -2,7 +2,7 @@
 
 use blastema::prelude::*;
 use blastema::{
-    Direction, Link, MemoryMedium, Network, NodeBuilder, OnPartition, Role, ServiceSpec,
+    Direction, Link, MemoryMedium, Network, NodeBuilder, NodeState, OnPartition, Role, ServiceSpec,
     StandbyKind, StartError, Stateful,
 };
 use blastema_testkit::{TestNode, now};
@@ -188,6 +188,65 @@ async fn what_fails_is_told_once_and_the_state_outlives_the_component() {
         assert!(matches!(died, Err(Why::PeerDied { .. })), "{kind:?}: {died:?}");
         robot.asker.advance(1000 * MS).await;
         assert_eq!(robot.add(1).await, Ok(6), "{kind:?}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_panics_while_its_standbys_hear_nothing_costs_no_acknowledged_state() {
+    for pause in [5, 20, 40, 60, 150, 400] {
+        let robot = Robot::start(StandbyKind::Hot).await;
+        for sum in 1..=3 {
+            assert_eq!(robot.add(5).await, Ok(sum * 5));
+        }
+        let first = robot.primary();
+        let others: Vec<_> = (0..3).filter(|member| *member != first).collect();
+        let counter = robot.members[first].service::<Add>("counter").unwrap();
+        let killer = counter.ask_within(Add(1000), 3000 * MS);
+        let meanwhile = async {
+            robot.asker.advance(Duration::from_micros(300)).await;
+            others.iter().for_each(|member| robot.cut(*member));
+            robot.asker.advance(pause * MS).await;
+            others.iter().for_each(|member| robot.mend(*member));
+            robot.asker.advance(2000 * MS).await;
+        };
+        let (killed, ()) = tokio::join!(killer, meanwhile);
+        assert!(killed.is_err(), "{killed:?}");
+
+        assert_eq!(robot.add(1).await, Ok(16), "after {pause} ms");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_node_at_safe_rest_gives_its_service_away_at_once() {
+    for kind in [StandbyKind::Warm, StandbyKind::Hot, StandbyKind::Cold] {
+        let robot = Robot::start(kind).await;
+        assert_eq!(robot.add(5).await, Ok(5));
+        let first = robot.primary();
+        let own = &robot.members[first];
+        for _ in 0..20 {
+            let serves = matches!(own.service_role("counter"), Some(Role::Primary { .. }));
+            if matches!(own.state(), NodeState::AtRest { .. }) {
+                break;
+            }
+            if serves {
+                let killed = robot.add(1000).await;
+                assert!(killed.is_err(), "{kind:?}: {killed:?}");
+            } else {
+                // Its component is not needed to serve to bring the node to rest.
+                let component = own.sender::<Add>("counter/replica").unwrap();
+                let _ = component.ask(Add(1000)).await;
+            }
+            robot.asker.advance(MS).await;
+        }
+        assert!(matches!(own.state(), NodeState::AtRest { .. }), "{kind:?}");
+
+        robot.asker.advance(30 * MS).await;
+        let follower = robot.primary();
+        assert_ne!(follower, first, "{kind:?}: within less than a lease");
+        let sum = if kind == StandbyKind::Cold { 1 } else { 6 };
+        assert_eq!(robot.add(1).await, Ok(sum), "{kind:?}");
+        robot.asker.advance(3000 * MS).await;
+        assert_eq!(robot.primary(), follower, "{kind:?}");
     }
 }
 

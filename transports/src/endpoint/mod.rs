@@ -28,7 +28,10 @@ use crate::unix::UnixConfig;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::net::router::MTU_MIN;
 use blastema_core::spelling::nearest;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+#[cfg(any(feature = "udp", feature = "tcp"))]
+use std::net::{IpAddr, SocketAddr};
+#[cfg(feature = "udp")]
+use std::net::{Ipv4Addr, Ipv6Addr};
 use std::ops::Range;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -39,6 +42,7 @@ const MOST_BYTES: u64 = 1 << 24;
 /// The smallest largest frame, in bytes: what routers tell each other must fit.
 const LEAST_BYTES: u64 = MTU_MIN as u64;
 /// The longest time that a setting may name.
+#[cfg(any(feature = "tcp", feature = "unix", feature = "serial"))]
 const LONGEST: Duration = Duration::from_secs(3600);
 
 /// A medium and its settings.
@@ -335,6 +339,7 @@ impl<'a> Parts<'a> {
 }
 
 /// An IP address with its port, at `at` in `text`.
+#[cfg(any(feature = "udp", feature = "tcp"))]
 fn ip(text: &str, at: Range<usize>, found: &str) -> Result<SocketAddr, EndpointError> {
     if let Ok(address) = found.parse() {
         return Ok(address);
@@ -546,6 +551,7 @@ fn memory(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     Ok(Endpoint::Memory(parts.place.to_owned()))
 }
 
+#[cfg(any(feature = "udp", feature = "serial"))]
 fn largest_frame(settings: &mut Settings<'_>, most: u64) -> Result<Option<usize>, EndpointError> {
     let mut mtu = 0;
     settings.number("mtu", LEAST_BYTES..=most, &mut mtu)?;

@@ -119,6 +119,7 @@ impl<'a> Settings<'a> {
     }
 
     /// Puts one of several words' meanings in place of `target`, if one is given.
+    #[cfg(feature = "serial")]
     pub(super) fn choice<T: Copy>(
         &mut self,
         key: &'static str,
@@ -132,6 +133,7 @@ impl<'a> Settings<'a> {
     }
 
     /// The name of an interface of the system.
+    #[cfg(any(feature = "udp", feature = "tcp"))]
     pub(super) fn interface(&mut self) -> Result<Option<String>, EndpointError> {
         let expected = "the name of an interface, as in eth0: 1 to 15 letters without slash";
         self.take("interface", expected, |text| is_interface(text).then(|| text.to_owned()))

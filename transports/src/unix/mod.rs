@@ -12,6 +12,7 @@ mod config;
 mod socket;
 
 pub use self::config::UnixConfig;
+pub use crate::stream::framing;
 
 use self::socket::{PathListener, dial, explain, greet, introduce};
 use crate::medium::{Medium, transport};

@@ -138,7 +138,8 @@ impl Director {
         }
         // First of all, so that no signal finds processes that nobody would end.
         let signals = Signals::catch()?;
-        let wiring = Wiring::choose().map_err(system("no free port on the loopback addresses"))?;
+        let wiring = Wiring::choose()
+            .map_err(system("the loopback addresses cannot be used (is the interface lo up?)"))?;
         let mut director = Director {
             story: Story::new(plan, Moment::now()),
             news: VecDeque::new(),
@@ -374,6 +375,15 @@ impl Director {
     fn not_together(&self, text: String) -> DemoError {
         let said = self.crew.iter().filter(|(_, member)| !member.reason.is_empty());
         let said = said.map(|(module, member)| format!("{module}: {}", member.reason));
+        let is_mute = |module: &Module, member: &Member| {
+            let ready = self.story.known.module(*module).is_some_and(|known| known.ready);
+            member.reason.is_empty() && !ready
+        };
+        let mute = self.crew.iter().filter(|(module, member)| is_mute(module, member));
+        let mute = mute.map(|(module, _)| {
+            format!("{module} cannot say why: see whether `ulimit -u` leaves it threads")
+        });
+        let said = said.chain(mute);
         DemoError::NotTogether(std::iter::once(text).chain(said).collect::<Vec<_>>().join("; "))
     }
 

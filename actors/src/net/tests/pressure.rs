@@ -193,7 +193,9 @@ fn a_restart_of_the_slow_object_costs_the_message_that_killed_it_and_no_other() 
         tokio::join!(deliver_all(&jobs, all), restart);
 
         assert_eq!(log.take(), (500..1500).collect::<Vec<_>>());
-        assert_eq!(lost([&left, &right]), [0, 0]);
+        assert_eq!(lost([&left, &right]), [0, 1]);
+        let name = ObjectName::new("slow").unwrap();
+        assert_eq!(right.host.dead_letters.count(&name, DeadReason::PeerDied), 1);
     });
 }
 

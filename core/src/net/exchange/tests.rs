@@ -386,7 +386,7 @@ fn an_object_without_room_is_told_of_once_however_many_bindings_lead_there() {
     let full = ExchangeOutput::ObjectFull { peer, object: object.clone() };
     let room = ExchangeOutput::ObjectRoom { peer, object };
 
-    assert_eq!(says(numbers[0], false), [full.clone()]);
+    assert_eq!(says(numbers[0], false), std::slice::from_ref(&full));
     assert_eq!(says(numbers[1], false), []);
     assert_eq!(says(numbers[0], true), []);
     assert_eq!(says(numbers[1], true), [room]);

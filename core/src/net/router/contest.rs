@@ -71,7 +71,7 @@ impl Router {
         let Stamp { origin, incarnation, .. } = contender;
         if origin == self.id {
             if incarnation > self.own.stamp.incarnation {
-                self.defend(incarnation);
+                self.defend(incarnation, true);
             }
             return;
         }
@@ -88,9 +88,29 @@ impl Router {
         self.tell_all(&Routing::Dispute { contender, node }, Some(from));
     }
 
-    /// Another node of our name is there, of a later life: we were first.
-    pub(super) fn defend(&mut self, against: Incarnation) {
-        if self.usurper != Some(against) {
+    /// Whether somebody who has our name, and a greater life, says something new. What an earlier life of
+    /// ours has said, before the clock that numbers lives was set back, others can only repeat.
+    pub(super) fn is_more_than_a_rumour(&mut self, theirs: Stamp) -> bool {
+        match self.rumour {
+            Some((known, since)) if known.incarnation == theirs.incarnation => {
+                // Until then, others may have known different words of it.
+                let settled = self.now >= since + Self::DEFEND_WITHIN;
+                let newer = known.sequence < theirs.sequence;
+                if newer {
+                    self.rumour = Some((theirs, since));
+                }
+                newer && settled
+            }
+            _ => {
+                self.rumour = Some((theirs, self.now));
+                false
+            }
+        }
+    }
+
+    /// Another node of our name, of a later life, is there, or was: it is for us to say that we are.
+    pub(super) fn defend(&mut self, against: Incarnation, alive: bool) {
+        if alive && self.usurper != Some(against) {
             self.usurper = Some(against);
             let (incarnation, first) = (against, true);
             self.outputs.push_back(RouterOutput::NameTaken { incarnation, first });

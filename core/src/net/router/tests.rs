@@ -33,7 +33,8 @@ fn up(neighbour: &str, cost: u16) -> LinkStatus {
 fn advertisement(node: &str, sequence: u32, edges: &[(&str, u16)]) -> Advertisement {
     let stamp = Stamp { origin: id(node), incarnation: Incarnation(1), sequence };
     let edge = |(to, cost): &(&str, u16)| Edge { to: id(to), cost: *cost, mtu: 1400 };
-    Advertisement { stamp, node: named(node), edges: edges.iter().map(edge).collect() }
+    let edges = edges.iter().map(edge).collect();
+    Advertisement { stamp, node: named(node), edges, withdrawn: false }
 }
 
 fn tell(router: &mut Router, link: LinkNumber, told: Advertisement, now: u64) {
@@ -375,16 +376,21 @@ fn a_router_built_anew_counts_on_and_tells_what_it_cannot_find_again() {
 }
 
 #[test]
-fn a_second_node_of_our_name_is_told_once() {
+fn a_second_node_of_our_name_is_told_once_and_an_earlier_life_of_ours_never() {
     let mut router = between_two();
     let mut usurper = advertisement("own", 1, &[]);
     usurper.stamp.incarnation = Incarnation(9);
 
-    for now in [1020, 1030, 1040] {
+    for now in [1020, 1030, 1040, 3000] {
+        tell(&mut router, FIRST, usurper.clone(), now);
+        assert_eq!(without_routing(outputs(&mut router, now)), [], "it is only repeated");
+    }
+    for now in [3020, 3030, 3040] {
+        usurper.stamp.sequence += 1;
         tell(&mut router, FIRST, usurper.clone(), now);
     }
 
-    let told = without_routing(outputs(&mut router, 1050));
+    let told = without_routing(outputs(&mut router, 3050));
     assert_eq!(told, [RouterOutput::NameTaken { incarnation: Incarnation(9), first: true }]);
 }
 
@@ -456,4 +462,70 @@ fn no_way_leads_over_a_far_node_that_is_isolated() {
     router.handle_isolation(&named("middle"), false, at(1040));
     outputs(&mut router, 1050);
     assert!(router.route(id("far")).is_some());
+}
+
+#[test]
+fn what_was_said_in_our_name_under_the_highest_number_is_withdrawn_and_counting_begins_anew() {
+    let mut router = between_two();
+
+    tell(&mut router, FIRST, advertisement("own", u32::MAX, &[("nowhere", 1)]), 1020);
+
+    for link in [FIRST, SECOND] {
+        let told = announced(&outputs(&mut router, 1020), link);
+        if told.is_empty() {
+            continue;
+        }
+        let own: Vec<_> = told.iter().filter(|told| told.node == named("own")).collect();
+        assert!(own[0].withdrawn && own[0].stamp.sequence == u32::MAX, "{own:?}");
+        assert_eq!((own[1].stamp.sequence, own[1].edges.len()), (1, 2));
+    }
+    assert_eq!(router.refusals().forged, 1);
+}
+
+#[test]
+fn a_router_that_has_counted_to_the_end_withdraws_its_last_word_first() {
+    let mut router = between_two();
+    router.own.stamp.sequence = u32::MAX;
+
+    router.handle_link(SECOND, up("right", 7), at(1030));
+
+    let told = announced(&outputs(&mut router, 1030), FIRST);
+    let own: Vec<_> = told.iter().map(|own| (own.withdrawn, own.stamp.sequence)).collect();
+    assert_eq!(own[..2], [(true, u32::MAX), (false, 1)]);
+}
+
+#[test]
+fn of_two_announcements_with_one_number_everybody_takes_the_same() {
+    let (one, other) = ([("left", 1), ("right", 1)], [("left", 1), ("right", 9)]);
+    for (first, second) in [(one, other), (other, one)] {
+        let mut router = between_two();
+        tell(&mut router, FIRST, advertisement("far", 2, &first), 1020);
+        outputs(&mut router, 1030);
+        tell(&mut router, SECOND, advertisement("far", 2, &second), 1040);
+        outputs(&mut router, 1050);
+        let known = router.advertisement(id("far")).unwrap().edges.iter().map(|edge| edge.cost);
+        assert_eq!(known.max(), Some(9));
+    }
+}
+
+#[test]
+fn what_is_withdrawn_counts_for_a_moment_and_then_no_longer() {
+    let mut router = between_two();
+    let withdrawal = advertisement("far", 1, &[]).withdrawal();
+
+    tell(&mut router, FIRST, withdrawal.clone(), 1020);
+
+    let passed_on = outputs(&mut router, 1030);
+    assert!(announced(&passed_on, SECOND).contains(&withdrawal));
+    assert_eq!(without_routing(passed_on), []);
+    let lost = without_routing(outputs(&mut router, 1071));
+    assert!(matches!(lost.last(), Some(RouterOutput::Lost { node, .. }) if *node == named("far")));
+    // A repetition of what is void does not bring it back; whatever else the origin says does.
+    tell(&mut router, FIRST, advertisement("far", 1, &[("left", 1), ("right", 1)]), 1080);
+    assert_eq!(without_routing(outputs(&mut router, 1090)), []);
+    let mut again = advertisement("far", 1, &[("left", 1), ("right", 1)]);
+    again.stamp.incarnation = Incarnation(0);
+    tell(&mut router, FIRST, again, 1100);
+    let back = |told: &RouterOutput| matches!(told, RouterOutput::Reachable { node, .. } if *node == named("far"));
+    assert!(outputs(&mut router, 1110).iter().any(back));
 }

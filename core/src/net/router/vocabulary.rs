@@ -129,6 +129,13 @@ pub enum RouterOutput {
         /// In which of its lives.
         incarnation: Incarnation,
     },
+    /// Again and again somebody announces links in this node's name. It is outdone each time.
+    Forged {
+        /// Who passed it on, and may have done so in good faith.
+        neighbour: NodeName,
+        /// How often within ten seconds.
+        times: u32,
+    },
     /// Two names give one node number. The second is ignored; give it another name.
     NumberTaken {
         /// Who has it.

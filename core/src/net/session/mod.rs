@@ -44,7 +44,7 @@ use self::inbound::Inbound;
 use self::outbound::Outbound;
 use self::replicas::Replicas;
 use self::round_trip::RoundTrip;
-use super::packet::Class;
+use super::packet::{Class, Undelivered};
 use super::segment::{Data, Datagram, Segment, Stream};
 use super::wire::Refusals;
 use crate::{Incarnation, Instant, Machine, Why};
@@ -84,6 +84,8 @@ pub struct Session {
     pieces: Assembly<(Stream, u64)>,
     best_effort: BestEffort,
     replicas: Replicas,
+    /// Why something of ours last came back, since the peer last spoke.
+    returned: Option<Undelivered>,
     now: Instant,
     counters: SessionCounters,
     refusals: Refusals,
@@ -175,6 +177,7 @@ impl Session {
                 Assembly::new(assembly, Self::ASSEMBLY_PATIENCE),
             ),
             replicas: Replicas::default(),
+            returned: None,
             now,
             counters: SessionCounters::default(),
             refusals: Refusals::default(),
@@ -289,10 +292,6 @@ impl Session {
         }
     }
 
-    fn unreachable(&self) -> Why {
-        Why::Unreachable { node: self.config.peer.to_string() }
-    }
-
     /// The router has found a path, or another one: opens a session, or repeats at once what is not
     /// acknowledged. `mtu` is the largest segment that the path carries.
     pub fn handle_path(&mut self, mtu: usize, now: Instant) {
@@ -381,6 +380,7 @@ impl Session {
     /// A segment from the peer's node arrived.
     pub fn handle_segment(&mut self, segment: Bytes, now: Instant) {
         self.now = now;
+        self.returned = None;
         match Segment::decode(segment) {
             Ok(Segment::Open(open)) => self.handle_open(open),
             Ok(Segment::Reset { tag }) => self.handle_reset(tag),

@@ -701,3 +701,33 @@ fn a_line_of_9600_baud_carries_everything_once_and_small_messages_do_not_wait_lo
     let parts = Duration::from_secs_f64(4.0 * 600.0 / 960.0);
     assert!(pair.ends[0].round_trip().unwrap() < parts, "{:?}", pair.ends[0].round_trip());
 }
+
+#[test]
+fn whoever_cannot_be_reached_because_packets_come_back_is_told_why_and_what_to_do() {
+    let cases = [
+        (Undelivered::NoRoute, None),
+        (Undelivered::TooManyHops, Some("too many nodes have passed it on; the path is too long")),
+        (Undelivered::TooLarge, Some("larger than the next link can carry; let the links")),
+    ];
+    for (reason, expected) in cases {
+        let mut pair = Pair::open();
+        pair.lose = Box::new(|_, _| true);
+        pair.ends[0].handle_send(Stream::Data, text("lost"), at(pair.now)).unwrap();
+        pair.run(50);
+        pair.ends[0].handle_undelivered(reason, at(pair.now));
+        pair.run(10_000);
+
+        let ended = pair.take(0).into_iter().find_map(|output| match output {
+            SessionOutput::Ended { why, .. } => Some(why),
+            _ => None,
+        });
+        match (ended.expect("the session ends"), expected) {
+            (Why::Unreachable { .. }, None) => {}
+            (Why::Undelivered { node, reason }, Some(expected)) => {
+                assert_eq!(node, "right");
+                assert!(reason.contains(expected), "{reason}");
+            }
+            (other, _) => panic!("{reason:?}: {other}"),
+        }
+    }
+}

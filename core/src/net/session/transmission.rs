@@ -3,9 +3,9 @@
 use super::assembly::pieces_of;
 use super::outbound::Part;
 use super::{STREAMS, Session, SessionConfig, SessionOutput, State, lane};
-use crate::Instant;
 use crate::net::packet::{Class, Undelivered};
 use crate::net::segment::{Ack, DATA_HEADER, Data, Segment, Stream};
+use crate::{Instant, Why};
 
 /// Which stream goes first when several wait.
 const BY_URGENCY: [Stream; 3] = [Stream::Control, Stream::Redundant, Stream::Data];
@@ -17,8 +17,20 @@ impl Session {
         self.now = now;
         self.counters.returned += 1;
         self.counters.last_return = Some(reason);
+        self.returned = Some(reason);
         let soon = now + self.config.retransmit_min;
         self.retransmit_at = self.retransmit_at.map(|lane| lane.map(|at| at.min(soon)));
+    }
+
+    /// Why the peer cannot be reached, as far as somebody has said.
+    pub(super) fn unreachable(&self) -> Why {
+        let node = self.config.peer.to_string();
+        match self.returned {
+            None | Some(Undelivered::NoRoute) => Why::Unreachable { node },
+            Some(reason) => {
+                Why::Undelivered { node, reason: format!("{reason}; {}", reason.advice()) }
+            }
+        }
     }
 
     /// Parts on their way of the streams that share this lane.

@@ -19,8 +19,8 @@ pub(super) struct Primary {
     /// Replies that are held back, in order.
     held: VecDeque<(Position, MessageId, Instant)>,
     began: Instant,
-    /// The component has lost its state: somebody else is to serve as soon as all is answered.
-    damaged: bool,
+    /// How far everything was answered.
+    pub(super) released: Position,
 }
 
 /// What the primary knows of a standby.
@@ -44,7 +44,7 @@ enum Step {
 }
 
 impl Primary {
-    fn new(epoch: u64, now: Instant) -> Self {
+    fn new(epoch: u64, released: Position, now: Instant) -> Self {
         Primary {
             epoch,
             hello_at: now,
@@ -54,7 +54,7 @@ impl Primary {
             waiting: BTreeMap::new(),
             held: VecDeque::new(),
             began: now,
-            damaged: false,
+            released,
         }
     }
 
@@ -95,7 +95,7 @@ impl Replica {
         in_step: impl IntoIterator<Item = NodeName>,
         now: Instant,
     ) {
-        let mut primary = Primary::new(epoch, asked);
+        let mut primary = Primary::new(epoch, self.position, asked);
         let position = self.position;
         let abreast = Follower { promised: asked, step: Step::Abreast, position };
         primary.standbys.extend(in_step.into_iter().map(|node| (node, abreast)));
@@ -111,9 +111,14 @@ impl Replica {
                 let state = self.last_state();
                 self.jobs.push_back(Job::Load { state });
             }
-            // It has executed everything already, or is about to.
-            StandbyKind::Hot => {}
+            StandbyKind::Hot => {
+                // It has executed everything already, or is about to; or else nobody has.
+                if let Health::Bare { .. } = self.health {
+                    self.jobs.push_back(Job::Load { state: self.initial.clone() });
+                }
+            }
         }
+        self.health = Health::Whole;
         self.work();
         self.say_hello(now);
     }
@@ -189,9 +194,6 @@ impl Replica {
     /// The component's state as it is now, for everybody who is behind.
     pub(super) fn send_snapshots(&mut self, state: &Bytes, now: Instant) {
         let Acting::Primary(primary) = &mut self.role else { return };
-        if primary.damaged {
-            return;
-        }
         let (epoch, position) = (primary.epoch, self.position);
         let mut late = Vec::new();
         for (node, follower) in &mut primary.standbys {
@@ -207,14 +209,6 @@ impl Replica {
         let (state, table) = (kept.unwrap_or(state).to_vec(), self.table.clone());
         let snapshot = Message::Snapshot { epoch, position, state, table };
         late.iter().for_each(|node| self.send(node, &snapshot));
-    }
-
-    /// The component has lost its state. Where standbys have it, one of them is to serve.
-    pub(super) fn handle_damage(&mut self, now: Instant) {
-        if let Acting::Primary(primary) = &mut self.role {
-            primary.damaged = true;
-        }
-        self.release(now);
     }
 
     /// A request has been executed: whoever is in step has to know before its caller does.
@@ -284,9 +278,9 @@ impl Replica {
                 }
             }
             primary.held.pop_front();
+            primary.released = position;
             answers.extend(primary.waiting.remove(&id).map(|caller| (caller, id)));
         }
-        let leaves = primary.damaged && primary.held.is_empty();
         for (caller, id) in answers {
             let outcome = match self.table.find(id) {
                 Some(served) => ServiceOutcome::Served(served.result.clone().map(Bytes::from)),
@@ -294,9 +288,6 @@ impl Replica {
                 None => ServiceOutcome::Refused(Why::Expired),
             };
             self.answer(caller, outcome);
-        }
-        if leaves {
-            self.step_down(None, now);
         }
     }
 }

@@ -72,6 +72,17 @@ impl Standby {
         Role::Standby { in_step: knows && primary.is_some(), primary }
     }
 
+    /// Whom we promised to vote for, serves no more.
+    pub(super) fn release_promise(&mut self, now: Instant) {
+        self.promised_until = self.promised_until.min(now);
+    }
+
+    /// Nobody is waited for that could not serve meanwhile.
+    pub(super) fn hurry(&mut self, config: &ReplicaConfig, now: Instant) {
+        let turn = turn(config, self.primary.as_ref());
+        self.claim_at = self.claim_at.min(self.promised_until.max(now) + turn);
+    }
+
     /// What this replica has is not what the primary has.
     pub(super) fn fall_behind(&mut self) {
         self.in_step = None;
@@ -114,6 +125,7 @@ impl Replica {
             self.step_down(Some(from.clone()), now);
         }
         self.see(epoch);
+        self.wait_for_state(now);
         let (telling, own) = (self.tells_by_position(), self.position);
         let Acting::Standby(standby) = &mut self.role else { return };
         if telling && standby.whole && position == own {
@@ -135,9 +147,14 @@ impl Replica {
     /// Nobody serves: this replica offers to.
     pub(super) fn claim(&mut self, now: Instant) {
         let again = self.config.hello_interval + turn(&self.config, None);
+        let barred = self.barred_until(now);
         let Acting::Standby(standby) = &mut self.role else { return };
         standby.claim_at = now + again;
         standby.primary = None;
+        if let Some(until) = barred {
+            standby.claim_at = until;
+            return self.tell_role();
+        }
         if self.config.depends && !std::mem::take(&mut standby.ready) {
             if !std::mem::replace(&mut standby.inquiring, true) {
                 self.outputs.push_back(ReplicaOutput::Inquire);
@@ -172,8 +189,14 @@ impl Replica {
         if epoch <= voted {
             return self.send(from, &Message::Voted { epoch: voted });
         }
+        let barred = self.barred_until(now);
         let Acting::Standby(standby) = &mut self.role else { return };
         if position < self.position {
+            if barred.is_some() {
+                // Somebody else may know of more, and has it.
+                self.claimed = self.claimed.max(epoch);
+                return;
+            }
             // We know of more: it is our turn.
             standby.claim_at = standby.claim_at.min(standby.promised_until.max(now));
             self.claimed = self.claimed.max(epoch);
@@ -193,6 +216,20 @@ impl Replica {
         }
         self.see(epoch);
         self.send(from, &Message::Vote { epoch, in_step });
+    }
+
+    /// The primary serves no more, and says so.
+    pub(super) fn hear_resigned(&mut self, from: &NodeName, epoch: u64, now: Instant) {
+        let Acting::Standby(standby) = &mut self.role else { return };
+        // Since then, a promise may have been made to somebody else.
+        if epoch != self.epoch || standby.primary.as_ref() != Some(from) {
+            return;
+        }
+        standby.release_promise(now);
+        standby.hurry(&self.config, now);
+        standby.primary = None;
+        self.tell_role();
+        self.handle_timeout(now);
     }
 
     /// Our promise is over, and somebody claims.
@@ -290,6 +327,9 @@ impl Replica {
         }
         standby.in_step = Some(epoch);
         standby.whole = true;
+        if let Health::Bare { .. } = self.health {
+            self.health = Health::Whole;
+        }
         self.see(epoch);
         self.position = position;
         self.table = table.bounded();

@@ -1,0 +1,59 @@
+//! Neighbours that never come, and ways that are not left.
+
+use super::*;
+use blastema_contract::strategy::Reroute;
+use blastema_core::Place;
+
+fn right() -> NodeName {
+    NodeName::new("right").unwrap()
+}
+
+#[test]
+fn a_neighbour_that_never_comes_is_told_five_seconds_after_the_start_and_until_it_comes() {
+    paused(async {
+        let mut robot = Robot::default();
+        let left = robot.module("left", 1, &[("ethernet", &["right"])]).await;
+        for _ in 0..50 {
+            advance(100 * MS).await;
+        }
+        assert_eq!(left.links.drain(), []);
+
+        advance(500 * MS).await;
+
+        let told = left.links.expect().await;
+        assert_eq!(told.neighbour, Some(right()));
+        let LinkCondition::Down { reason } = told.condition else { panic!("{told:?}") };
+        assert!(reason.starts_with("never heard since the start"), "{reason}");
+        assert!(reason.contains("ethernet/right"), "{reason}");
+        let _right = robot.module("right", 1, &[("ethernet", &["left"])]).await;
+        advance(500 * MS).await;
+        assert_eq!(left.links.expect().await.condition, LinkCondition::Up);
+    });
+}
+
+#[test]
+fn another_way_is_promised_where_one_is_left_and_is_connected_no_longer_than_one_is() {
+    paused(async {
+        let (robot, left, _right) = pair().await;
+        let ask = || left.net.reroute().send(Reroute { place: Place::Node(right()) });
+        let peer = right();
+        let connected = || tokio::time::timeout(MS, left.net.connected(&peer));
+        robot.cut("ethernet/left");
+        advance(300 * MS).await;
+        assert!(ask().await.unwrap().is_ok());
+        assert!(connected().await.is_ok());
+
+        // Its last hello is 100 ms old and more, but not 175: perhaps it is only late.
+        robot.cut("ieee1394/left");
+        advance(120 * MS).await;
+        let asked = ask();
+        advance(200 * MS).await;
+
+        assert!(asked.await.unwrap().is_err());
+        assert!(ask().await.unwrap().is_err());
+        assert!(connected().await.is_err(), "although the session still waits for a path");
+        robot.restore("ieee1394/left");
+        advance(800 * MS).await;
+        assert!(connected().await.is_ok());
+    });
+}
