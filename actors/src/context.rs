@@ -230,16 +230,23 @@ impl<C: Component> Context<C> {
     }
 
     /// Reports a fault that the component found in itself or in its data. It goes on working.
+    ///
+    /// A code of the application's own that the plan has no answer to is reported with the codes that it
+    /// has, and only observed: see [the manual](crate::manual::faults).
     pub fn declare_fault(&self, kind: FaultKind, detail: impl Into<String>) {
         if pulse::forbidden() == Some(Why::Fenced) {
             return;
+        }
+        let mut detail = detail.into();
+        if let FaultKind::Custom(code) = &kind {
+            detail = self.anchor.record.environment.checked_detail(code, detail);
         }
         if let Some(faults) = &self.anchor.record.environment.reports.faults {
             faults.do_send(FaultDeclared {
                 object: self.name().clone(),
                 incarnation: self.incarnation(),
                 kind,
-                detail: detail.into(),
+                detail,
             });
         }
     }

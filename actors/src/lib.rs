@@ -47,7 +47,7 @@
 //!     let laser: Sender<Nearest> = node.sender("laser")?;
 //!
 //!     if let Err(error) = laser.ask(Nearest { within: 0.0 }).await {
-//!         println!("{error}"); // … the receiver died in its life 1 while it served this message
+//!         println!("{error}"); // … the receiver died in its life #1 while it served this message
 //!     }
 //!     println!("{} m", laser.ask(Nearest { within: 0.1 }).await?);
 //!     Ok(())
@@ -77,6 +77,8 @@
 // The derives write `::blastema`, also where they are used within it.
 #[cfg(test)]
 extern crate self as blastema;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 mod asking;
 mod chain;
@@ -123,6 +125,7 @@ pub use context::{Context, LongOperation};
 pub use host::life::TimerId;
 pub use host::spec::{ChildSpec, SpecError};
 pub use lane::WhenFull;
+pub use platform::sleep;
 pub use ports::{ListenPort, Ports};
 
 // Sending, and what becomes of messages.
@@ -188,13 +191,16 @@ pub mod prelude {
     pub use crate::{
         ActorRef, ChildSpec, Component, Context, Event, Failure, FaultKind, Handle, Node,
         NodeState, Outcome, Ports, Publisher, Request, Sender, StartError, Structure,
-        SupervisorSpec, Variable, VariableRef, VariableSpec, WhenFull, Why,
+        SupervisorSpec, Variable, VariableRef, VariableSpec, WhenFull, Why, sleep,
     };
 }
 
 /// Runs a future on this thread until it is done, with everything that nodes need around it.
 ///
-/// `#[blastema::main]` does the same to a whole program.
+/// `#[blastema::main]` does the same to a whole program. One that prints and whose reader has gone, as
+/// `head` does, ends with the status 141 and without a word, like other programs.
 pub fn run<F: Future>(future: F) -> F::Output {
-    actix_rt::System::new().block_on(future)
+    panics::install_hook();
+    let running = AssertUnwindSafe(|| actix_rt::System::new().block_on(future));
+    catch_unwind(running).unwrap_or_else(|payload| panics::end_of_program(payload))
 }

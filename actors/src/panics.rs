@@ -40,13 +40,34 @@ pub(crate) fn install_hook() {
         let previous = panic::take_hook();
         panic::set_hook(Box::new(move |info| {
             if GUARDED.try_with(Cell::get).unwrap_or(0) == 0 {
-                return previous(info);
+                // Whoever read has gone on purpose, as `head` does: `end_of_program` says so by its status.
+                if !is_reader_gone(info.payload()) {
+                    previous(info);
+                }
+                return;
             }
             if let Some(at) = info.location() {
                 PLACE.with_borrow_mut(|place| *place = format!("{}:{}", at.file(), at.line()));
             }
         }));
     });
+}
+
+/// Whether this is the panic of `println!` where nobody reads standard output any more.
+fn is_reader_gone(payload: &(dyn Any + Send)) -> bool {
+    payload.downcast_ref::<String>().is_some_and(|text| {
+        text.starts_with("failed printing to stdout") && text.contains("Broken pipe")
+    })
+}
+
+/// What a panic that ends a program becomes: the end of a Unix program whose reader has gone, or itself.
+pub(crate) fn end_of_program(payload: Box<dyn Any + Send>) -> ! {
+    /// 128 and the number of SIGPIPE, as a shell says it.
+    const READER_GONE: i32 = 141;
+    if is_reader_gone(&*payload) {
+        std::process::exit(READER_GONE);
+    }
+    panic::resume_unwind(payload)
 }
 
 /// The file and line of this thread's last guarded panic.

@@ -41,6 +41,13 @@ pub fn now() -> Instant {
     }
 }
 
+/// Waits for so long on this thread's clock, and keeps nobody else from the thread.
+///
+/// In a component, [a timer](crate::Context::after) leaves it free to serve meanwhile.
+pub async fn sleep(span: Duration) {
+    tokio::time::sleep(span).await;
+}
+
 /// What tokio's timers call `at`.
 pub(crate) fn timer_at(at: Instant) -> tokio::time::Instant {
     let (origin, both) = (origin(), Instant::from_nanos(origin().monotonic_nanos));

@@ -11,7 +11,7 @@ use crate::host::anchor::Anchor;
 use crate::letter::arrived_posting_time;
 use crate::reply::{Answer, Reply};
 use crate::sender::{Inlet, RequestError, SendError, Sender};
-use blastema_contract::reports::FaultDeclared;
+use blastema_contract::reports::{FaultDeclared, FaultMended};
 use blastema_core::net::NodeId;
 use blastema_core::{
     Contract, ContractIdentity, FaultKind, Former, Incarnation, Instant, MessageId, NodeName,
@@ -82,6 +82,9 @@ pub(crate) trait Doorway: Send + Sync {
 
     /// Reports a fault that was found at the door, such as a caller with another contract.
     fn declare(&self, kind: FaultKind, detail: String);
+
+    /// What was declared of the object is over.
+    fn mend(&self, _kind: FaultKind) {}
 }
 
 /// The ways to objects of other nodes, provided by the network.
@@ -252,6 +255,14 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
         if let Some(faults) = &record.environment.reports.faults {
             let (object, incarnation) = (record.name.clone(), record.incarnation());
             faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        }
+    }
+
+    fn mend(&self, kind: FaultKind) {
+        let record = &self.anchor.record;
+        if let Some(mended) = &record.environment.reports.mended {
+            let (object, incarnation) = (record.name.clone(), record.incarnation());
+            mended.do_send(FaultMended { object, incarnation, kind });
         }
     }
 }

@@ -43,6 +43,8 @@ pub enum FaultKind {
     /// Two have one name: two nodes, or two claimants that were out of each other's sight; or two nodes have
     /// one address on a bus.
     NameTaken,
+    /// Whoever commanded an actuator went without giving it back, and nobody has claimed it since.
+    CommanderGone,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -60,7 +62,7 @@ pub enum Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 16] = [
+    pub const BUILT_IN: [FaultKind; 17] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -77,9 +79,10 @@ impl FaultKind {
         FaultKind::RestartStorm,
         FaultKind::NodeFaulty,
         FaultKind::NameTaken,
+        FaultKind::CommanderGone,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B16`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B17`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -99,6 +102,7 @@ impl FaultKind {
             FaultKind::RestartStorm => "B14",
             FaultKind::NodeFaulty => "B15",
             FaultKind::NameTaken => "B16",
+            FaultKind::CommanderGone => "B17",
             FaultKind::Custom(code) => code,
         }
     }
@@ -122,6 +126,7 @@ impl FaultKind {
             FaultKind::RestartStorm => "restart storm",
             FaultKind::NodeFaulty => "node faulty",
             FaultKind::NameTaken => "name taken",
+            FaultKind::CommanderGone => "commander gone",
             FaultKind::Custom(code) => code,
         }
     }
@@ -129,9 +134,10 @@ impl FaultKind {
     /// How bad it is unless the plan says otherwise.
     pub fn severity(&self) -> Severity {
         match self {
-            FaultKind::Overload | FaultKind::LinkDegraded | FaultKind::CheckFailed => {
-                Severity::Warning
-            }
+            FaultKind::Overload
+            | FaultKind::LinkDegraded
+            | FaultKind::CheckFailed
+            | FaultKind::CommanderGone => Severity::Warning,
             FaultKind::Fatal
             | FaultKind::NodeLost
             | FaultKind::RestartStorm
@@ -181,6 +187,13 @@ impl fmt::Display for Place {
 /// One fault's number, given by the detector of the node that found it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct FaultId(pub u64);
+
+impl fmt::Display for FaultId {
+    /// As in `fault 7`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "fault {}", self.0)
+    }
+}
 
 /// A fault that was found: what, where, since when, and how often since.
 #[derive(Clone, Debug, PartialEq)]

@@ -44,7 +44,7 @@ pub enum NameError {
 
 fn check(text: &str, limit: usize, slashes: bool) -> Result<(), NameError> {
     if text.len() > limit {
-        let beginning = text.chars().take(24).collect();
+        let beginning: String = text.chars().take(24).chain(['…']).collect();
         return Err(NameError::TooLong { text: beginning, length: text.len(), limit });
     }
     if text.is_empty() || (slashes && text.split('/').any(str::is_empty)) {
@@ -190,7 +190,8 @@ mod tests {
         assert_eq!(wrong, NameError::Character { text: "arm/le ft".into(), found: ' ', at: 6 });
         assert!(matches!(ObjectName::new("arm//left"), Err(NameError::Empty { .. })));
         assert!(matches!(NodeName::new("arm/left"), Err(NameError::Character { at: 3, .. })));
-        assert!(matches!(NodeName::new(&"n".repeat(33)), Err(NameError::TooLong { .. })));
+        let long = NodeName::new(&"n".repeat(33)).unwrap_err().to_string();
+        assert!(long.starts_with(&format!("\"{}…\" has 33 bytes", "n".repeat(24))), "{long}");
         assert!(matches!("module1".parse::<ObjectAddress>(), Err(NameError::Empty { .. })));
     }
 }

@@ -58,7 +58,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("-- the cable is cut");
     node.cable("ethernet").expect("it was described with faults").cut(Direction::Both, false);
     while let Some(event) = faults.next().await {
-        if event.fault.kind == FaultKind::CheckFailed {
+        if event.fault.kind == FaultKind::CommanderGone {
             break; // the commander has gone
         }
     }

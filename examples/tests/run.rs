@@ -261,3 +261,19 @@ fn standby_goes_on_counting_when_the_node_that_serves_is_cut_off() {
         ],
     );
 }
+
+#[test]
+fn an_example_whose_reader_has_gone_ends_without_a_word() {
+    let mut child = Command::new(program("hello"))
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the example can be started");
+    drop(child.stdout.take());
+
+    let output = child.wait_with_output().expect("it was started here");
+
+    assert_eq!(output.status.code(), Some(141), "as after SIGPIPE");
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+}

@@ -22,13 +22,24 @@ Exit status:
     version,
     about = "Fault-tolerant middleware for robots",
     long_about = "Fault-tolerant middleware for robots.\n\n\
-        Without a command, `blastema demo` is run.",
+        Without a command, `blastema demo` is run, with its options.",
+    args_conflicts_with_subcommands = true,
     after_help = EXIT_STATUS
 )]
 pub(crate) struct Arguments {
     /// What is to be done; the demonstration, if nothing is said.
     #[command(subcommand)]
-    pub(crate) job: Option<Job>,
+    job: Option<Job>,
+    /// The demonstration's options may stand without its name.
+    #[command(flatten)]
+    demo: DemoOptions,
+}
+
+impl Arguments {
+    /// The job that is meant.
+    pub(crate) fn into_job(self) -> Job {
+        self.job.unwrap_or(Job::Demo(self.demo))
+    }
 }
 
 /// What the program can do.
@@ -47,12 +58,6 @@ pub(crate) enum Job {
     Module(ModuleOptions),
 }
 
-impl Default for Job {
-    fn default() -> Self {
-        Job::Demo(DemoOptions::default())
-    }
-}
-
 /// How the demonstration is to be run.
 #[derive(Args, Clone, Debug, PartialEq)]
 pub(crate) struct DemoOptions {
@@ -62,19 +67,13 @@ pub(crate) struct DemoOptions {
     /// Decides at which moments, and with --chaos where and which, faults are injected
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(crate) seed: u64,
-    /// Go on for so long, such as 60s, 5m, 1h or 1500ms: the story is told again and again, and the
+    /// Go on for so long, 1s to 24h, such as 60s, 5m, 1h or 1500ms: the story is told again and again, and the
     /// step that is under way is finished. Without it: the story once, or 60s of chaos
     #[arg(long = "for", value_name = "DURATION", value_parser = parse_duration)]
     pub(crate) length: Option<Duration>,
     /// Inject random faults until the time is up instead of telling the story
     #[arg(long)]
     pub(crate) chaos: bool,
-}
-
-impl Default for DemoOptions {
-    fn default() -> Self {
-        DemoOptions { json: false, seed: 1, length: None, chaos: false }
-    }
 }
 
 /// How the demonstration starts one module.
@@ -102,8 +101,11 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
         "" => return Err(format!("a duration needs its unit: did you mean {text}s?")),
         other => return Err(format!("{other:?} is no unit; write 1500ms, 60s, 5m or 1h")),
     };
-    let number: u64 =
-        number.parse().map_err(|_| format!("{text:?} does not begin with a whole number"))?;
+    if number.is_empty() {
+        return Err(format!("{text:?} does not begin with a whole number"));
+    }
+    // What no number holds is as much too long as the largest one.
+    let number: u64 = number.parse().unwrap_or(u64::MAX);
     let span = Duration::from_millis(number.saturating_mul(millis_of_unit));
     if span < SHORTEST || span > LONGEST {
         return Err(format!("{text} is not between 1s and 24h"));
@@ -118,7 +120,7 @@ mod tests {
 
     fn parse(line: &str) -> Result<Job, String> {
         Arguments::try_parse_from(line.split_whitespace())
-            .map(|arguments| arguments.job.unwrap_or_default())
+            .map(Arguments::into_job)
             .map_err(|error| error.to_string())
     }
 
@@ -129,8 +131,11 @@ mod tests {
 
     #[test]
     fn no_argument_means_the_demonstration_as_it_comes() {
-        assert_eq!(parse("blastema"), Ok(Job::Demo(DemoOptions::default())));
+        let usual = DemoOptions { json: false, seed: 1, length: None, chaos: false };
+        assert_eq!(parse("blastema"), Ok(Job::Demo(usual)));
         assert_eq!(parse("blastema demo"), parse("blastema"));
+        assert_eq!(parse("blastema --json --seed 7"), parse("blastema demo --json --seed 7"));
+        assert!(parse("blastema --json demo").is_err());
     }
 
     #[test]
@@ -166,7 +171,7 @@ mod tests {
             ("5 s", "is no unit"),
             ("10ms", "is not between"),
             ("25h", "is not between"),
-            ("99999999999999999999s", "does not begin"),
+            ("99999999999999999999s", "is not between 1s and 24h"),
             ("9999999999999999999h", "is not between"),
         ] {
             let refusal = parse_duration(text).expect_err(text);
@@ -189,7 +194,9 @@ mod tests {
         assert!(help.contains("Exit status") && !help.contains("module  "), "{help}");
         let demo = Arguments::command().find_subcommand_mut("demo").map(|demo| {
             let help = demo.render_long_help().to_string();
-            for part in ["--json", "--seed <N>", "--for <DURATION>", "--chaos", "Exit status"] {
+            for part in
+                ["--json", "--seed <N>", "--for <DURATION>", "1s to 24h", "--chaos", "Exit status"]
+            {
                 assert!(help.contains(part), "{part} is missing in {help}");
             }
         });

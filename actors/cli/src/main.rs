@@ -20,7 +20,7 @@ const NOT_RUN: u8 = 2;
 const PROMISE_BROKEN: u8 = 1;
 
 fn main() -> ExitCode {
-    let outcome = match Arguments::parse().job.unwrap_or_default() {
+    let outcome = match Arguments::parse().into_job() {
         Job::Demo(options) => demo::run(&options).map_err(|error| error.to_string()),
         Job::Module(options) => {
             module::run(&options).map(|()| true).map_err(|error| error.to_string())

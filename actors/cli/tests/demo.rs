@@ -50,6 +50,20 @@ impl Run {
         lines.filter(|line| line.ends_with(&parent)).collect()
     }
 
+    /// The number of the process that runs this module.
+    fn process_of(&self, module: &str) -> String {
+        let parent = format!("--parent\0{}\0", self.id);
+        let name = format!("--name\0{module}\0");
+        let processes = fs::read_dir("/proc").expect("there is a /proc").flatten();
+        let mut own = processes.filter(|entry| {
+            let line = fs::read(entry.path().join("cmdline")).unwrap_or_default();
+            let line = String::from_utf8_lossy(&line).into_owned();
+            line.ends_with(&parent) && line.contains(&name)
+        });
+        let found = own.next().expect("the module's process is there");
+        found.file_name().to_string_lossy().into_owned()
+    }
+
     fn await_modules(&self, count: usize) {
         await_that(&format!("{count} modules"), || self.modules().len() == count);
     }
@@ -139,6 +153,46 @@ fn no_module_outlives_a_director_that_is_killed() {
     run.output();
 
     run.assert_nothing_is_left();
+}
+
+#[test]
+fn a_module_that_is_stopped_for_good_is_begun_anew_and_the_end_says_what_the_table_says() {
+    let mut run = Run::start(&["demo", "--json"]);
+    run.await_modules(3);
+    let stopped = run.process_of("module2");
+    let status = Command::new("kill").args(["-STOP", &stopped]).status();
+    assert!(status.is_ok_and(|status| status.success()));
+
+    let output = run.output();
+
+    let text = String::from_utf8_lossy(&output.stdout);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    let report: Value = serde_json::from_str(&text).expect("a document");
+    let is_early = output.status.code() == Some(2);
+    if is_early {
+        // It was stopped before the robot had come together, and says who is missing.
+        assert!(errors.contains("module2"), "{errors}");
+    } else {
+        assert_eq!(output.status.code(), Some(1), "{errors}");
+        assert!(text.contains("it said nothing for 3 s, and was killed"), "{text}");
+        let lost = |of: &Value| of["lost"].as_u64().expect("a number");
+        let rows = report["rows"].as_array().expect("there are rows");
+        let in_rows: u64 = rows.iter().map(lost).sum();
+        let late = report["late"].as_u64().expect("a number");
+        assert!(in_rows <= lost(&report["messages"]) + late, "{text}");
+    }
+    run.assert_nothing_is_left();
+}
+
+#[test]
+fn without_what_it_needs_it_says_so_and_is_not_run() {
+    let program = env!("CARGO_BIN_EXE_blastema");
+    let line = format!("ulimit -n 30; exec {program} demo");
+    let output = Command::new("sh").args(["-c", &line]).output().expect("there is a shell");
+
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{errors}");
+    assert!(errors.contains("may open 30 files") && errors.contains("ulimit -n 64"), "{errors}");
 }
 
 #[test]

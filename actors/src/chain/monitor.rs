@@ -11,7 +11,7 @@ use blastema_contract::monitor::{
     Dismiss, Enrol, IsolationReported, LinkReported, NodeReported, ReadTable,
 };
 use blastema_contract::reports::{
-    Alive, AreYouAlive, Exited, FaultDeclared, Heartbeat, Sighted, StateReported,
+    Alive, AreYouAlive, Exited, FaultDeclared, FaultMended, Heartbeat, Sighted, StateReported,
 };
 use blastema_core::detection::{self, EnrolError, MonitorLimits, MonitorOutput, Progress, Watch};
 use blastema_core::{NodeName, ObjectName};
@@ -171,6 +171,16 @@ impl Handler<FaultDeclared> for Monitor {
     fn handle(&mut self, message: FaultDeclared, context: &mut Context<Self>) {
         let FaultDeclared { object, incarnation, kind, detail } = message;
         self.machine.handle_declared(&object, incarnation, kind, detail, platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<FaultMended> for Monitor {
+    type Result = ();
+
+    fn handle(&mut self, message: FaultMended, context: &mut Context<Self>) {
+        let FaultMended { object, incarnation, kind } = message;
+        self.machine.handle_mended(&object, incarnation, kind, platform::now());
         self.drive(context);
     }
 }

@@ -10,9 +10,12 @@ use crate::service::Roster;
 use crate::topic::Topics;
 use crate::variable::Store;
 use actix::Recipient;
-use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
+use blastema_contract::reports::{Exited, FaultDeclared, FaultMended, StateReported};
+use blastema_core::spelling::nearest;
 use blastema_core::{FaultKind, ObjectName};
-use tracing::warn;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use tracing::{error, warn};
 
 /// Who is told what guards and components report. Whoever is not named is not told.
 #[derive(Clone, Default)]
@@ -20,6 +23,7 @@ pub(crate) struct Reports {
     pub(crate) exits: Option<Recipient<Exited>>,
     pub(crate) states: Option<Recipient<StateReported>>,
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
+    pub(crate) mended: Option<Recipient<FaultMended>>,
 }
 
 /// What all components of a node share. Clones share it too.
@@ -35,6 +39,8 @@ pub(crate) struct HostEnvironment {
     pub(crate) actuators: Yard,
     pub(crate) services: Roster,
     pub(crate) names: Names,
+    /// The codes of the application's own list of faults.
+    pub(crate) fault_codes: Arc<BTreeSet<Arc<str>>>,
 }
 
 impl Reports {
@@ -53,6 +59,26 @@ impl Reports {
 pub(crate) const KEPT_VARIABLES: &str = "variables";
 
 impl HostEnvironment {
+    /// What is told of a fault of the application's own, and that nobody declared its code.
+    pub(crate) fn checked_detail(&self, code: &str, detail: String) -> String {
+        if self.fault_codes.contains(code) {
+            return detail;
+        }
+        let known: Vec<&str> = self.fault_codes.iter().map(|known| &**known).collect();
+        let listed = match known.as_slice() {
+            [] => "none is declared".to_owned(),
+            known => format!("declared are {}", known.join(", ")),
+        };
+        let hint = nearest(code, known).map(|known| format!("; did you mean {known:?}?"));
+        let hint = hint.unwrap_or_default();
+        let text = format!("the code {code:?} was never declared, {listed}{hint}");
+        error!(code, "a fault is only observed: {text}");
+        match detail.is_empty() {
+            true => text,
+            false => format!("{detail} ({text})"),
+        }
+    }
+
     /// What was wrong with values that were to be restored.
     pub(crate) fn declare_complaints(&self) {
         let complaints = self.variables.complaints();
@@ -73,6 +99,7 @@ impl HostEnvironment {
             actuators: Yard::default(),
             services: Roster::default(),
             names: Names::default(),
+            fault_codes: Arc::default(),
         }
     }
 }

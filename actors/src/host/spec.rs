@@ -23,7 +23,7 @@ use std::time::Duration;
 #[non_exhaustive]
 pub enum SpecError {
     /// Its name does not parse.
-    #[error(transparent)]
+    #[error("the name of a component, or one that it claims: {0}")]
     Name(#[from] NameError),
     /// Another object has its name.
     #[error(transparent)]

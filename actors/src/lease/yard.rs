@@ -44,6 +44,8 @@ struct Actuator {
     safe: Bytes,
     cut_off: Option<CutOff>,
     doorway: Arc<dyn Doorway>,
+    /// Its commander has gone, and nobody has claimed it since.
+    lost: AtomicBool,
     /// A command has been handed over and not been answered.
     busy: Arc<AtomicBool>,
 }
@@ -94,6 +96,7 @@ impl Yard {
                 safe: safe?,
                 cut_off,
                 doorway,
+                lost: AtomicBool::default(),
                 busy: Arc::default(),
             };
             let key = (object.clone(), identity.name);
@@ -165,8 +168,23 @@ impl Yard {
         };
         drop(lease);
         self.carry_out(&actuator);
+        if matches!(done, Ok(Ordered::Granted { .. })) {
+            self.take_back(&actuator);
+        }
         self.look();
         answer.give(done.unwrap_or_else(|why| Ordered::refused(&why)));
+    }
+
+    /// Somebody commands again: that the one before has gone is no fault any more, unless another
+    /// actuator of the same object still waits for somebody.
+    fn take_back(&self, actuator: &Actuator) {
+        if actuator.lost.swap(false, Relaxed) {
+            let waits =
+                |other: &Arc<Actuator>| other.object == actuator.object && other.lost.load(Relaxed);
+            if !lock(&self.actuators).values().any(waits) {
+                actuator.doorway.mend(FaultKind::CommanderGone);
+            }
+        }
     }
 
     /// The timekeeper is to look when it has to be up next.
@@ -201,7 +219,8 @@ impl Yard {
                     LeaseEnd::Expired => {
                         warn!(%object, who, %life, epoch, "commander gone: safe outputs applied");
                         let detail = format!("its commander {who}{life} has gone");
-                        actuator.doorway.declare(FaultKind::CheckFailed, detail);
+                        actuator.doorway.declare(FaultKind::CommanderGone, detail);
+                        actuator.lost.store(true, Relaxed);
                     }
                 }
                 actuator.cut_off();

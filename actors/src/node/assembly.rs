@@ -1,7 +1,9 @@
 //! How a node is put together: the one place that knows all actors.
 
 use super::builder::{NodeBuilder, Placement, StartError};
-use super::keeper::{Keeper, NodeState, StartRoot};
+use super::checks::{check_dependencies, check_networks, check_service, check_service_order};
+use super::keeper::NodeState;
+use super::keeper::{Keeper, StartRoot};
 use super::network::{Cable, Network};
 use super::tree::{Ground, Harvest, Planted};
 use super::{Node, Root, Shared};
@@ -19,7 +21,7 @@ use crate::host::watch::{self as lookout, WatchGuard};
 use crate::net::claims::{ClaimsBody, ClaimsSetup};
 use crate::net::{self, NetEnvironment, NetHandle};
 use crate::registry::Registry;
-use crate::service::{Carried, ReplicaBody};
+use crate::service::ReplicaBody;
 use crate::{panics, platform};
 use actix::prelude::*;
 use blastema_contract::detector::{ReadRecord, Subscribe};
@@ -177,7 +179,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
     });
     guardian.report_to(monitor.clone().recipient());
 
-    let (told, state) = watch::channel(NodeState::Starting);
+    let (told, state) = (builder.state.clone(), builder.state.subscribe());
     let (of, outputs) = (node.clone(), builder.safe_outputs.clone());
     let keeper = guardian.start(named("keeper"), place, move |_: &mut Context<Keeper>| {
         Keeper::new(of, told, outputs)
@@ -392,42 +394,6 @@ impl Drop for Undone {
     }
 }
 
-/// Every object of this node that a component depends on must be one, and another one.
-fn check_dependencies(node: &NodeName, harvest: &Harvest) -> Result<(), StartError> {
-    let components = harvest.components.iter().map(|facts| &facts.name);
-    let supervisors = harvest.supervisors.iter().map(|(name, _)| name);
-    let known: BTreeSet<&str> = components.chain(supervisors).map(ObjectName::as_str).collect();
-    for facts in &harvest.components {
-        for needed in &facts.depends_on {
-            let own = match needed.split_once(':') {
-                Some((of, object)) if of == node.as_str() => object,
-                // What other nodes hold is not known here.
-                Some(_) => continue,
-                None => needed,
-            };
-            if own == facts.name.as_str() || !known.contains(own) {
-                let (name, needed) = (facts.name.clone(), needed.clone());
-                return Err(StartError::Dependency { name, needed });
-            }
-        }
-    }
-    Ok(())
-}
-
-/// The nodes of a service are others than each other, and this is one of them.
-fn check_service(carried: &Carried) -> Result<(), StartError> {
-    let Carried { name, config, .. } = carried;
-    let different: BTreeSet<_> = config.members.iter().collect();
-    let reason = if !different.contains(&config.own) {
-        format!("{} is none of its nodes: add it, or leave the service out here", config.own)
-    } else if different.len() < config.members.len() {
-        "a node stands twice among its nodes: name each once".to_owned()
-    } else {
-        return Ok(());
-    };
-    Err(StartError::Service { name: name.clone(), reason })
-}
-
 fn keep_variables(environment: &HostEnvironment, file: PathBuf) -> Result<(), StartError> {
     let told = environment.reports.clone();
     let failed = move |detail| told.declare(KEPT_VARIABLES, detail);
@@ -444,30 +410,18 @@ fn judges(wardens: &[String]) -> Result<Judges, NameError> {
     Ok(Judges::Wardens(wardens.collect::<Result<_, _>>()?))
 }
 
-/// Of services that wait for each other, none would ever serve.
-fn check_service_order(carried: &[Carried]) -> Result<(), StartError> {
-    let mut open: Vec<_> = carried.iter().collect();
-    loop {
-        let waits =
-            |service: &&Carried| open.iter().any(|other| service.depends_on.contains(&other.name));
-        let left: Vec<_> = open.iter().copied().filter(|service| waits(service)).collect();
-        match left.first() {
-            None => return Ok(()),
-            Some(Carried { name, .. }) if left.len() == open.len() => {
-                let reason = "it depends on itself, perhaps by way of others: leave out one of the dependencies";
-                return Err(StartError::Service { name: name.clone(), reason: reason.to_owned() });
-            }
-            Some(_) => open = left,
-        }
-    }
-}
-
 pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
-    let node = NodeName::new(&builder.name)?;
+    let named_so = StartError::name_of("the name of the node");
+    let node = NodeName::new(&builder.name).map_err(named_so)?;
     let incarnation = platform::node_incarnation();
-    let judges = judges(&builder.wardens)?;
+    let judges = judges(&builder.wardens)
+        .map_err(StartError::name_of("the name of a node that isolates others"))?;
+    check_networks(&builder.networks, &node)?;
     let parts = make_chain(&builder, &node)?;
+    for listener in builder.listeners {
+        listener.listen(&parts.chain.subscribe);
+    }
 
     let arbiters = match builder.placement {
         Placement::Threads { shared } => Arbiters::pool(shared),
@@ -477,13 +431,17 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
         exits: Some(parts.monitor.clone().recipient()),
         states: Some(parts.monitor.clone().recipient()),
         faults: Some(parts.monitor.clone().recipient()),
+        mended: Some(parts.monitor.clone().recipient()),
     };
     let registry = parts.registry.clone();
     // Its own objects may be named in full, with or without a network.
     registry.connect(node.clone(), None);
     let own = parts.chain.arbiter.iter().cloned().collect();
     let mut undone = Undone { arbiters: arbiters.clone(), own, kept: false };
-    let environment = HostEnvironment { registry, ..HostEnvironment::new(arbiters, reports) };
+    let plan = Arc::new(builder.plan);
+    let fault_codes = Arc::new(plan.codes());
+    let environment =
+        HostEnvironment { registry, fault_codes, ..HostEnvironment::new(arbiters, reports) };
     let kept = builder.kept_in.is_some();
     if let Some(file) = builder.kept_in.take() {
         keep_variables(&environment, file)?;
@@ -502,7 +460,6 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     };
     let Parts { guardian, chain, monitor, keeper, state, directory, .. } = parts;
 
-    let plan = Arc::new(builder.plan);
     let ground = Ground {
         environment: &environment,
         guardian: &guardian,
@@ -548,7 +505,9 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     let mut actors: BTreeMap<ObjectName, _> = BTreeMap::new();
     for facts in harvest.components {
         let (name, watch) = (&facts.name, facts.watch);
-        let mut enrol = enrolment(&node, name, watch, &facts.depends_on, facts.inquiries)?;
+        let enrolled = enrolment(&node, name, watch, &facts.depends_on, facts.inquiries);
+        let of = || format!("what {name} depends on");
+        let mut enrol = enrolled.map_err(|error| StartError::name_of(of())(error))?;
         enrol.enrolment.may_end = facts.restart != Restart::Permanent;
         enrolments.push(enrol);
         actors.insert(facts.name, facts.actor);

@@ -1,6 +1,8 @@
 //! How a node is described.
 
 use super::Node;
+use super::faults::{FaultEvents, Listener};
+use super::keeper::NodeState;
 use super::network::Network;
 use super::tree::SupervisorSpec;
 use crate::chain::strategy::{RecoveryStrategy, SafeOutputs, StrategyTable};
@@ -16,14 +18,20 @@ use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::watch;
 
 /// Why a node did not start. What had been started is stopped again.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum StartError {
-    /// The node's name, or the name of something it depends on, does not parse.
-    #[error(transparent)]
-    Name(#[from] NameError),
+    /// A name that the description holds does not parse.
+    #[error("{of}: {error}")]
+    Name {
+        /// Whose name: the node's, a neighbour's, a service's.
+        of: String,
+        /// What is wrong with it.
+        error: NameError,
+    },
     /// A component's or supervisor's spec is wrong.
     #[error(transparent)]
     Spec(#[from] SpecError),
@@ -104,9 +112,19 @@ pub struct NodeBuilder {
     pub(super) placement: Placement,
     pub(super) grace: Duration,
     pub(super) networks: Vec<Network>,
-    pub(super) services: Vec<Result<Carried, NameError>>,
+    pub(super) services: Vec<Result<Carried, StartError>>,
     pub(super) wardens: Vec<String>,
+    pub(super) listeners: Vec<Listener>,
+    pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
+}
+
+impl StartError {
+    /// What to make of a name that does not parse.
+    pub(crate) fn name_of(of: impl fmt::Display) -> impl FnOnce(NameError) -> StartError {
+        let of = of.to_string();
+        move |error| StartError::Name { of, error }
+    }
 }
 
 impl fmt::Debug for NodeBuilder {
@@ -131,6 +149,8 @@ impl NodeBuilder {
             networks: Vec::new(),
             services: Vec::new(),
             wardens: Vec::new(),
+            listeners: Vec::new(),
+            state: watch::channel(NodeState::Starting).0,
             kept_in: None,
         }
     }
@@ -250,6 +270,35 @@ impl NodeBuilder {
     pub fn on_this_thread(mut self) -> Self {
         self.placement = Placement::Here;
         self
+    }
+
+    /// Every step in the history of every fault from the first on, also of those that are found while the
+    /// node starts, which [`Node::fault_events`] is too late for.
+    ///
+    /// ```
+    /// use blastema::prelude::*;
+    /// # struct Lamp;
+    /// # impl Component for Lamp {
+    /// #     async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+    /// #         if cx.incarnation().0 > 1 { Ok(()) } else { Err(Failure::new("it is dark")) }
+    /// #     }
+    /// # }
+    /// # blastema::run(async {
+    /// let mut builder = Node::builder("module1").child(ChildSpec::new("lamp", || Lamp));
+    /// let mut faults = builder.fault_events();
+    /// let node = builder.start().await?;
+    ///
+    /// let first = faults.next().await.expect("the lamp did not start at once");
+    /// assert_eq!(first.fault.kind, FaultKind::InitializationFailed);
+    /// # node.shutdown().await;
+    /// # Ok::<(), StartError>(())
+    /// # })?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn fault_events(&mut self) -> FaultEvents {
+        let (events, listener) = FaultEvents::open(self.state.subscribe());
+        self.listeners.push(listener);
+        events
     }
 
     /// Starts the node: its fault chain, and then all components, each after those before it.

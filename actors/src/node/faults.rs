@@ -10,8 +10,10 @@ use tokio::sync::{mpsc, watch};
 /// Steps that a slow reader may be behind: a storm of a few seconds at the notifier's own limit.
 const BACKLOG: usize = 1024;
 
-/// Every step in the history of every fault of a node, in order. From [`Node::fault_events`].
+/// Every step in the history of every fault of a node, in order. From [`NodeBuilder::fault_events`],
+/// with the faults of the start, or from [`Node::fault_events`], from then on.
 ///
+/// [`NodeBuilder::fault_events`]: crate::NodeBuilder::fault_events
 /// [`Node::fault_events`]: crate::Node::fault_events
 #[derive(Debug)]
 pub struct FaultEvents {
@@ -22,9 +24,15 @@ pub struct FaultEvents {
 
 /// Lives as long as the detector knows it and somebody reads.
 #[derive(Debug)]
-struct Listener {
+pub(super) struct Listener {
     events: mpsc::Sender<Step>,
     missed: Arc<AtomicU64>,
+}
+
+impl Listener {
+    pub(super) fn listen(self, detector: &Subscriptions) {
+        detector.do_send(Subscribe(self.start().recipient()));
+    }
 }
 
 impl Actor for Listener {
@@ -47,12 +55,18 @@ impl Handler<FaultEvent> for Listener {
 }
 
 impl FaultEvents {
-    pub(super) fn subscribe(detector: &Subscriptions, state: watch::Receiver<NodeState>) -> Self {
+    /// Events of a node in this state, and who is to hear them.
+    pub(super) fn open(state: watch::Receiver<NodeState>) -> (Self, Listener) {
         let (sender, events) = mpsc::channel(BACKLOG);
         let missed = Arc::new(AtomicU64::new(0));
-        let listener = Listener { events: sender, missed: missed.clone() }.start();
-        detector.do_send(Subscribe(listener.recipient()));
-        FaultEvents { events, missed, state }
+        let listener = Listener { events: sender, missed: missed.clone() };
+        (FaultEvents { events, missed, state }, listener)
+    }
+
+    pub(super) fn subscribe(detector: &Subscriptions, state: watch::Receiver<NodeState>) -> Self {
+        let (events, listener) = FaultEvents::open(state);
+        listener.listen(detector);
+        events
     }
 
     /// The next step; `None` once the node was shut down and all that was told before has been fetched.

@@ -12,6 +12,7 @@
 
 mod assembly;
 mod builder;
+mod checks;
 mod faults;
 mod keeper;
 mod network;

@@ -17,6 +17,7 @@ use blastema_transports::{
 };
 use std::fmt;
 use std::net::{IpAddr, SocketAddr};
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 pub use blastema_contract::transport::Direction;
@@ -437,7 +438,46 @@ fn beacon_config(
     }
 }
 
+/// How often a hello may be said: more often is taken for an attack by the neighbour, and a link must be
+/// known to be dead within a minute.
+const HELLO_RANGE: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_secs(15);
+
 impl Network {
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Finds what can be known to be wrong before anything is started.
+    pub(super) fn check(&self, node: &NodeName) -> Result<(), StartError> {
+        let network = &self.name;
+        for Link { neighbour, remote, hello_interval, .. } in &self.links {
+            if neighbour == node.as_str() {
+                let text = format!(
+                    "network {network}: {neighbour} is this node itself, and no neighbour: write \
+                     the neighbour's name, or leave the link out"
+                );
+                return Err(StartError::Network(text));
+            }
+            if let Some(interval) = hello_interval
+                && !HELLO_RANGE.contains(interval)
+            {
+                let text = format!(
+                    "network {network}: the hello to {neighbour} cannot be said every {interval:?}: \
+                     1 ms to 15 s"
+                );
+                return Err(StartError::Network(text));
+            }
+            if let (Remote::At(address), Medium::At(endpoint)) = (remote, &self.medium)
+                && let Some(why) = endpoint.objection(address)
+            {
+                let text =
+                    format!("network {network}: {address} is not where {neighbour} is: {why}");
+                return Err(StartError::Network(text));
+            }
+        }
+        Ok(())
+    }
+
     /// Starts the transport, of this node.
     pub(super) fn lay(
         self,
@@ -447,12 +487,15 @@ impl Network {
     ) -> Result<Laid, StartError> {
         let Network { name, mut medium, links, faults, interface, admission, beacons } = self;
         medium.name_node(own);
-        let object = ObjectName::new(&format!("transport/{name}"))?;
+        let of = format!("the name of network {name:?}");
+        let object =
+            ObjectName::new(&format!("transport/{name}")).map_err(StartError::name_of(of))?;
         let mut neighbours = Vec::new();
         let mut specs = Vec::new();
         let alone = links.len() == 1;
         for Link { name: own, neighbour, remote, cost, hello_interval, expected_within } in links {
-            let node = NodeName::new(&neighbour)?;
+            let of = format!("the name of a neighbour on network {name}");
+            let node = NodeName::new(&neighbour).map_err(StartError::name_of(of))?;
             let usual = if alone { name.clone() } else { format!("{name}/{neighbour}") };
             let link = own.unwrap_or(usual).into();
             let remote = medium
@@ -480,7 +523,8 @@ impl Network {
         };
         let beacons = match (beacons, at) {
             (Some(group), Some(at)) => {
-                let object = ObjectName::new(&format!("beacons/{name}"))?;
+                let object = ObjectName::new(&format!("beacons/{name}"))
+                    .map_err(StartError::name_of(format!("the name of network {name:?}")))?;
                 let config = beacon_config(&name, at, &group)?;
                 let group = config.group;
                 let make = move |_: &mut Context<Udp>| Udp::new(config);
@@ -503,7 +547,8 @@ impl Network {
             Some(Admitted::Anybody) => Some(Admission::Anybody),
             Some(Admitted::Only(nodes)) => {
                 let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
-                Some(Admission::Only(nodes?))
+                let of = format!("the name of a node that network {name} is discovered by");
+                Some(Admission::Only(nodes.map_err(StartError::name_of(of))?))
             }
         };
         let discovery = learned.zip(admission).map(|(medium, admission)| DiscoverySpec {
@@ -516,7 +561,9 @@ impl Network {
         let cable = match faults {
             None => None,
             Some(seed) => {
-                let object = ObjectName::new(&format!("cable/{name}"))?;
+                let of = format!("the name of network {name:?}");
+                let object =
+                    ObjectName::new(&format!("cable/{name}")).map_err(StartError::name_of(of))?;
                 transports.push(object.clone());
                 let (inner, config) = (transport.clone(), FaultyConfig::new(seed, platform::now));
                 let make = move |_: &mut Context<Faulty>| Faulty::new(inner, config);

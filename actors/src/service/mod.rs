@@ -25,6 +25,7 @@ pub(crate) use roster::Roster;
 use crate::component::{Component, Failure, Handle};
 use crate::context::Context;
 use crate::host::spec::ChildSpec;
+use crate::node::StartError;
 use crate::ports::OpenPort;
 use crate::registry::Port;
 use blastema_core::service::ReplicaConfig;
@@ -161,7 +162,7 @@ impl<C: Stateful> ServiceSpec<C> {
     }
 
     /// What the node `own` needs to carry it, and the component.
-    pub(crate) fn carried(self, own: &str) -> (ChildSpec<C>, Result<Carried, NameError>) {
+    pub(crate) fn carried(self, own: &str) -> (ChildSpec<C>, Result<Carried, StartError>) {
         let component = format!("{}/replica", self.name);
         // Built once more, to see with which state it begins.
         let initial = (self.factory)().save().into();
@@ -169,24 +170,28 @@ impl<C: Stateful> ServiceSpec<C> {
         let (hello_interval, name) = (self.hello_interval, self.name);
         let (members, depends_on) = (self.members, self.depends_on);
         let parsed = || {
-            let parse = |names: Vec<String>| names.iter().map(|n| ObjectName::new(n)).collect();
+            let of = |what: &str| StartError::name_of(format!("{what} service {name}"));
+            let parse = |names: Vec<String>| -> Result<Vec<_>, NameError> {
+                names.iter().map(|n| ObjectName::new(n)).collect()
+            };
             let members: Result<Vec<_>, _> = members.iter().map(|n| NodeName::new(n)).collect();
+            let members = members.map_err(of("the name of a node of"));
             let config = ReplicaConfig {
-                own: NodeName::new(own)?,
+                own: NodeName::new(own).map_err(StartError::name_of("the name of the node"))?,
                 members: members?,
                 kind,
                 on_partition,
                 depends: !depends_on.is_empty(),
                 hello_interval,
             };
-            let depends_on: Result<Vec<_>, _> = parse(depends_on);
+            let object = |text: &str| ObjectName::new(text).map_err(of("the name of"));
             Ok(Carried {
-                name: ObjectName::new(&name)?,
-                component: ObjectName::new(&component)?,
-                body: ObjectName::new(&format!("{component}/body"))?,
+                name: object(&name)?,
+                component: object(&component)?,
+                body: object(&format!("{component}/body"))?,
                 config,
                 initial,
-                depends_on: depends_on?,
+                depends_on: parse(depends_on).map_err(of("what is depended on by"))?,
             })
         };
         let carried = parsed();

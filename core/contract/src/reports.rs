@@ -86,6 +86,18 @@ pub struct FaultDeclared {
     pub detail: String,
 }
 
+/// What an object had declared is over.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct FaultMended {
+    /// Who had declared it.
+    pub object: ObjectName,
+    /// Which of its lives it is in now.
+    pub incarnation: Incarnation,
+    /// What it was.
+    pub kind: FaultKind,
+}
+
 /// What the watch thread saw when it looked at arbiters and components.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]

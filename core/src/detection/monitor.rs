@@ -262,6 +262,20 @@ impl Monitor {
         self.settle(now);
     }
 
+    /// What an object had declared is over.
+    pub fn handle_mended(
+        &mut self,
+        object: &ObjectName,
+        incarnation: Incarnation,
+        kind: FaultKind,
+        now: Instant,
+    ) {
+        if self.alive(object, incarnation, now).is_some() {
+            self.observe_object(object, incarnation, Finding::Mended { kind }, now);
+            self.settle(now);
+        }
+    }
+
     /// A link reports how it is. The same condition again is no news.
     pub fn handle_link(
         &mut self,

@@ -50,6 +50,11 @@ pub enum Finding {
         /// The particulars.
         detail: String,
     },
+    /// What the object had declared is over.
+    Mended {
+        /// Which.
+        kind: FaultKind,
+    },
     /// It gave no sign of life, or no answer, for longer than is tolerated.
     Silent {
         /// For how long.

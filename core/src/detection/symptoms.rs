@@ -151,6 +151,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::ContractMismatch
         | FaultKind::LinkDegraded
         | FaultKind::NameTaken
+        | FaultKind::CommanderGone
         | FaultKind::Custom(_) => false,
     }
 }

@@ -4,6 +4,7 @@ use super::{Ladder, Measure, Step};
 use crate::spelling::nearest;
 use crate::{FaultKind, NodeName, ObjectName, Place};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 /// The robot's answer to every kind of fault, with exceptions for single components.
 ///
@@ -28,7 +29,6 @@ pub struct Plan {
     components: BTreeMap<ObjectName, BTreeMap<FaultKind, Ladder>>,
     abroad: BTreeMap<FaultKind, Ladder>,
     observe: Ladder,
-    last_resort: Ladder,
 }
 
 /// What is wrong with a [`Plan`]. Each of them is the designer's to mend.
@@ -120,6 +120,8 @@ impl Default for Plan {
             FaultKind::NodeFaulty => Ladder::first(Measure::Isolate).then(Measure::Observe),
             // Whoever gave the names has to give others.
             FaultKind::NameTaken => observe.clone(),
+            // The actuator's node has applied the safe outputs already.
+            FaultKind::CommanderGone => observe.clone(),
             // Without an alternative nothing helps but the link's, or the node's, return.
             FaultKind::LinkDown | FaultKind::LinkDegraded | FaultKind::NodeLost => reroute.clone(),
             _ => restart.clone(),
@@ -129,7 +131,6 @@ impl Default for Plan {
             components: BTreeMap::new(),
             abroad: BTreeMap::new(),
             observe: observe.clone(),
-            last_resort: Ladder::first(Measure::SafeStop),
         }
     }
 }
@@ -174,6 +175,17 @@ impl Plan {
     pub fn restarts_on_the_spot(&self, component: &ObjectName) -> bool {
         let first = &self.answer_for(&FaultKind::Panic, Some(component)).steps()[0];
         first.measure == Measure::Restart
+    }
+
+    /// The codes of all faults of the application's own that the plan answers.
+    pub fn codes(&self) -> BTreeSet<Arc<str>> {
+        let of_components = self.components.values().flat_map(BTreeMap::keys);
+        let kinds = self.kinds.keys().chain(of_components);
+        let own = kinds.filter_map(|kind| match kind {
+            FaultKind::Custom(code) => Some(code.clone()),
+            _ => None,
+        });
+        own.collect()
     }
 
     /// Finds what is wrong with the plan before the robot starts: whether every fault kind of
@@ -228,7 +240,9 @@ impl Plan {
 
     fn answer_for(&self, kind: &FaultKind, object: Option<&ObjectName>) -> &Ladder {
         let exception = || self.components.get(object?)?.get(kind);
-        exception().or_else(|| self.kinds.get(kind)).unwrap_or(&self.last_resort)
+        // Every built-in kind has an answer, and every declared one: what has none is a code that was
+        // misspelt, and a slip of the pen must not stop the robot.
+        exception().or_else(|| self.kinds.get(kind)).unwrap_or(&self.observe)
     }
 }
 
@@ -313,14 +327,14 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_kind_is_answered_by_safe_rest() {
+    fn a_code_that_nobody_declared_is_observed_and_brakes_nothing() {
         let node: NodeName = "module1".parse().expect("a good name");
         let plan = Plan::default();
 
         let place = Place::Node(node.clone());
         let ladder = plan.answer(&node, &FaultKind::Custom("X".into()), &place);
 
-        assert_eq!(ladder.steps()[0].measure, Measure::SafeStop);
+        assert_eq!(ladder.steps()[0].measure, Measure::Observe);
     }
 
     #[test]

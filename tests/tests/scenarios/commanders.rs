@@ -1,7 +1,9 @@
 //! Commanders and the actuators that they hold, in virtual time.
 
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Commander, Direction, Link, MemoryMedium, Network, NodeBuilder};
+use blastema::{
+    ActuatorSpec, Commander, Direction, Link, MemoryMedium, Network, NodeBuilder, Turn,
+};
 use blastema_testkit::{TestNode, now};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -120,13 +122,45 @@ async fn a_cut_cable_stops_the_wheels_within_the_lease_and_one_beat() {
     assert!(at - cut_at <= BOUND, "{:?}", at - cut_at);
     assert!(!commander.holds(), "it knows by itself");
     assert_eq!(commander.command(Drive(2.0)).await, Err(Why::LeaseEnded));
-    robot.there.await_fault(FaultKind::CheckFailed, "wheels").await;
+    robot.there.await_fault(FaultKind::CommanderGone, "wheels").await;
 
     robot.here.cable("ethernet").unwrap().restore();
     robot.here.advance(1000 * MS).await;
     assert_eq!(robot.speeds(), [1.0, 0.0], "what came late was not carried out");
     commander.claim().await.unwrap();
     assert_eq!(commander.command(Drive(3.0)).await, Ok(3.0));
+}
+
+#[blastema_testkit::test]
+async fn a_commanders_loss_is_told_each_time_and_stands_until_somebody_commands_again() {
+    let robot = Robot::start().await;
+    let mut events = robot.there.fault_events();
+    let lost = async || {
+        let record = robot.there.faults().await;
+        let gone = record.entries.into_iter().filter(|e| e.fault.kind == FaultKind::CommanderGone);
+        gone.map(|entry| entry.ended.is_none()).collect::<Vec<_>>()
+    };
+
+    for round in 1..=5 {
+        let commander = robot.commander("console");
+        commander.claim().await.unwrap();
+        robot.here.settle().await;
+        assert_eq!(lost().await, vec![false; round - 1], "somebody commands");
+        robot.here.cable("ethernet").unwrap().cut(Direction::Both, false);
+        robot.here.advance(2 * BOUND).await;
+        assert_eq!(lost().await.last(), Some(&true), "round {round}");
+        robot.here.cable("ethernet").unwrap().restore();
+        robot.here.advance(1000 * MS).await;
+    }
+
+    let mut turns = Vec::new();
+    while let Ok(Some(event)) = tokio::time::timeout(MS, events.next()).await {
+        if event.fault.kind == FaultKind::CommanderGone {
+            turns.push(event.turn);
+        }
+    }
+    let told = |wanted: &Turn| turns.iter().filter(|turn| *turn == wanted).count();
+    assert_eq!((told(&Turn::Found), told(&Turn::Cleared)), (5, 4), "{turns:?}");
 }
 
 #[blastema_testkit::test]

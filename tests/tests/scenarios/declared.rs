@@ -6,6 +6,8 @@ use blastema::core::recovery::{ChildState, Done, Failed, Order};
 use blastema::prelude::*;
 use blastema::{RecoveryStrategy, Severity, Tools};
 use blastema_testkit::TestNode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::Duration;
 
 #[blastema_testkit::test]
@@ -105,6 +107,35 @@ async fn a_fault_of_the_applications_own_is_found_and_answered_by_its_own_strate
     let record = node.faults().await;
     let decided = record.entries[0].decided.as_ref().map(|(_, measure)| measure.as_str());
     assert_eq!(decided, Some("open gripper"));
+}
+
+#[blastema_testkit::test]
+async fn a_code_that_nobody_declared_says_so_and_brakes_nothing() {
+    let strings = Strings::default();
+    let braked = Arc::new(AtomicBool::new(false));
+    let brakes = braked.clone();
+    let builder = Node::builder("module1")
+        .fault_kind("GRIP")
+        .plan(Plan::default().on(grip(), Ladder::first(Measure::SafeStop)))
+        .safe_outputs(move |_| brakes.store(true, Relaxed))
+        .child(strings.spec("arm"));
+    let mut node = TestNode::start(builder).await;
+
+    ask(&node, "arm", Deed::Declare("GRlP".into())).await.unwrap();
+
+    let fault = node.await_fault(FaultKind::Custom("GRlP".into()), "arm").await;
+    assert_eq!(
+        fault.detail,
+        "as it was told (the code \"GRlP\" was never declared, declared are GRIP; did you mean \
+         \"GRIP\"?)"
+    );
+    assert_eq!(fault.severity, Severity::Error);
+    node.advance(Duration::from_secs(1)).await;
+    let record = node.faults().await;
+    let decided = record.entries[0].decided.as_ref().map(|(_, measure)| measure.as_str());
+    assert_eq!(decided, Some("observe"));
+    assert!(!braked.load(Relaxed), "the robot goes on");
+    assert_eq!(life(&node, "arm").await, 1);
 }
 
 #[blastema_testkit::test]

@@ -20,6 +20,7 @@ mod names;
 mod networks;
 mod panics;
 mod puppet;
+mod refusals;
 mod retries;
 mod sending;
 mod services;

@@ -50,6 +50,20 @@ pub enum EndpointProblem {
         /// The address with a port.
         example: String,
     },
+    /// An IPv6 address stands there without brackets, so that its end and the port run into each other.
+    #[error("an IPv6 address stands in brackets: write {example}")]
+    NoBrackets {
+        /// What may have been meant.
+        example: String,
+    },
+    /// The address is everybody's, so that no socket of our own can have it.
+    #[error(
+        "`{found}` is the address of all on a network, and nobody's own: write 0.0.0.0 or one of this computer's"
+    )]
+    Broadcast {
+        /// What stands there.
+        found: String,
+    },
     /// What stands where a port must is none.
     #[error("`{found}` is no port: ports are 0 (any) to 65535")]
     NotPort {
@@ -61,6 +75,22 @@ pub enum EndpointProblem {
     NoPath {
         /// A right one.
         example: &'static str,
+    },
+    /// The path spells what no path of a file is.
+    #[error("{why}")]
+    BadPath {
+        /// What it is, and what to write.
+        why: &'static str,
+    },
+    /// The path of a Unix-domain socket is longer than the system takes.
+    #[error(
+        "the path has {length} bytes, and a socket's has at most {limit}: choose a shorter one"
+    )]
+    LongPath {
+        /// How long it is.
+        length: usize,
+        /// The longest that is taken.
+        limit: usize,
     },
     /// A `%` is not followed by two hexadecimal digits.
     #[error("after % there are two hexadecimal digits, as in %20 for a space")]
@@ -128,6 +158,7 @@ pub enum EndpointProblem {
 fn suggest(nearest: Option<&String>, known: &[String]) -> String {
     match nearest {
         Some(nearest) => format!("did you mean `{nearest}`?"),
+        None if known.is_empty() => "it has none".to_owned(),
         None => format!("there are {}", known.join(", ")),
     }
 }

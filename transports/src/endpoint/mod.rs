@@ -173,11 +173,16 @@ impl Endpoint {
     pub fn peer(&self, text: &str) -> Result<MediumAddress, EndpointError> {
         let parsed = match self {
             #[cfg(feature = "udp")]
-            Endpoint::Udp(_) => return ip(text, 0..text.len(), text).map(MediumAddress::Ip),
+            Endpoint::Udp(_) => ip(text, 0..text.len(), text).map(MediumAddress::Ip).map(Ok)?,
             #[cfg(feature = "tcp")]
-            Endpoint::Tcp(_) => return ip(text, 0..text.len(), text).map(MediumAddress::Ip),
+            Endpoint::Tcp(_) => ip(text, 0..text.len(), text).map(MediumAddress::Ip).map(Ok)?,
             #[cfg(feature = "unix")]
             Endpoint::Unix(_) => {
+                if text.len() > SOCKET_PATH {
+                    let problem =
+                        EndpointProblem::LongPath { length: text.len(), limit: SOCKET_PATH };
+                    return Err(EndpointError::new(text, 0..text.len(), problem));
+                }
                 let path = text.starts_with('/').then(|| PathBuf::from(text).into());
                 path.map(MediumAddress::Unix)
                     .ok_or("write the path of its socket, as in /run/b.sock")
@@ -199,12 +204,77 @@ impl Endpoint {
                 name => Ok(MediumAddress::Memory(name.into())),
             },
         };
-        parsed.map_err(|expected| {
+        let checked = parsed.and_then(|peer| match self.objection(&peer) {
+            Some(expected) => Err(expected),
+            None => Ok(peer),
+        });
+        checked.map_err(|expected| {
             let (medium, found) = (self.medium(), text.to_owned());
             let problem = EndpointProblem::NotPeer { medium, found, expected };
             EndpointError::new(text, 0..text.len(), problem)
         })
     }
+
+    /// Why nobody else can be at this address of the medium.
+    pub fn objection(&self, peer: &MediumAddress) -> Option<&'static str> {
+        const OURSELVES: &str = "it is our own address: write the neighbour's";
+        match (self, peer) {
+            #[cfg(feature = "udp")]
+            (Endpoint::Udp(config), MediumAddress::Ip(peer)) => {
+                no_peer(*peer).or(is_own(config.bind, *peer).then_some(OURSELVES))
+            }
+            #[cfg(feature = "tcp")]
+            (Endpoint::Tcp(config), MediumAddress::Ip(peer)) => {
+                no_peer(*peer).or(is_own(config.bind, *peer).then_some(OURSELVES))
+            }
+            #[cfg(feature = "unix")]
+            (Endpoint::Unix(config), MediumAddress::Unix(path)) => {
+                (config.path == **path).then_some(OURSELVES)
+            }
+            (Endpoint::Can(CanConfig { node, .. }), MediumAddress::Can(peer))
+            | (Endpoint::Slcan(SlcanConfig { node, .. }), MediumAddress::Can(peer)) => {
+                if *peer == node.address {
+                    Some("it is our own number: write the neighbour's")
+                } else if node.short_ids && (SHORT_MOST + 1..255).contains(peer) {
+                    Some("with short_ids=true, numbers are 0 to 30")
+                } else {
+                    None
+                }
+            }
+            (Endpoint::Memory(own), MediumAddress::Memory(peer)) => {
+                (own.as_str() == &**peer).then_some(OURSELVES)
+            }
+            _ => None,
+        }
+    }
+}
+
+/// The longest path of a Unix-domain socket on Linux, in bytes, without the closing zero.
+#[cfg(feature = "unix")]
+const SOCKET_PATH: usize = 107;
+/// The largest number on a bus with identifiers of 11 bits.
+const SHORT_MOST: u8 = 30;
+
+/// Why nobody can be at this address.
+#[cfg(any(feature = "udp", feature = "tcp"))]
+fn no_peer(peer: SocketAddr) -> Option<&'static str> {
+    if peer.port() == 0 {
+        Some("nobody is at port 0: write the port that it listens at")
+    } else if peer.ip().is_unspecified() {
+        Some("it is every address of whoever writes it: write one of the neighbour's")
+    } else if peer.ip() == IpAddr::V4(Ipv4Addr::BROADCAST) {
+        Some("it is the address of all: write the neighbour's")
+    } else {
+        None
+    }
+}
+
+/// Whether a socket that is bound so hears what is sent there, as far as that can be known here.
+#[cfg(any(feature = "udp", feature = "tcp"))]
+fn is_own(bind: SocketAddr, peer: SocketAddr) -> bool {
+    let is_here = bind.ip() == peer.ip() || bind.ip().is_unspecified() && peer.ip().is_loopback();
+    // Port 0 is a free one that is not known yet.
+    is_here && bind.port() == peer.port() && bind.port() != 0
 }
 
 /// An endpoint string behind its medium.
@@ -223,6 +293,15 @@ impl<'a> Parts<'a> {
 
     fn error(&self, problem: EndpointProblem) -> EndpointError {
         EndpointError::new(self.text, self.at.clone(), problem)
+    }
+
+    #[cfg(any(feature = "udp", feature = "tcp"))]
+    fn no_broadcast(&self, address: SocketAddr) -> Result<(), EndpointError> {
+        if address.ip() == IpAddr::V4(Ipv4Addr::BROADCAST) {
+            let found = address.ip().to_string();
+            return Err(self.error(EndpointProblem::Broadcast { found }));
+        }
+        Ok(())
     }
 
     fn path(&self, example: &'static str) -> Result<PathBuf, EndpointError> {
@@ -247,7 +326,14 @@ impl<'a> Parts<'a> {
         // Escapes can spell what is no UTF-8, and a zero, which no path holds.
         match String::from_utf8(bytes) {
             Ok(path) if !path.contains('\0') => Ok(path.into()),
-            _ => Err(self.error(EndpointProblem::NoPath { example })),
+            Ok(_) => {
+                let why = "no path holds a zero byte: leave %00 out";
+                Err(self.error(EndpointProblem::BadPath { why }))
+            }
+            Err(_) => {
+                let why = "what the escapes spell is no UTF-8: write the letters themselves";
+                Err(self.error(EndpointProblem::BadPath { why }))
+            }
         }
     }
 }
@@ -262,6 +348,14 @@ fn ip(text: &str, at: Range<usize>, found: &str) -> Result<SocketAddr, EndpointE
     let bare = found.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(found);
     if let Ok(address) = bare.parse::<IpAddr>() {
         let example = SocketAddr::new(address, 7400).to_string();
+        // Where the last group could be a port, both are shown: only the writer knows.
+        if let Some((host, port)) = bare.rsplit_once(':')
+            && bare.len() == found.len()
+            && let (Ok(host), Ok(port)) = (host.parse::<Ipv6Addr>(), port.parse::<u16>())
+        {
+            let example = format!("{}, or {example}", SocketAddr::new(host.into(), port));
+            return whole(EndpointProblem::NoBrackets { example });
+        }
         return whole(EndpointProblem::NoPort { example });
     }
     let Some((host, port)) = found.rsplit_once(':') else {
@@ -282,6 +376,7 @@ fn ip(text: &str, at: Range<usize>, found: &str) -> Result<SocketAddr, EndpointE
 fn udp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     let mut settings = parts.settings("udp")?;
     let address = ip(parts.text, parts.at.clone(), parts.place)?;
+    parts.no_broadcast(address)?;
     let mut config = UdpConfig { bind: address, ..UdpConfig::default() };
     if address.ip().is_multicast() {
         if address.port() == 0 {
@@ -315,6 +410,7 @@ fn udp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
 fn tcp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     let mut settings = parts.settings("tcp")?;
     let bind = ip(parts.text, parts.at.clone(), parts.place)?;
+    parts.no_broadcast(bind)?;
     if bind.ip().is_multicast() {
         let why = "a group is heard by UDP only: write udp:// before it";
         return Err(parts.error(EndpointProblem::Contradiction { why }));
@@ -335,7 +431,12 @@ fn tcp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
 #[cfg(feature = "unix")]
 fn unix(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     let mut settings = parts.settings("unix")?;
-    let mut config = UnixConfig::new(parts.path("unix:///run/robot.sock")?);
+    let path = parts.path("unix:///run/robot.sock")?;
+    let length = path.as_os_str().len();
+    if length > SOCKET_PATH {
+        return Err(parts.error(EndpointProblem::LongPath { length, limit: SOCKET_PATH }));
+    }
+    let mut config = UnixConfig::new(path);
     let mode = settings.take("mode", "permissions in octal, as in 660", |text| {
         u32::from_str_radix(text, 8).ok().filter(|mode| *mode <= 0o777)
     })?;
@@ -420,6 +521,10 @@ fn slcan(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
 fn can_node(settings: &mut Settings<'_>, node: &mut CanNodeConfig) -> Result<(), EndpointError> {
     settings.number("address", 0..=254, &mut node.address)?;
     settings.switch("short_ids", &mut node.short_ids)?;
+    if node.short_ids && node.address > SHORT_MOST {
+        let why = "with short_ids=true, addresses are 0 to 30";
+        return Err(settings.contradiction("address", why));
+    }
     settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut node.mtu)?;
     settings.number("queue_frames", 1..=65_536, &mut node.queue_frames)?;
     settings.number("block_size", 0..=255, &mut node.block_size)?;

@@ -164,6 +164,9 @@ fn a_wrong_ip_address_is_pointed_at_in_its_wrong_part() {
     bad("udp://10.0.0.1", "10.0.0.1", 6, "the port is missing: write 10.0.0.1:7400");
     bad("udp://[fd00::1]", "[fd00::1]", 6, "write [fd00::1]:7400");
     bad("udp://fd00::1", "fd00::1", 6, "write [fd00::1]:7400");
+    bad("udp://::1:7400", "::1:7400", 6, "in brackets: write [::1]:7400, or [::1:7400]:7400");
+    bad("udp://255.255.255.255:1", "255.255.255.255:1", 6, "the address of all");
+    bad("tcp://255.255.255.255:1", "255.255.255.255:1", 6, "the address of all");
     bad("udp://10.0.0.1:74000", "74000", 15, "no port");
     bad("udp://10.0.0.1:?mtu=100", "", 15, "no port");
     bad("udp://[fd00::1]:x", "x", 16, "no port");
@@ -179,8 +182,11 @@ fn a_wrong_path_or_name_is_pointed_at() {
     bad("slcan://ttyACM0", "ttyACM0", 8, "as in slcan:///dev/ttyACM0");
     bad("unix:///run/a%2", "%", 13, "two hexadecimal digits");
     bad("unix:///run/a%zz", "%", 13, "two hexadecimal digits");
-    bad("unix:///run/a%00", "/run/a%00", 7, "begins with a slash");
-    bad("unix:///run/a%ff", "/run/a%ff", 7, "begins with a slash");
+    bad("unix:///run/a%00", "/run/a%00", 7, "no path holds a zero byte");
+    bad("unix:///run/a%ff", "/run/a%ff", 7, "no UTF-8");
+    let long = format!("/{}", "x".repeat(107));
+    bad(&format!("unix://{long}"), &long, 7, "108 bytes, and a socket's has at most 107");
+    good(&format!("unix://{}", &long[..107]));
     bad("can://", "", 6, "the name of an interface is missing, as in can://can0");
     bad("can://a/b", "a/b", 6, "the name of an interface");
     bad("memory://", "", 9, "the name of our end is missing");
@@ -189,7 +195,7 @@ fn a_wrong_path_or_name_is_pointed_at() {
 #[test]
 fn a_wrong_setting_is_pointed_at() {
     bad("serial:///dev/ttyS0?buad=9600", "buad", 20, "did you mean `baud`?");
-    bad("memory://left?mtu=9", "mtu", 14, "memory has no key `mtu`");
+    bad("memory://left?mtu=9", "mtu", 14, "memory has no key `mtu`: it has none");
     bad("udp://0.0.0.0:1?hops=3", "hops", 16, "there are interface, mtu,");
     bad("udp://0.0.0.0:1?mtu=999&mtu=998", "mtu", 24, "said twice");
     bad("udp://0.0.0.0:1?mtu", "mtu", 16, "write mtu=…");
@@ -220,6 +226,9 @@ fn a_wrong_value_is_pointed_at_with_what_it_may_be() {
 #[test]
 fn settings_that_exclude_each_other_are_pointed_at() {
     bad("can://can0?bit_rate_switch=true", "bit_rate_switch=true", 11, "add fd=true");
+    let why = "with short_ids=true, addresses are 0 to 30";
+    bad("can://can0?address=31&short_ids=true", "address=31", 11, why);
+    good("can://can0?address=30&short_ids=true");
     bad("can://can0?separation=150us", "separation=150us", 11, "in steps of 100");
     bad("can://can0?separation=1500us", "separation=1500us", 11, "1ms to 127ms");
 }
@@ -248,6 +257,32 @@ fn peers_are_read_as_their_medium_writes_them() {
     refused("serial:///dev/ttyS0", "x", "x", "leave it empty");
     refused("can://can0", "300", "300", "0 to 255");
     refused("memory://a", "", "", "the name of its end");
+}
+
+#[test]
+fn an_address_that_no_neighbour_can_have_is_refused() {
+    let check = |endpoint: &str, peer: &str, words: &str| {
+        let error = good(endpoint).peer(peer).expect_err(peer);
+        assert_eq!(error.part(), peer);
+        assert!(error.to_string().contains(words), "{error}");
+    };
+    for medium in ["udp", "tcp"] {
+        let at = |place: &str| format!("{medium}://{place}");
+        check(&at("10.0.0.1:0"), "10.0.0.2:0", "nobody is at port 0");
+        check(&at("10.0.0.1:0"), "0.0.0.0:7400", "one of the neighbour's");
+        check(&at("[fd00::1]:0"), "[::]:7400", "one of the neighbour's");
+        check(&at("10.0.0.1:0"), "255.255.255.255:7400", "the address of all");
+        check(&at("10.0.0.1:7400"), "10.0.0.1:7400", "our own address");
+        check(&at("0.0.0.0:7400"), "127.0.0.1:7400", "our own address");
+        assert!(good(&at("0.0.0.0:7400")).peer("127.0.0.1:7401").is_ok());
+        assert!(good(&at("10.0.0.1:7400")).peer("10.0.0.2:7400").is_ok());
+    }
+    check("unix:///run/a.sock", "/run/a.sock", "our own address");
+    check("unix:///run/a.sock", &format!("/{}", "x".repeat(107)), "at most 107");
+    check("can://can0?address=7", "7", "our own number");
+    check("can://can0?address=7&short_ids=true", "31", "0 to 30");
+    assert!(good("can://can0?address=7&short_ids=true").peer("255").is_ok(), "to all");
+    check("memory://a", "a", "our own address");
 }
 
 #[test]

@@ -26,9 +26,16 @@ const QUEUE: usize = 1_024;
 const ENTRY: Duration = Duration::from_secs(5);
 /// How long modules may take to end in order before they are killed.
 const FAREWELL: Duration = Duration::from_secs(2);
+/// Files that a module's process must be able to open: about forty for its threads and cables, and
+/// reserve.
+const FILES: u64 = 64;
 /// A module that was never ready is started so often before the run is given up; also how often
 /// ports are chosen anew.
 const ATTEMPTS: u32 = 5;
+/// A module that was ready and says nothing for so many frames is killed and started anew, as an init
+/// system's watchdog would: three seconds, thirty times what lies between its snapshots. Frames are
+/// counted, not time, so that a director that was stopped itself blames nobody.
+const QUIET_FRAMES: u32 = 30;
 /// Between two starts of a module that does not get ready.
 const BETWEEN_ATTEMPTS: Duration = Duration::from_millis(200);
 
@@ -54,6 +61,15 @@ pub(crate) enum DemoError {
         /// What it said last.
         reason: String,
     },
+    /// The processes may open fewer files than they need.
+    #[error(
+        "a process may open {0} files here, and a module needs {FILES}: raise the limit, as with \
+         `ulimit -n {FILES}`"
+    )]
+    Files(u64),
+    /// Its processes run, and do not find each other or do not get ready.
+    #[error("the robot did not come together: {0}")]
+    NotTogether(String),
     /// A person, or the system, ended it.
     #[error("ended by {0} before its time; all processes are ended")]
     Interrupted(&'static str),
@@ -100,6 +116,8 @@ struct Member {
     entry_due: Instant,
     failures: u32,
     reason: String,
+    /// Frames since it last said something.
+    quiet: u32,
 }
 
 struct Signals {
@@ -114,9 +132,14 @@ impl Director {
     /// # Errors
     /// See [`DemoError`].
     pub(crate) fn start(plan: Plan) -> Result<Director, DemoError> {
+        let files = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
+        if let Some(files) = files.filter(|files| *files < FILES) {
+            return Err(DemoError::Files(files));
+        }
         // First of all, so that no signal finds processes that nobody would end.
         let signals = Signals::catch()?;
-        let wiring = Wiring::choose().map_err(system("no free port on the loopback addresses"))?;
+        let wiring = Wiring::choose()
+            .map_err(system("the loopback addresses cannot be used (is the interface lo up?)"))?;
         let mut director = Director {
             story: Story::new(plan, Moment::now()),
             news: VecDeque::new(),
@@ -153,6 +176,7 @@ impl Director {
                     Output::Do(deed) => self.carry_out(deed),
                     Output::Tell(news) => self.tell(news, display)?,
                     Output::Finished => return Ok(()),
+                    Output::Stillborn(text) => return Err(self.not_together(text)),
                 }
             }
             let due = self.next_due();
@@ -183,10 +207,12 @@ impl Director {
                 self.kill_the_mute();
                 self.story.handle_timeout(now);
             }
-            Happening::Frame if display.mode() == Mode::Live => {
-                display.picture(Picture::new(&self.story, &self.news, now))?;
+            Happening::Frame => {
+                self.kill_the_quiet();
+                if display.mode() == Mode::Live {
+                    display.picture(Picture::new(&self.story, &self.news, now))?;
+                }
             }
-            Happening::Frame => {}
             Happening::Interrupted(name) => return Err(DemoError::Interrupted(name)),
         }
         Ok(())
@@ -199,6 +225,7 @@ impl Director {
             // The last words of a process that is gone.
             return Ok(());
         };
+        member.quiet = 0;
         match event {
             Event::Hello { name, version } if name != module.name() || *version != VERSION => {
                 let reason = "its executable is not the director's; start anew".into();
@@ -241,7 +268,12 @@ impl Director {
             (false, true) => member.failures,
             (false, false) => member.failures + 1,
         };
-        let unasked = (was_ready && !member.process.is_killed()).then_some(how.as_str());
+        let how = match member.quiet {
+            QUIET_FRAMES.. => "it said nothing for 3 s, and was killed".into(),
+            _ => how,
+        };
+        let is_ordered = member.process.is_killed() && member.quiet < QUIET_FRAMES;
+        let unasked = (was_ready && !is_ordered).then_some(how.as_str());
         if failures >= ATTEMPTS {
             let reason = if member.reason.is_empty() { how } else { member.reason.clone() };
             return Err(DemoError::Module { module, reason });
@@ -263,7 +295,7 @@ impl Director {
             .map_err(system("a module's process cannot be started"))?;
         let entry_due = Instant::now() + ENTRY;
         let reason = String::new();
-        let member = Member { process, commands: None, entry_due, failures, reason };
+        let member = Member { process, commands: None, entry_due, failures, reason, quiet: 0 };
         self.crew.insert(module, member);
         Ok(())
     }
@@ -326,6 +358,33 @@ impl Director {
                 member.process.kill();
             }
         }
+    }
+
+    fn kill_the_quiet(&mut self) {
+        for (module, member) in &mut self.crew {
+            if self.story.known.module(*module).is_some_and(|known| known.ready) {
+                member.quiet = member.quiet.saturating_add(1);
+            }
+            if member.quiet == QUIET_FRAMES {
+                member.process.kill();
+            }
+        }
+    }
+
+    /// What is missing, and what modules said last, as far as they said why.
+    fn not_together(&self, text: String) -> DemoError {
+        let said = self.crew.iter().filter(|(_, member)| !member.reason.is_empty());
+        let said = said.map(|(module, member)| format!("{module}: {}", member.reason));
+        let is_mute = |module: &Module, member: &Member| {
+            let ready = self.story.known.module(*module).is_some_and(|known| known.ready);
+            member.reason.is_empty() && !ready
+        };
+        let mute = self.crew.iter().filter(|(module, member)| is_mute(module, member));
+        let mute = mute.map(|(module, _)| {
+            format!("{module} cannot say why: see whether `ulimit -u` leaves it threads")
+        });
+        let said = said.chain(mute);
+        DemoError::NotTogether(std::iter::once(text).chain(said).collect::<Vec<_>>().join("; "))
     }
 
     /// Ends all processes, in order if they can.

@@ -28,6 +28,8 @@ pub(crate) enum Flaw {
     Refuses,
     FalseAlarm,
     NeverTogether,
+    StopsForGood,
+    ComesLate,
 }
 
 /// The fake robot, with its own time.
@@ -80,6 +82,11 @@ impl FakeRobot {
             }
         }
         self.plan(100, Happening::Snapshots);
+        if self.flaw == Flaw::NeverTogether {
+            let place = Place::Node(NodeName::new("module3").expect("a name"));
+            let note = self.note(FaultKind::NodeLost, place, 60);
+            self.says(Module::Module1, 60, Event::Found(note));
+        }
         if self.flaw == Flaw::FalseAlarm {
             let note = self.note(FaultKind::Silence, object(Module::Module1, "safety"), 350);
             self.says(Module::Module1, 350, Event::Found(note));
@@ -93,6 +100,11 @@ impl FakeRobot {
                     Output::Do(deed) => self.carry_out(deed, &mut story),
                     Output::Tell(_) => {}
                     Output::Finished => return story.report(),
+                    Output::Stillborn(reason) => {
+                        let mut report = story.report();
+                        report.problems.push(reason);
+                        return report;
+                    }
                 }
             }
             self.step(&mut story);
@@ -213,6 +225,11 @@ impl FakeRobot {
             self.says(module, 0, Event::Refused { order, reason: "no such object".into() });
             return;
         }
+        if self.flaw == Flaw::StopsForGood && kind == FaultKind::Hang {
+            // It is there, and says nothing any more.
+            self.dead.insert(module);
+            return;
+        }
         self.done(module, order);
         if self.flaw == Flaw::DiesOfPanic && kind == FaultKind::Panic {
             self.die(module, Some("signal 6"));
@@ -290,10 +307,17 @@ impl FakeRobot {
             epoch: self.lives[&flow.from],
             first,
             highest: self.sent(flow),
-            missing: flawed(self.lost),
+            missing: flawed(self.lost) + self.held_back(flow),
             doubled: flawed(self.doubled),
             missing_before: 0,
         }
+    }
+
+    /// What comes only when its row has been closed.
+    fn held_back(&self, flow: &Flow) -> u64 {
+        let is_late = self.flaw == Flaw::ComesLate && flow.name == FLOWS[0].name;
+        let span = Moment::from_millis(2_800)..Moment::from_millis(8_000);
+        if is_late && span.contains(&self.now) { 7 } else { 0 }
     }
 
     /// A message every 10 ms since the source's process began.

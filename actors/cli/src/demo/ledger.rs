@@ -123,6 +123,10 @@ impl Account {
     fn handle_source(&mut self, source: &SourceState, at: Moment) {
         if source.epoch != self.source.epoch {
             self.old_epoch_sent = self.source.sent;
+            // What an ended process had sent has come or perished: it is awaited no more.
+            if let Settling::Until { .. } = self.settling {
+                self.settling = Settling::Until { epoch: source.epoch, number: 0 };
+            }
         }
         self.source.clone_from(source);
         if let Settling::Asked { since } = self.settling
@@ -280,6 +284,19 @@ mod tests {
 
         assert!(ledger.is_flowing());
         assert_eq!(ledger.losses(), Losses { perished: 5, ..Losses::default() });
+    }
+
+    #[test]
+    fn what_a_killed_source_had_sent_is_not_awaited_any_more() {
+        let mut ledger = ledger();
+        ledger.settle(Moment::from_millis(5));
+        told(&mut ledger, 10, &[source(1, 100)], &[sink(1, 1, 1, 100)]);
+        assert!(ledger.is_settled());
+        told(&mut ledger, 20, &[source(2, 3)], &[]);
+        told(&mut ledger, 30, &[source(2, 9)], &[sink(1, 2, 1, 9)]);
+
+        assert!(ledger.is_settled());
+        assert_eq!(ledger.losses(), Losses::default());
     }
 
     #[test]

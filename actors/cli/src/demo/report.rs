@@ -13,6 +13,8 @@ use std::time::Duration;
 pub(crate) struct Report {
     /// Every fault was found, named rightly and recovered, and no promise was broken.
     pub(crate) promises_kept: bool,
+    /// It was told to its end, and not interrupted.
+    pub(crate) finished: bool,
     /// The seed of the run.
     pub(crate) seed: u64,
     /// Random faults instead of the story.
@@ -28,6 +30,8 @@ pub(crate) struct Report {
     pub(crate) problems: Vec<String>,
     /// Reliable messages over the whole run.
     pub(crate) messages: Losses,
+    /// How many of them stand as lost in a row, because they were late, and came after all.
+    pub(crate) late: u64,
     /// How many of them the sinks' last processes received.
     pub(crate) received: u64,
     /// How often a message was given back to its source, which offered it again.
@@ -204,6 +208,12 @@ impl Report {
             Delivery { filtered: true, figures: Figures::from(&measured.filtered) },
         ];
     }
+}
+
+/// So many of them, in words that agree.
+pub(crate) fn counted(number: u64, thing: &str) -> String {
+    let ending = if number == 1 { "" } else { "s" };
+    format!("{number} {thing}{ending}")
 }
 
 /// Milliseconds with the precision of a microsecond's tenth, for people and JSON alike.

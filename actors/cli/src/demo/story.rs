@@ -8,7 +8,7 @@ use super::injection::{Injection, Judgement};
 use super::known::Known;
 use super::moment::Moment;
 use super::protocol::{Event, FaultNote, Sabotage};
-use super::report::{NOTES, Report, Row};
+use super::report::{NOTES, Report, Row, counted};
 use super::robot::{CABLES, Module};
 use super::trial::{Deed, Patience, Trial};
 use blastema::core::Place;
@@ -17,6 +17,11 @@ use std::time::Duration;
 
 /// Until all three processes have found each other, on a machine that is busy with something else.
 const ASSEMBLY: Duration = Duration::from_secs(15);
+/// A story in which something broke ends then, with whatever has not been tried: what it would still
+/// tell is not worth minutes of a person's time.
+const BROKEN_AT_MOST: Duration = Duration::from_secs(25);
+/// Faults found while the robot should come together that are kept, to say why it does not.
+const HINDRANCE_LIMIT: usize = 5;
 /// Between two faults at least.
 const PAUSE: Duration = Duration::from_millis(300);
 /// And at most so much more, by chance, so that faults meet timers in every phase.
@@ -42,9 +47,12 @@ pub(crate) struct Story {
     rows: Vec<Row>,
     rows_left_out: u64,
     broken: bool,
+    finished: bool,
     problems: Vec<String>,
     /// Faults that nobody made, unless they turn out to be symptoms.
     stray: BTreeMap<(Module, u64), String>,
+    /// What was found while the robot should come together.
+    hindrances: BTreeMap<Place, String>,
     outputs: VecDeque<Output>,
 }
 
@@ -70,6 +78,8 @@ pub(crate) enum Output {
     Tell(News),
     /// It is over.
     Finished,
+    /// It cannot be told: the robot does not come together. What is missing, and what was found.
+    Stillborn(String),
 }
 
 /// A line for the person who watches.
@@ -132,8 +142,10 @@ impl Story {
             rows: Vec::new(),
             rows_left_out: 0,
             broken: false,
+            finished: false,
             problems: Vec::new(),
             stray: BTreeMap::new(),
+            hindrances: BTreeMap::new(),
             outputs: VecDeque::new(),
             plan,
         }
@@ -164,7 +176,9 @@ impl Story {
                 if matches!(note.place, Place::Object(_)) =>
             {
                 self.judge_between(from, note);
+                self.hinder(from, note);
             }
+            (Scene::Assembling { .. }, Event::Found(note)) => self.hinder(from, note),
             _ => {}
         }
         self.advance();
@@ -219,7 +233,10 @@ impl Story {
         match &self.scene {
             Scene::Assembling { due } => Some(*due),
             Scene::Pausing { until } => Some(*until),
-            Scene::Trying(trial) => trial.poll_timeout(),
+            Scene::Trying(trial) => {
+                let end = self.must_end_at(trial).filter(|end| *end > self.now);
+                trial.poll_timeout().into_iter().chain(end).min()
+            }
             Scene::Over => None,
         }
     }
@@ -251,15 +268,32 @@ impl Story {
 
     /// What came of it so far.
     pub(crate) fn report(&self) -> Report {
+        let messages = self.known.ledger.losses();
+        let in_rows = |count: fn(&Row) -> u64| self.rows.iter().map(count).sum::<u64>();
+        let mut problems: Vec<String> =
+            self.problems.iter().chain(self.stray.values()).cloned().collect();
+        // While a trial is under way, what was sent may still come.
+        if !matches!(self.scene, Scene::Trying(_)) {
+            let between = [
+                (messages.lost.saturating_sub(in_rows(|row| row.lost)), "lost"),
+                (messages.doubled.saturating_sub(in_rows(|row| row.doubled)), "doubled"),
+            ];
+            for (count, what) in between.into_iter().filter(|(count, _)| *count > 0) {
+                let messages = counted(count, "reliable message");
+                problems.push(format!("{messages} {what} between two faults"));
+            }
+        }
         let mut report = Report {
-            promises_kept: !self.broken && self.stray.is_empty() && self.number > 0,
+            promises_kept: !self.broken && self.finished && problems.is_empty() && self.number > 0,
+            finished: self.finished,
             seed: self.plan.seed,
             chaos: self.plan.chaos,
             took: self.now - self.began_at,
             rows: self.rows.clone(),
             rows_left_out: self.rows_left_out,
-            problems: self.problems.iter().chain(self.stray.values()).cloned().collect(),
-            messages: self.known.ledger.losses(),
+            problems,
+            late: in_rows(|row| row.lost).saturating_sub(messages.lost),
+            messages,
             received: self.known.ledger.received(),
             given_back: 0,
             responses: Vec::new(),
@@ -278,13 +312,20 @@ impl Story {
                     self.say(Tone::Remark, text.into());
                     self.pause();
                 } else if self.now >= *due {
-                    let missing = self.known.missing(|_| true);
-                    self.complain(format!("the robot did not come together: {missing}"));
-                    self.finish();
+                    let missing = std::iter::once(self.known.missing(|_| true));
+                    let found = self.hindrances.values().cloned();
+                    let text = missing.chain(found).collect::<Vec<_>>().join("; ");
+                    // They say why, and were not made by a story that never began.
+                    self.stray.clear();
+                    self.scene = Scene::Over;
+                    self.outputs.push_back(Output::Stillborn(text));
                 }
             }
             Scene::Pausing { until } if self.now >= *until => self.begin_next(),
             Scene::Trying(trial) if trial.is_over() => self.end_trial(),
+            Scene::Trying(trial) if self.must_end_at(trial).is_some_and(|end| self.now >= end) => {
+                self.end_trial();
+            }
             Scene::Pausing { .. } | Scene::Trying(_) | Scene::Over => {}
         }
     }
@@ -294,7 +335,32 @@ impl Story {
         self.scene = Scene::Pausing { until };
     }
 
+    /// When a story in which something broke is to end: only one that is told once has an end.
+    fn must_end_at(&self, trial: &Trial) -> Option<Moment> {
+        let is_broken = self.broken || trial.is_broken();
+        (self.plan.length.is_none() && is_broken).then_some(self.began_at + BROKEN_AT_MOST)
+    }
+
+    fn hinder(&mut self, from: Module, note: &FaultNote) {
+        if self.hindrances.len() < HINDRANCE_LIMIT {
+            let FaultNote { kind, place, detail, .. } = note;
+            let text = format!("{from} found {kind} in {place}: {detail}");
+            self.hindrances.insert(place.clone(), text);
+        }
+    }
+
     fn begin_next(&mut self) {
+        let is_late = self.now - self.began_at >= BROKEN_AT_MOST;
+        if self.broken
+            && is_late
+            && self.plan.length.is_none()
+            && let Script::Told(rest) = &mut self.script
+            && !rest.is_empty()
+        {
+            let left = counted(rest.len() as u64, "fault");
+            rest.clear();
+            self.complain(format!("{left} not tried: a promise is broken, and time is up"));
+        }
         let Some(injection) = self.next_injection() else {
             self.finish();
             return;
@@ -328,7 +394,11 @@ impl Story {
     }
 
     fn end_trial(&mut self) {
-        let Scene::Trying(trial) = std::mem::replace(&mut self.scene, Scene::Over) else { return };
+        let scene = std::mem::replace(&mut self.scene, Scene::Over);
+        let Scene::Trying(mut trial) = scene else { return };
+        if !trial.is_over() {
+            trial.cut_short(&self.known);
+        }
         let row = trial.row(&self.known);
         for problem in &row.problems {
             self.broken = true;
@@ -355,6 +425,7 @@ impl Story {
 
     fn finish(&mut self) {
         self.scene = Scene::Over;
+        self.finished = true;
         self.outputs.push_back(Output::Finished);
     }
 
@@ -467,8 +538,8 @@ mod tests {
         check(Flaw::NotReported, "error state", "not reported");
         check(Flaw::NotBack, "silent object", "service is not back");
         check(Flaw::WrongCulprit, "hang", "module2 named hang in module2:operator");
-        check(Flaw::LosesOne, "cable cut", "1 reliable messages were lost");
-        check(Flaw::DoublesOne, "panic in the router", "1 reliable messages were doubled");
+        check(Flaw::LosesOne, "cable cut", "1 reliable message lost");
+        check(Flaw::DoublesOne, "panic in the router", "1 reliable message doubled");
         check(Flaw::DiesOfPanic, "panic", "module1 ended by itself");
         check(Flaw::Refuses, "flood", "module2 refused: no such object");
     }
@@ -486,8 +557,31 @@ mod tests {
     fn a_robot_that_never_comes_together_ends_the_story_and_says_what_is_missing() {
         let report = tell(Plan::default(), Flaw::NeverTogether);
 
-        assert!(!report.promises_kept && report.rows.is_empty());
-        assert!(report.problems[0].contains("module3 is not ready"), "{:?}", report.problems);
+        assert!(!report.promises_kept && !report.finished && report.rows.is_empty());
+        for told in ["module3 is not ready", "module1 found node lost in module3: as ordered"] {
+            assert!(report.problems[0].contains(told), "{:?}", report.problems);
+        }
+    }
+
+    #[test]
+    fn a_robot_with_a_module_that_is_stopped_for_good_ends_within_the_time_that_the_help_says() {
+        let report = tell(Plan::default(), Flaw::StopsForGood);
+
+        // The director takes up to four seconds to end the processes.
+        assert!(report.took <= Duration::from_secs(26), "{:?}", report.took);
+        assert!(!report.promises_kept && report.finished);
+        let last = report.problems.last().expect("what was left out is said");
+        assert!(last.contains("not tried"), "{last}");
+    }
+
+    #[test]
+    fn what_a_row_counts_as_lost_and_comes_late_is_said_at_the_end() {
+        let report = tell(Plan::default(), Flaw::ComesLate);
+
+        let in_rows: u64 = report.rows.iter().map(|row| row.lost).sum();
+        assert!(in_rows > 0, "{report:?}");
+        assert_eq!(in_rows, report.messages.lost + report.late);
+        assert!(!report.promises_kept);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The table at the end, beside the paper's figures.
 
 use super::ink::{Ink, Line};
-use super::report::{Delivery, Figures, Report, Response, Row, millis};
+use super::report::{Delivery, Figures, Report, Response, Row, counted, millis};
 use std::time::Duration;
 
 /// What the wide form takes; narrower terminals get a paragraph for each row.
@@ -20,7 +20,8 @@ pub(crate) fn draw(report: &Report, columns: usize) -> Vec<Line> {
         lines.extend(report.rows.iter().flat_map(narrow_row));
     }
     if report.rows_left_out > 0 {
-        let text = format!("({} earlier rows in which nothing broke)", report.rows_left_out);
+        let rows = counted(report.rows_left_out, "earlier row");
+        let text = format!("({rows} in which nothing broke)");
         lines.push(Line::of(Ink::Faint, text));
     }
     lines.extend(report.problems.iter().map(|problem| Line::of(Ink::Bad, format!("! {problem}"))));
@@ -129,12 +130,20 @@ fn row_of(figures: &Figures) -> String {
 fn verdict(report: &Report, columns: usize) -> Vec<Line> {
     let sum = &report.messages;
     let rows = report.rows.len() as u64 + report.rows_left_out;
-    let (ink, verdict) = match report.promises_kept {
-        true => (Ink::Good, "Every promise was kept"),
-        false => (Ink::Bad, "A promise was broken"),
+    let is_broken =
+        !report.problems.is_empty() || report.rows.iter().any(|row| !row.problems.is_empty());
+    let (ink, verdict) = match (report.promises_kept, report.finished) {
+        (true, _) => (Ink::Good, "Every promise was kept"),
+        (false, false) if !is_broken => (Ink::Strong, "Not run to its end"),
+        (false, _) => (Ink::Bad, "A promise was broken"),
+    };
+    let late = match report.late {
+        0 => String::new(),
+        late => format!(" ({late} that a row counts as lost came late)"),
     };
     let text = format!(
-        "{verdict}: {rows} faults in {:.1} s, seed {}; reliable messages: {} lost, {} doubled.",
+        "{verdict}: {} in {:.1} s, seed {}; reliable messages: {} lost{late}, {} doubled.",
+        counted(rows, "fault"),
         report.took.as_secs_f64(),
         report.seed,
         sum.lost,
@@ -243,6 +252,7 @@ mod tests {
         };
         let mut report = Report {
             promises_kept: false,
+            finished: true,
             seed: 1,
             chaos: false,
             took: Duration::from_millis(21_345),
@@ -250,6 +260,7 @@ mod tests {
             rows_left_out: 3,
             problems: vec!["module2 named hang in module2:laser, where nothing was done".into()],
             messages: Losses { lost: 2, doubled: 0, perished: 14 },
+            late: 0,
             received: 9_000,
             given_back: 5,
             responses: vec![],

@@ -15,7 +15,7 @@ use super::known::Known;
 use super::ledger::Losses;
 use super::moment::Moment;
 use super::protocol::{Command, Event, FaultNote, OrderId};
-use super::report::{Named, Row, paper_figure};
+use super::report::{Named, Row, counted, paper_figure};
 use super::robot::{Cable, Flow, Module};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -254,6 +254,23 @@ impl Trial {
         self.advance(known, now);
     }
 
+    /// Something broke already.
+    pub(crate) fn is_broken(&self) -> bool {
+        !self.problems.is_empty()
+    }
+
+    /// Ends it where it stands; what is still missing is a problem.
+    pub(crate) fn cut_short(&mut self, known: &Known) {
+        match self.phase {
+            Phase::Striking => self.problems.push("the fault was not injected".into()),
+            Phase::Watching => self.problems.extend(self.what_is_missing(known)),
+            Phase::Settling | Phase::Tidying | Phase::Over => {}
+        }
+        self.problems.push("cut short: time is up".into());
+        self.phase = Phase::Over;
+        self.due = None;
+    }
+
     /// It is over; [`row`](Self::row) is final.
     pub(crate) fn is_over(&self) -> bool {
         self.phase == Phase::Over
@@ -267,10 +284,10 @@ impl Trial {
             problems.push(format!("{finder} named {kind} in {place}: {detail}"));
         }
         if lost > 0 {
-            problems.push(format!("{lost} reliable messages were lost"));
+            problems.push(format!("{} lost", counted(lost, "reliable message")));
         }
         if doubled > 0 {
-            problems.push(format!("{doubled} reliable messages were doubled"));
+            problems.push(format!("{} doubled", counted(doubled, "reliable message")));
         }
         let first_named = self.named.values().min_by_key(|note| note.found_at);
         let struck = self.struck.map(|struck| struck.first);

@@ -39,6 +39,8 @@ impl Wiring {
         for cable in CABLES {
             let [near, far] = cable.ends().map(|module| cable.network.address(module));
             let [near, far] = [UdpSocket::bind((near, 0))?, UdpSocket::bind((far, 0))?];
+            // An interface that is down lets sockets be bound and nothing be sent.
+            near.send_to(&[0], far.local_addr()?)?;
             ends.insert(cable.name.to_owned(), [near.local_addr()?, far.local_addr()?]);
             held.extend([near, far]);
         }

@@ -9,6 +9,8 @@ use crate::demo::protocol::{Command, Event, OrderId, Snapshot};
 use crate::demo::robot::Module;
 use crate::demo::wiring::Wiring;
 use blastema::prelude::*;
+use blastema::{FaultEvent, FaultEvents};
+use std::pin::pin;
 use std::time::Duration;
 use tokio::sync::mpsc::{Receiver, Sender as Queue};
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
@@ -35,15 +37,14 @@ impl Post {
 
     /// Runs the node, and does what it is told until nobody tells it anything any more.
     pub(super) async fn hold(self, wiring: Wiring, mut commands: Receiver<Command>) {
-        let node = match self.start(&wiring).await {
-            Ok(node) => node,
+        let (node, mut faults) = match self.start(&wiring).await {
+            Ok(started) => started,
             Err(event) => {
                 self.gauges.tell(event);
                 sleep(LAST_WORD).await;
                 return;
             }
         };
-        let mut faults = node.fault_events();
         self.gauges.tell(Event::Ready);
         let mut snapshots = interval(SNAPSHOT);
         snapshots.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -53,11 +54,7 @@ impl Post {
                     None | Some(Command::Shutdown) => break,
                     Some(command) => self.obey(&node, command).await,
                 },
-                Some(step) = faults.next() => {
-                    if let Some(event) = event_of(step) {
-                        self.gauges.tell(event);
-                    }
-                }
+                Some(step) = faults.next() => self.pass_on(step),
                 _ = snapshots.tick() => self.report(&node).await,
             }
         }
@@ -66,13 +63,32 @@ impl Post {
     }
 
     /// Starts the node, or says why it cannot be started.
-    async fn start(&self, wiring: &Wiring) -> Result<Node, Event> {
+    async fn start(&self, wiring: &Wiring) -> Result<(Node, FaultEvents), Event> {
         aboard::check_addresses(self.module, wiring).map_err(|error| Event::StartFailed {
             reason: error.to_string(),
             address_taken: true,
         })?;
-        let node = aboard::build(self.module, wiring, &self.gauges).start().await;
-        node.map_err(|error| Event::StartFailed { reason: error.to_string(), address_taken: false })
+        let mut builder = aboard::build(self.module, wiring, &self.gauges);
+        let mut faults = builder.fault_events();
+        let mut starting = pin!(builder.start());
+        // What is found meanwhile says why a node does not come up.
+        let node = loop {
+            tokio::select! {
+                node = &mut starting => break node,
+                Some(step) = faults.next() => self.pass_on(step),
+            }
+        };
+        let failed = |error: StartError| Event::StartFailed {
+            reason: error.to_string(),
+            address_taken: false,
+        };
+        Ok((node.map_err(failed)?, faults))
+    }
+
+    fn pass_on(&self, step: FaultEvent) {
+        if let Some(event) = event_of(step) {
+            self.gauges.tell(event);
+        }
     }
 
     async fn obey(&self, node: &Node, command: Command) {

@@ -41,6 +41,7 @@ impl Stage {
             exits: Some(exits.recipient()),
             states: Some(states.recipient()),
             faults: Some(faults.recipient()),
+            mended: None,
         };
         let environment = HostEnvironment::new(arbiters, reports);
         Stage { environment, exits, states, faults, reports: Probe::start() }

@@ -41,6 +41,7 @@ impl Detector {
             Finding::Declared { kind, detail } => {
                 self.find(&scene, kind, detail, Cause::Above);
             }
+            Finding::Mended { kind } => self.end_kind(&scene, &kind),
             Finding::Silent { age } => {
                 let detail = format!("no sign of life for {} ms", age.as_millis());
                 let cause = self.cause_of_standstill(object, &scene);
@@ -56,7 +57,8 @@ impl Detector {
             }
             Finding::Stuck { oldest, queued } => {
                 let detail = format!(
-                    "it answers, but has taken none of {queued} messages; the oldest is {} ms old",
+                    "it answers, but has taken none of {}; the oldest is {} ms old",
+                    messages(queued),
                     oldest.as_millis()
                 );
                 self.find(&scene, FaultKind::Hang, detail, Cause::Above);
@@ -64,7 +66,8 @@ impl Detector {
             Finding::Overloaded { oldest, queued } => {
                 self.end_kind(&scene, &FaultKind::Hang);
                 let oldest = oldest.as_millis();
-                let detail = format!("{queued} messages wait; the oldest is {oldest} ms old");
+                let waiting = messages(queued);
+                let detail = format!("{waiting} in its queue; the oldest is {oldest} ms old");
                 self.find(&scene, FaultKind::Overload, detail, Cause::Above);
             }
             Finding::Flows => {
@@ -94,11 +97,13 @@ impl Detector {
         victims: &[ObjectName],
     ) {
         let others = victims.iter().filter(|&victim| victim != object);
-        let detail = format!(
-            "{during} has kept its arbiter for {} ms; {} others stand still behind it",
-            age.as_millis(),
-            others.clone().count()
-        );
+        let behind = match others.clone().count() {
+            0 => String::new(),
+            1 => "; 1 other stands still behind it".to_owned(),
+            count => format!("; {count} others stand still behind it"),
+        };
+        let age = age.as_millis();
+        let detail = format!("{during} has kept its arbiter for {age} ms{behind}");
         let id = self.find(scene, FaultKind::Hang, detail, Cause::Itself);
         for victim in others.filter(|&victim| self.objects.contains_key(victim)) {
             self.behind.insert(victim.clone(), id);
@@ -251,5 +256,12 @@ impl Detector {
                 .min()
         };
         hang.or_else(own).map_or(Cause::Above, Cause::Known)
+    }
+}
+
+fn messages(count: usize) -> String {
+    match count {
+        1 => "1 message".to_owned(),
+        _ => format!("{count} messages"),
     }
 }

@@ -338,9 +338,13 @@ fn more_places_than_it_can_treat_are_given_up_loudly() {
 
 #[test]
 fn a_place_with_too_many_faults_gives_the_further_ones_up() {
-    let mut rig = Rig::new();
-    for id in 1..=FAULTS_LIMIT as u64 {
-        rig.find(fault(id, FaultKind::Custom(format!("F{id}").into()), at("arm"), 1));
+    let kind = |id: u64| FaultKind::Custom(format!("F{id}").into());
+    let ids = 1..=FAULTS_LIMIT as u64;
+    let rest = |plan: Plan, id| plan.on(kind(id), Ladder::first(Measure::SafeStop));
+    let plan = ids.clone().fold(Plan::default(), rest);
+    let mut rig = Rig::with(plan, RecovererLimits::default());
+    for id in ids {
+        rig.find(fault(id, kind(id), at("arm"), 1));
     }
 
     assert!(rig.find(panic_of(99, "arm", 1))[0].starts_with("99 given up: 32 faults of here:arm"));
