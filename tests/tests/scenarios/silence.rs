@@ -131,7 +131,7 @@ async fn who_answers_but_takes_no_message_is_stuck_and_replaced() {
     let fault = node.await_fault(FaultKind::Hang, "arm").await;
     node.await_recovered(FaultKind::Hang, "arm").await;
 
-    assert!(fault.detail.contains("it answers, but has taken none of 1 messages"), "{fault:?}");
+    assert!(fault.detail.contains("it answers, but has taken none of 1 message;"), "{fault:?}");
     assert_eq!(life(&node, "arm").await, 2);
     assert_eq!(strings.lines("note"), ["arm#2 note 1"]);
 }

@@ -66,8 +66,11 @@ impl Detector {
             Finding::Overloaded { oldest, queued } => {
                 self.end_kind(&scene, &FaultKind::Hang);
                 let oldest = oldest.as_millis();
-                let waiting = messages(queued);
-                let detail = format!("{waiting} in its queue; the oldest is {oldest} ms old");
+                let waiting = match queued {
+                    1 => "1 message waits".to_owned(),
+                    _ => format!("{queued} messages wait"),
+                };
+                let detail = format!("{waiting}; the oldest is {oldest} ms old");
                 self.find(&scene, FaultKind::Overload, detail, Cause::Above);
             }
             Finding::Flows => {
