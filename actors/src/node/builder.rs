@@ -280,7 +280,7 @@ impl NodeBuilder {
     /// # struct Lamp;
     /// # impl Component for Lamp {
     /// #     async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-    /// #         if cx.incarnation().0 > 1 { Ok(()) } else { Err(Failure::new("it is dark")) }
+    /// #         if cx.incarnation().0 > 1 { Ok(()) } else { Err("it is dark".into()) }
     /// #     }
     /// # }
     /// # blastema::run(async {
