@@ -135,7 +135,7 @@ impl Word {
             2 => Stance::Ready,
             _ => return Err(WireError::Malformed { what: "a word's stance" }),
         };
-        if flags & !(LOSS | ECHO | 3 << 14) != 0 {
+        if flags & !(LOSS | ECHO | 3 << 14) != 0 || flags & LOSS > 1_000 {
             return Err(WireError::Malformed { what: "a word" });
         }
         let echo = if flags & ECHO == 0 {
@@ -194,8 +194,8 @@ mod tests {
         for cut in (2..bytes.len()).filter(|cut| ![15, 28].contains(cut)) {
             assert_eq!(Frame::decode(bytes.slice(..cut)), Err(WireError::Truncated), "{cut}");
         }
-        // No life, no turn, no name, no stance, a bit that means nothing.
-        for (at, byte) in [(2, 0), (11, 0), (13, b'/'), (19, 0xe3), (19, 0xa7)] {
+        // No life, no turn, no name, no stance, a bit that means nothing, more lost than there was.
+        for (at, byte) in [(2, 0), (11, 0), (13, b'/'), (19, 0xe3), (19, 0xa7), (20, 0xe9)] {
             let mut wrong = bytes.to_vec();
             wrong[at] = byte;
             assert!(Frame::decode(Bytes::from(wrong)).is_err(), "{byte:#04x} at {at}");
