@@ -8,6 +8,8 @@ use blastema::{
 use blastema_testkit::{TestNode, now};
 use std::time::Duration;
 
+mod terms;
+
 const MS: Duration = Duration::from_millis(1);
 const MEMBERS: [&str; 3] = ["module1", "module2", "module3"];
 
