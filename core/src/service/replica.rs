@@ -108,7 +108,7 @@ pub enum ReplicaOutput {
         /// In what, and what is to be written.
         detail: String,
     },
-    /// What was disputed is over. More of it, if there is any, follows.
+    /// What was disputed is over. What is left of it, if there is any, follows.
     Agreed,
     /// Ask this node what it was told of the service, and say so by [`Replica::handle_terms`], or
     /// [`Replica::handle_no_terms`].

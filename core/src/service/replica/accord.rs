@@ -171,11 +171,14 @@ impl Replica {
             self.refused += 1;
             return;
         }
-        self.accord.known.entry(of.clone()).or_default().opinion = opinion;
+        let known = self.accord.known.entry(of.clone()).or_default();
+        let differed = matches!(known.opinion, Opinion::Differs(_));
+        known.opinion = opinion;
         if self.dispute() == before {
             return;
         }
-        if before.is_some() {
+        // What one more says is more of the same.
+        if differed {
             self.outputs.push_back(ReplicaOutput::Agreed);
         }
         self.tell_dispute();

@@ -172,6 +172,37 @@ fn a_body_that_begins_anew_still_knows_of_the_dispute() {
 }
 
 #[test]
+fn one_more_that_differs_is_more_of_the_same_and_one_less_is_told_anew() {
+    let mut robot = Robot::new(1, 3, StandbyKind::Warm, OnPartition::Stop);
+    let other = Replica::new(
+        ReplicaConfig { members: vec![node(1)], ..robot.config(1) },
+        Bytes::new(),
+        robot.now,
+    );
+    let own = &mut robot.members[0].as_mut().unwrap().replica;
+    let (same, terms) = (own.terms(), other.terms());
+    let mut hear = |from: usize, terms: &[u8]| -> Vec<String> {
+        own.handle_terms(&node(from), terms, Instant::from_millis(1));
+        let outputs = std::iter::from_fn(|| own.poll_output());
+        let told = outputs.filter_map(|output| match output {
+            ReplicaOutput::Disputed { detail } => {
+                let named = |n: &usize| detail.contains(&format!("on module{n}:"));
+                Some(format!("disputed {:?}", (0..3).filter(named).collect::<Vec<_>>()))
+            }
+            ReplicaOutput::Agreed => Some("agreed".to_owned()),
+            _ => None,
+        });
+        told.collect()
+    };
+
+    assert_eq!(hear(1, &terms), ["disputed [1]"]);
+    assert_eq!(hear(1, &terms), [""; 0]);
+    assert_eq!(hear(2, &terms), ["disputed [1, 2]"]);
+    assert_eq!(hear(1, &same), ["agreed", "disputed [2]"]);
+    assert_eq!(hear(2, &same), ["agreed"]);
+}
+
+#[test]
 fn those_who_agree_are_asked_once_and_the_others_again_and_again() {
     let mut robot = Robot::new(1, 3, StandbyKind::Warm, OnPartition::Stop);
     let own = &mut robot.members[0].as_mut().unwrap().replica;
