@@ -38,7 +38,7 @@ struct Known {
     opinion: Opinion,
 }
 
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 enum Opinion {
     #[default]
     Unheard,
@@ -77,18 +77,10 @@ impl Accord {
         self.differences().next().is_some()
     }
 
-    /// Whether it is to be asked now.
-    fn asks(&mut self, node: &NodeName, now: Instant) -> bool {
-        if !self.known.contains_key(node) && self.known.len() >= KNOWN_MAX {
-            return false;
-        }
-        let known = self.known.entry(node.clone()).or_default();
-        let wanted = !matches!(known.opinion, Opinion::Agrees)
-            && known.asked.is_none_or(|asked| now - asked >= ASK_AGAIN);
-        if wanted {
-            known.asked = Some(now);
-        }
-        wanted
+    /// What is known of this one, unless that would be one too many.
+    fn known(&mut self, node: &NodeName) -> Option<&mut Known> {
+        let room = self.known.len() < KNOWN_MAX || self.known.contains_key(node);
+        room.then(|| self.known.entry(node.clone()).or_default())
     }
 }
 
@@ -112,9 +104,8 @@ impl Replica {
     /// These other nodes have an object of the service's name. To be told several times a second.
     pub fn handle_carriers(&mut self, found: &[NodeName], now: Instant) {
         // One that returns may return in another life.
-        self.accord.known.retain(|node, known| {
-            matches!(known.opinion, Opinion::Differs(_)) || found.contains(node)
-        });
+        let differs = |known: &Known| matches!(known.opinion, Opinion::Differs(_));
+        self.accord.known.retain(|node, known| differs(known) || found.contains(node));
         let all: BTreeSet<_> = self.accord.known.keys().chain(found).cloned().collect();
         all.iter().for_each(|node| self.compare(node, now));
     }
@@ -149,7 +140,7 @@ impl Replica {
     /// This node was told otherwise, as the fingerprint of its message says.
     pub(super) fn doubt(&mut self, from: &NodeName, now: Instant) {
         if let Some(known) = self.accord.known.get_mut(from)
-            && let Opinion::Agrees = known.opinion
+            && known.opinion == Opinion::Agrees
         {
             // It was another life that agreed.
             *known = Known::default();
@@ -160,26 +151,26 @@ impl Replica {
     }
 
     fn compare(&mut self, node: &NodeName, now: Instant) {
-        if *node != self.config.own && self.accord.asks(node, now) {
+        let Some(known) = self.accord.known(node).filter(|_| *node != self.config.own) else {
+            return;
+        };
+        let lately = known.asked.is_some_and(|asked| now - asked < ASK_AGAIN);
+        if known.opinion != Opinion::Agrees && !lately {
+            known.asked = Some(now);
             self.outputs.push_back(ReplicaOutput::Compare { with: node.clone() });
         }
     }
 
     fn note_opinion(&mut self, of: &NodeName, opinion: Opinion, now: Instant) {
-        let before = self.dispute();
-        if !self.accord.known.contains_key(of) && self.accord.known.len() >= KNOWN_MAX {
-            self.refused += 1;
+        let Some(known) = self.accord.known(of).filter(|known| known.opinion != opinion) else {
             return;
-        }
-        let known = self.accord.known.entry(of.clone()).or_default();
-        let differed = matches!(known.opinion, Opinion::Differs(_));
-        known.opinion = opinion;
-        if self.dispute() == before {
-            return;
-        }
-        // What one more says is more of the same.
-        if differed {
-            self.outputs.push_back(ReplicaOutput::Agreed);
+        };
+        let before = std::mem::replace(&mut known.opinion, opinion);
+        match (before, &known.opinion) {
+            (Opinion::Differs(_), _) => self.outputs.push_back(ReplicaOutput::Agreed),
+            // What one more says is more of the same.
+            (_, Opinion::Differs(_)) => {}
+            _ => return,
         }
         self.tell_dispute();
         if self.accord.is_disputed() {
