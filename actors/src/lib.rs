@@ -115,7 +115,7 @@ compile_error!(
 );
 
 // Messages, and what they are made of.
-pub use blastema_core::{Contract, Described, Event, Request, Variable};
+pub use blastema_core::{Blob, Contract, Described, Event, Request, Variable};
 pub use blastema_macros::{Event, Request, Structure, Variable};
 pub use serde;
 

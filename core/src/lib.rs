@@ -3,6 +3,7 @@
 //! Nothing here performs IO, reads a clock or knows an actor. Time, randomness and identity are
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
+pub mod blob;
 pub mod can;
 pub mod codec;
 pub mod contract;
@@ -32,6 +33,7 @@ pub mod spelling;
 pub mod time;
 pub mod variables;
 
+pub use blob::Blob;
 pub use codec::{DecodeError, EncodeError};
 pub use contract::{
     Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,

@@ -93,9 +93,10 @@ fn genuine() -> Vec<Bytes> {
             id: None,
             payload: payload.clone(),
         }
-        .encode(),
-        Message::Event { subscription: 1, stamp_us: 5, payload }.encode(),
-        names.encode(),
+        .encode()
+        .into_bytes(),
+        Message::Event { subscription: 1, stamp_us: 5, payload }.encode().into_bytes(),
+        names.encode().into_bytes(),
     ]
 }
 
@@ -168,7 +169,7 @@ proptest! {
             prop_assert_eq!(Segment::decode(segment.encode()), Ok(segment));
         }
         if let Ok(message) = Message::decode(bytes) {
-            prop_assert_eq!(Message::decode(message.encode()), Ok(message));
+            prop_assert_eq!(Message::decode(message.encode().into_bytes()), Ok(message));
         }
     }
 

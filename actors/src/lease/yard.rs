@@ -161,7 +161,7 @@ impl Yard {
             Wish::Command { epoch, message } => match lease.handle_renewal(epoch, now) {
                 Ok(()) => {
                     drop(lease);
-                    return actuator.command(&message, answer);
+                    return actuator.command(message, answer);
                 }
                 Err(why) => Err(why),
             },
@@ -250,7 +250,7 @@ impl Actuator {
 
     /// Hands a command over. One at a time: what waits behind a component that is stuck would be
     /// carried out after its lease has ended.
-    fn command(&self, message: &[u8], answer: Answer<Order>) {
+    fn command(&self, message: Vec<u8>, answer: Answer<Order>) {
         if self.busy.swap(true, Relaxed) {
             return answer.give(Ordered::refused(&Why::Full));
         }
@@ -263,7 +263,7 @@ impl Actuator {
             });
         });
         // What came of it is told to the closure in every case.
-        let _ = self.doorway.deliver(message, Postmark::default(), Some(reply_to));
+        let _ = self.doorway.deliver(&message.into(), Postmark::default(), Some(reply_to));
     }
 }
 

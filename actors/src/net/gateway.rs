@@ -27,6 +27,7 @@ use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::isolation::Isolation;
 use blastema_core::net::naming::Naming;
+use blastema_core::net::parcel::Parcel;
 use blastema_core::net::segment::Stream;
 use blastema_core::{
     ContractIdentity, Delivery, FaultKind, Incarnation, NodeName, ObjectName, PeerIdentity, Place,
@@ -211,13 +212,13 @@ impl Gateway {
         }
     }
 
-    fn say(&mut self, peer: NodeId, stream: Stream, message: Bytes) {
+    fn say(&mut self, peer: NodeId, stream: Stream, message: Parcel) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
         let credit = self.credit.take();
         self.wiring.sessions.say.do_send(Say { peer, session, stream, message, credit });
     }
 
-    fn say_newest(&mut self, peer: NodeId, channel: u32, message: Bytes) {
+    fn say_newest(&mut self, peer: NodeId, channel: u32, message: Parcel) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
         let credit = self.credit.take();
         let say = SayNewest { peer, session, channel, message, credit };
@@ -395,7 +396,7 @@ impl Gateway {
         peer: NodeId,
         epoch: Epoch,
         number: u64,
-        payload: &[u8],
+        payload: &Bytes,
         context: &mut Context<Self>,
     ) {
         let fault = match notice::decode(payload, platform::now()) {

@@ -346,7 +346,7 @@ impl Handler<Say> for Sessions {
         drop(credit);
         let sent = match self.present(peer, session) {
             Some(session) => session.handle_send(stream, message, platform::now()),
-            None => Err((self.unreachable(peer), message)),
+            None => Err((self.unreachable(peer), message.into_bytes())),
         };
         self.give_back(peer, sent);
         self.drive_soon(context);
@@ -361,7 +361,7 @@ impl Handler<SayNewest> for Sessions {
         drop(credit);
         let sent = match self.present(peer, session) {
             Some(session) => session.handle_send_newest(channel, message, platform::now()),
-            None => Err((self.unreachable(peer), message)),
+            None => Err((self.unreachable(peer), message.into_bytes())),
         };
         self.give_back(peer, sent);
         self.drive_soon(context);

@@ -11,6 +11,7 @@ use blastema_core::detection::NodeCondition;
 use blastema_core::net::isolation::{Isolation, IsolationOutput};
 use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName, Why};
 use blastema_macros::Event;
+use bytes::Bytes;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tracing::warn;
 
@@ -137,7 +138,7 @@ struct BallotBox(Wardens);
 impl Doorway for BallotBox {
     fn deliver(
         &self,
-        message: &[u8],
+        message: &Bytes,
         Postmark { from: peer, .. }: Postmark,
         _: Option<ReplyTo>,
     ) -> Result<(), Why> {

@@ -5,6 +5,7 @@
 //! ```
 
 use actix::{Message, Recipient};
+use blastema_core::net::parcel::Parcel;
 use blastema_core::net::segment::Stream;
 use blastema_core::net::session::SessionCounters;
 use blastema_core::net::{NodeId, Refusals};
@@ -59,7 +60,7 @@ pub struct Say {
     /// In which stream.
     pub stream: Stream,
     /// What.
-    pub message: Bytes,
+    pub message: Parcel,
     /// Room that it takes with whoever sent it.
     pub credit: Option<Credit>,
 }
@@ -75,7 +76,7 @@ pub struct SayNewest {
     /// On which channel.
     pub channel: u32,
     /// What.
-    pub message: Bytes,
+    pub message: Parcel,
     /// Room that it takes with whoever sent it.
     pub credit: Option<Credit>,
 }

@@ -45,6 +45,7 @@ use self::outbound::Outbound;
 use self::replicas::Replicas;
 use self::round_trip::RoundTrip;
 use super::packet::{Class, Undelivered};
+use super::parcel::Parcel;
 use super::segment::{Data, Datagram, Segment, Stream};
 use super::wire::Refusals;
 use crate::{Incarnation, Instant, Machine, Why};
@@ -236,11 +237,11 @@ impl Session {
     pub fn handle_send(
         &mut self,
         stream: Stream,
-        message: Bytes,
+        message: impl Into<Parcel>,
         now: Instant,
     ) -> Result<(), Refused> {
         self.now = now;
-        self.check(&message)?;
+        let message = self.check(message.into())?;
         let SessionConfig { buffer_bytes, buffer_messages, .. } = self.config;
         let state = &mut self.streams[stream as usize];
         let outbound = &mut state.outbound;
@@ -251,7 +252,7 @@ impl Session {
             self.outputs.push_back(SessionOutput::Full { stream });
         }
         if full(2) {
-            return Err((Why::Full, message));
+            return Err((Why::Full, message.into_bytes()));
         }
         outbound.push(message);
         self.owed_since.get_or_insert(now);
@@ -266,11 +267,11 @@ impl Session {
     pub fn handle_send_newest(
         &mut self,
         channel: u32,
-        message: Bytes,
+        message: impl Into<Parcel>,
         now: Instant,
     ) -> Result<(), Refused> {
         self.now = now;
-        self.check(&message)?;
+        let message = self.check(message.into())?.into_bytes();
         let (State::Open { peer }, Some(room)) = (self.state, self.path) else {
             return Err((Why::Restarting, message));
         };
@@ -280,15 +281,15 @@ impl Session {
         Ok(())
     }
 
-    fn check(&self, message: &Bytes) -> Result<(), Refused> {
-        let refuse = |why| Err((why, message.clone()));
+    fn check(&self, message: Parcel) -> Result<Parcel, Refused> {
+        let refuse = |why| Err((why, message.clone().into_bytes()));
         match self.state {
             State::Closing { .. } | State::Closed => refuse(Why::Stopped),
             State::Idle => refuse(self.unreachable()),
             _ if message.len() > self.config.message_max => {
                 refuse(Why::TooLargeForSession { limit: self.config.message_max })
             }
-            _ => Ok(()),
+            _ => Ok(message),
         }
     }
 
