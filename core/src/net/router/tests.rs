@@ -1,5 +1,7 @@
 //! A router among neighbours that the test speaks for.
 
+mod copies;
+
 use super::*;
 use crate::net::advertisement::Edge;
 use crate::net::link::Neighbour;
