@@ -11,6 +11,7 @@
 mod contest;
 mod flooding;
 mod forwarding;
+mod given_up;
 mod vocabulary;
 
 pub use self::vocabulary::{Health, LinkStatus, RouterConfig, RouterOutput};
@@ -212,8 +213,9 @@ impl Router {
             return;
         }
         if health == Health::Down || mtu < MTU_MIN {
-            if self.links.remove(&link).is_some() {
+            if let Some(lost) = self.links.remove(&link) {
                 self.choose_anew();
+                self.say_given_up(&lost);
                 self.announce_links();
             }
             return;
@@ -223,17 +225,26 @@ impl Router {
             Some(adjacent) if adjacent.neighbour == neighbour => {
                 let same = adjacent.cost == cost && adjacent.mtu == mtu;
                 (adjacent.cost, adjacent.mtu, adjacent.health) = (cost, mtu, health);
-                if same {
-                    self.choose_anew();
-                } else {
+                self.choose_anew();
+                if !same {
                     self.announce_links();
                 }
             }
             _ => {
                 let pending = BTreeMap::new();
-                let adjacent =
-                    Adjacent { neighbour, id, cost, mtu, health, pending, compare_at: now };
-                self.links.insert(link, adjacent);
+                self.links.insert(
+                    link,
+                    Adjacent {
+                        neighbour,
+                        id,
+                        cost,
+                        mtu,
+                        health,
+                        number_there: None,
+                        pending,
+                        compare_at: now,
+                    },
+                );
                 self.announce_links();
                 self.compare(link);
             }
@@ -294,6 +305,8 @@ impl Router {
             Ok(Routing::Defend { against, advertisement }) => {
                 self.handle_defence(link, against, advertisement);
             }
+            Ok(Routing::Numbered(number)) => self.handle_numbered(link, number),
+            Ok(Routing::GaveUp(lost)) => self.handle_given_up(link, lost),
             Err(error) => self.refusals.count(&error),
         }
     }

@@ -41,6 +41,8 @@ pub(crate) struct Adjacent {
     pub(crate) cost: u16,
     pub(crate) mtu: u16,
     pub(crate) health: Health,
+    /// What the neighbour calls it, as far as it has said.
+    pub(crate) number_there: Option<LinkNumber>,
     /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
     pub(crate) pending: BTreeMap<NodeId, Instant>,
     pub(crate) compare_at: Instant,

@@ -149,10 +149,15 @@ impl Router {
             return self.tell_collision(held, advertisement.node);
         }
         let settled = |dispute: &Dispute| dispute.until.is_none() && dispute.contender >= against;
-        let news = held.is_none_or(|held| held.stamp < advertisement.stamp);
-        if self.disputes.get(&origin).is_some_and(settled) && !news {
+        // Also where an earlier dispute, with a greater life, has ended for the one that is held.
+        let news = held.is_none_or(|held| {
+            held.stamp < advertisement.stamp || held.stamp.incarnation > incarnation
+        });
+        let known = self.disputes.get(&origin);
+        if known.is_some_and(settled) && !news {
             return;
         }
+        let contender = known.map_or(against, |known| known.contender.max(against));
         if let Some(held) =
             held.map(|held| held.stamp).filter(|held| held.incarnation > incarnation)
         {
@@ -165,7 +170,7 @@ impl Router {
             self.refusals.too_large += 1;
             return;
         }
-        let dispute = Dispute { contender: against, until: None, told_at: self.now };
+        let dispute = Dispute { contender, until: None, told_at: self.now };
         self.disputes.insert(origin, dispute);
         self.learn(advertisement.clone(), from);
         self.outdate();

@@ -1,6 +1,7 @@
 //! A router among neighbours that the test speaks for.
 
 mod copies;
+mod given_up;
 
 use super::*;
 use crate::net::advertisement::Edge;

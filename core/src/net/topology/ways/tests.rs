@@ -34,8 +34,16 @@ fn ways(nodes: usize, cables: &[Cable]) -> Vec<(u64, usize, Vec<usize>)> {
         .map(|(number, (far, cost))| {
             let neighbour = Neighbour { node: name(far), incarnation: Incarnation(1) };
             let (health, pending, compare_at) = (Health::Up, BTreeMap::new(), Instant::ORIGIN);
-            let link =
-                Adjacent { neighbour, id: id(far), cost, mtu: 1400, health, pending, compare_at };
+            let link = Adjacent {
+                neighbour,
+                id: id(far),
+                cost,
+                mtu: 1400,
+                health,
+                number_there: None,
+                pending,
+                compare_at,
+            };
             (LinkNumber(number as u16), link)
         })
         .collect();
