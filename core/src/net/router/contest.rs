@@ -149,7 +149,7 @@ impl Router {
             return self.tell_collision(held, advertisement.node);
         }
         let settled = |dispute: &Dispute| dispute.until.is_none() && dispute.contender >= against;
-        // Also where an earlier dispute, with a greater life, has ended for the one that is held.
+        // Also where a later life is held, which has ended, and an earlier one defends itself against it.
         let news = held.is_none_or(|held| {
             held.stamp < advertisement.stamp || held.stamp.incarnation > incarnation
         });

@@ -12,7 +12,7 @@
 //! on as soon as the neighbour's hellos say the contrary, and then such words do not count for a while.
 
 use super::{LinkNumber, Router, RouterOutput};
-use crate::net::advertisement::{Advertisement, NEIGHBOURS_MAX, Routing};
+use crate::net::advertisement::{Advertisement, Edge, NEIGHBOURS_MAX, Routing};
 use crate::net::topology::Adjacent;
 
 impl Router {
@@ -46,7 +46,9 @@ impl Router {
     /// A node's newest announcement follows another: has it withdrawn its links with us?
     pub(super) fn hear_given_up(&mut self, before: Option<&Advertisement>, newest: &Advertisement) {
         let (id, stamp) = (self.id, newest.stamp);
-        let with_us = |told: &Advertisement| told.edges.iter().any(|edge| edge.to == id);
+        let life = Edge::life_tag(self.own.stamp.incarnation);
+        let with_us =
+            |told: &Advertisement| told.edges.iter().any(|edge| edge.to == id && edge.life == life);
         let before = before.filter(|told| told.stamp.incarnation == stamp.incarnation);
         // One that is full may lack what there was no room for.
         let complete = !newest.withdrawn && newest.edges.len() < NEIGHBOURS_MAX;

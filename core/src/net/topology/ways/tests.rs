@@ -50,8 +50,12 @@ fn ways(nodes: usize, cables: &[Cable]) -> Vec<(u64, usize, Vec<usize>)> {
     let known: Vec<_> = (1..nodes)
         .map(|node| {
             let stamp = Stamp { origin: id(node), incarnation: Incarnation(1), sequence: 1 };
-            let edges =
-                at_end(node).map(|(_, (far, cost))| Announced { to: id(far), cost, mtu: 1400 });
+            let edges = at_end(node).map(|(_, (far, cost))| Announced {
+                to: id(far),
+                life: 1,
+                cost,
+                mtu: 1400,
+            });
             let edges = edges.collect();
             Advertisement { stamp, node: name(node), edges, withdrawn: false }
         })
