@@ -70,6 +70,14 @@ fn genuine() -> Vec<Bytes> {
         source: NodeId::of(&name("peer")),
         payload: Payload::Segment(segment.clone()),
     };
+    let copy = Packet {
+        payload: Payload::Copy {
+            copy: 1,
+            relays: vec![NodeId(3), NodeId(4)],
+            segment: segment.clone(),
+        },
+        ..packet.clone()
+    };
     let names = Message::Names { stamp_us: 0, complete: true, added: vec![], removed: vec![] };
     let datagram =
         Datagram { tag: 1, channel: 1, sequence: 1, piece: None, payload: payload.clone() };
@@ -80,6 +88,8 @@ fn genuine() -> Vec<Bytes> {
         announce.encode(),
         have.encode(),
         packet.encode(),
+        copy.encode(),
+        Frame::Data(copy.encode()).encode(),
         segment,
         Segment::Open(open).encode(),
         Segment::Datagram(datagram).encode(),

@@ -257,7 +257,8 @@ pub(crate) fn start(
             watched.push(carrier::Watched { interface, told: address.clone().recipient() });
         }
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
-        router.do_send(AddLinks { links: numbers, carry, report });
+        let given_up = address.clone().recipient();
+        router.do_send(AddLinks { links: numbers, carry, given_up, report });
         (name, address)
     });
     let networks = networks.collect();

@@ -3,7 +3,7 @@
 use super::assembly::pieces_of;
 use super::outbound::Part;
 use super::{STREAMS, Session, SessionConfig, SessionOutput, State, lane};
-use crate::net::packet::{Class, Undelivered};
+use crate::net::packet::{Class, Undelivered, WAY_MAX};
 use crate::net::segment::{Ack, DATA_HEADER, Data, Segment, Stream};
 use crate::{Instant, Why};
 
@@ -54,6 +54,11 @@ impl Session {
         // Room for an acknowledgement of a few ranges; one with more travels alone.
         let room = mtu.saturating_sub(DATA_HEADER + 32).clamp(64, self.config.part_max);
         for stream in BY_URGENCY {
+            let room = match stream {
+                // The way of each copy is written before it.
+                Stream::Redundant => room.saturating_sub(WAY_MAX).max(64),
+                Stream::Control | Stream::Data => room,
+            };
             let state = &mut self.streams[stream as usize];
             let held = match stream {
                 // Some of it may always be on its way, whatever data is before it.
