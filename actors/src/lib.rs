@@ -161,7 +161,7 @@ pub use blastema_macros::main;
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 pub use node::{
     Cable, Direction, FaultEvents, Impairment, Link, MemoryMedium, Network, Node, NodeBuilder,
-    NodeState, StartError, SupervisorSpec,
+    NodeState, RestartError, StartError, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.

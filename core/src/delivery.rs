@@ -39,7 +39,8 @@ pub enum Why {
     /// The receiver is between two lives. Try again shortly.
     #[error("the receiver is restarting")]
     Restarting,
-    /// The receiver was stopped, or has ended for good.
+    /// The receiver was stopped, or has ended for good. Where its whole node is at safe rest, the fault list
+    /// says so.
     #[error("the receiver is stopped")]
     Stopped,
     /// The answer did not come in time. Whether the request took effect is not known.

@@ -24,6 +24,7 @@ mod gateway;
 mod letters;
 mod links;
 mod notice;
+pub(crate) mod rest;
 mod router;
 mod sessions;
 #[cfg(test)]

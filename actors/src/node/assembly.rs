@@ -3,7 +3,7 @@
 use super::builder::{NodeBuilder, Placement, StartError};
 use super::checks::{check_dependencies, check_networks, check_service, check_service_order};
 use super::keeper::NodeState;
-use super::keeper::{Keeper, StartRoot};
+use super::keeper::{Keeper, KeeperSetup, StartRoot, TellRest};
 use super::network::{Cable, Network};
 use super::tree::{Ground, Harvest, Planted};
 use super::{Node, Root, Shared};
@@ -12,13 +12,14 @@ use crate::chain::directory::Directory;
 use crate::chain::monitor::Monitor;
 use crate::chain::notifier::Notifier;
 use crate::chain::recoverer::{Recoverer, RecovererSetup};
-use crate::chain::strategy::{ToolBox, Tools};
+use crate::chain::strategy::{SafeOutputs, ToolBox, Tools};
 use crate::guardian::Guardian;
 use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
 use crate::host::environment::{HostEnvironment, KEPT_VARIABLES, Reports};
 use crate::host::spec::SpecError;
 use crate::host::watch::{self as lookout, WatchGuard};
 use crate::net::claims::{ClaimsBody, ClaimsSetup};
+use crate::net::rest::{RestBody, RestSetup};
 use crate::net::{self, NetEnvironment, NetHandle};
 use crate::registry::Registry;
 use crate::service::ReplicaBody;
@@ -156,7 +157,10 @@ fn own_arbiter() -> std::io::Result<ArbiterHandle> {
 }
 
 /// Makes the fault chain; it has nothing to watch yet.
-fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartError> {
+fn make_chain(
+    builder: &NodeBuilder,
+    (node, incarnation): (&NodeName, Incarnation),
+) -> Result<Parts, StartError> {
     let arbiter = match builder.placement {
         Placement::Here => None,
         Placement::Threads { .. } | Placement::ComponentsHere => Some(own_arbiter()?),
@@ -179,11 +183,17 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
     });
     guardian.report_to(monitor.clone().recipient());
 
-    let (told, state) = (builder.state.clone(), builder.state.subscribe());
-    let (of, outputs) = (node.clone(), builder.safe_outputs.clone());
-    let keeper = guardian.start(named("keeper"), place, move |_: &mut Context<Keeper>| {
-        Keeper::new(of, told, outputs)
-    });
+    let state = builder.state.subscribe();
+    let safe_outputs = SafeOutputs::new(builder.safe_outputs.clone());
+    let setup = KeeperSetup {
+        node: node.clone(),
+        incarnation,
+        state: builder.state.clone(),
+        safe_outputs: safe_outputs.clone(),
+        nodes: monitor.clone().recipient(),
+    };
+    let keeper =
+        guardian.start(named("keeper"), place, move |_: &mut Context<Keeper>| Keeper::new(setup));
 
     let (directory, registry) = (Directory::default(), Registry::default());
     let router = Arc::<OnceLock<_>>::default();
@@ -192,7 +202,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         directory: directory.clone(),
         registry: registry.clone(),
         router: router.clone(),
-        safe_outputs: builder.safe_outputs.clone(),
+        safe_outputs,
         rest_node: keeper.clone().recipient(),
     });
     let seed = platform::random_seed();
@@ -208,6 +218,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         guardian.start(named("chain/recoverer"), place, move |_: &mut Context<Recoverer>| {
             Recoverer::new(setup)
         });
+    keeper.do_send(TellRest(recoverer.clone().recipient()));
     notifier.do_send(AddPort {
         port: Port::Local,
         recover: recoverer.clone().recipient(),
@@ -325,7 +336,13 @@ fn make_networks(
     };
     let claims = ClaimsBody::start(setup, guardian, arbiter.as_ref());
     enrolments.push(middleware(named("net/claims"), Some(claims.inquiries)));
-    let net_environment = NetEnvironment { envoys: vec![claims.peers], ..net_environment };
+    let setup =
+        RestSetup { registry: environment.registry.clone(), nodes: monitor.clone().recipient() };
+    let rest = RestBody::start(setup, guardian, arbiter.as_ref());
+    parts.keeper.do_send(TellRest(rest.own));
+    enrolments.push(middleware(named("net/rest"), Some(rest.inquiries)));
+    let envoys = vec![claims.peers, rest.peers];
+    let net_environment = NetEnvironment { envoys, ..net_environment };
     let handle = net::start(net_environment, specs)
         .map_err(|error| StartError::Network(error.to_string()))?;
     let own = handle.inquiries().into_iter();
@@ -418,7 +435,7 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     let judges = judges(&builder.wardens)
         .map_err(StartError::name_of("the name of a node that isolates others"))?;
     check_networks(&builder.networks, &node)?;
-    let parts = make_chain(&builder, &node)?;
+    let parts = make_chain(&builder, (&node, incarnation))?;
     for listener in builder.listeners {
         listener.listen(&parts.chain.subscribe);
     }
@@ -459,6 +476,7 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
         (Some(networks), enrolments)
     };
     let Parts { guardian, chain, monitor, keeper, state, directory, .. } = parts;
+    let kept_by = directory.clone();
 
     let ground = Ground {
         environment: &environment,
@@ -533,6 +551,8 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
         networks,
         root: Root::of(&root),
         shutdown: keeper.clone().recipient(),
+        restart: keeper.clone().recipient(),
+        directory: kept_by,
         state,
         actors: Mutex::new(actors),
         plan,

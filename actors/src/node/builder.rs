@@ -5,7 +5,7 @@ use super::faults::{FaultEvents, Listener};
 use super::keeper::NodeState;
 use super::network::Network;
 use super::tree::SupervisorSpec;
-use crate::chain::strategy::{RecoveryStrategy, SafeOutputs, StrategyTable};
+use crate::chain::strategy::{Apply, RecoveryStrategy, StrategyTable};
 use crate::component::Component;
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::service::{Carried, ServiceSpec, Stateful};
@@ -108,7 +108,7 @@ pub struct NodeBuilder {
     pub(super) plan: Plan,
     pub(super) own_kinds: Vec<FaultKind>,
     pub(super) strategies: StrategyTable,
-    pub(super) safe_outputs: Option<SafeOutputs>,
+    pub(super) safe_outputs: Option<Apply>,
     pub(super) placement: Placement,
     pub(super) grace: Duration,
     pub(super) networks: Vec<Network>,

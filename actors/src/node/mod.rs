@@ -16,14 +16,17 @@ mod checks;
 mod faults;
 mod keeper;
 mod network;
+mod restart;
 mod tree;
 
 pub use builder::{NodeBuilder, StartError};
 pub use faults::FaultEvents;
 pub use keeper::NodeState;
 pub use network::{Cable, Direction, Impairment, Link, MemoryMedium, Network};
+pub use restart::RestartError;
 pub use tree::SupervisorSpec;
 
+use crate::chain::directory::Directory;
 use crate::chain::supervisor::SupervisorChild;
 use crate::claim::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
 use crate::component::Component;
@@ -51,7 +54,7 @@ use blastema_core::net::claims::Wanted;
 use blastema_core::{
     Contract, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable, Why,
 };
-use keeper::Shutdown;
+use keeper::{RestartRoot, Shutdown};
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -60,7 +63,7 @@ use std::time::Duration;
 use tokio::sync::watch;
 
 /// A running node. Clones refer to the same one; it runs until [`shutdown`](Node::shutdown), or until
-/// it comes to safe rest.
+/// it comes to safe rest, from where [`restart`](Node::restart) brings it back.
 ///
 /// ```
 /// use blastema::prelude::*;
@@ -87,6 +90,8 @@ struct Shared {
     networks: Option<Networks>,
     root: Root,
     shutdown: Recipient<Shutdown>,
+    restart: Recipient<RestartRoot>,
+    directory: Directory,
     state: watch::Receiver<NodeState>,
     actors: Mutex<BTreeMap<ObjectName, Box<dyn Any + Send>>>,
     plan: Arc<blastema_core::recovery::Plan>,

@@ -5,7 +5,7 @@
 use crate::puppet::{Deed, Do, Note, Strings, life};
 use blastema::core::detection::Opinion;
 use blastema::prelude::*;
-use blastema::{Incarnation, NodeBuilder};
+use blastema::{Incarnation, NodeBuilder, RestartError};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
@@ -118,7 +118,17 @@ fn a_node_that_has_given_up_four_threads_comes_to_safe_rest() {
 
         let Ok(NodeState::AtRest { reason }) = &ended else { panic!("{ended:?}") };
         assert!(!reason.is_empty());
+        until("all four are given up", || node.abandoned_threads() == 4).await;
+        assert_eq!(node.restart().await, Err(RestartError::ThreadsHang { count: 4 }));
+
+        // They return after all: what was at rest is brought back.
         strings.release();
+        until("the threads come back", || node.abandoned_threads() == 0).await;
+        node.restart().await.unwrap();
+        for name in ["a", "b", "c", "d"] {
+            node.sender(name).unwrap().ask(Do(Deed::Nothing)).await.unwrap();
+        }
         node.shutdown().await;
+        assert_eq!(node.state(), NodeState::Stopped);
     });
 }
