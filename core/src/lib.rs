@@ -8,6 +8,7 @@ pub mod codec;
 pub mod contract;
 pub mod dead_letters;
 pub mod delivery;
+pub mod dependencies;
 pub mod description;
 pub mod detection;
 pub mod difference;

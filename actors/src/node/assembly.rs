@@ -1,7 +1,7 @@
 //! How a node is put together: the one place that knows all actors.
 
 use super::builder::{NodeBuilder, Placement, StartError};
-use super::checks::{check_dependencies, check_networks, check_service, check_service_order};
+use super::checks::{check_networks, check_service, check_service_order, dependencies};
 use super::keeper::NodeState;
 use super::keeper::{Keeper, StartRoot};
 use super::network::{Cable, Network};
@@ -472,7 +472,8 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     let root = builder.root.plant(&ground, &mut harvest)?;
     let names: Vec<&ObjectName> = harvest.components.iter().map(|facts| &facts.name).collect();
     plan.check(names, &builder.own_kinds, builder.strategies.names())?;
-    check_dependencies(&node, &harvest)?;
+    let dependencies = dependencies(&node, &harvest);
+    dependencies.check()?;
 
     let mut enrolments: Vec<Enrol> = Vec::new();
     if let Some(networks) = &networks {
@@ -535,6 +536,7 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
         shutdown: keeper.clone().recipient(),
         state,
         actors: Mutex::new(actors),
+        dependencies: Mutex::new(dependencies),
         plan,
     };
     let node = Node(Arc::new(shared));

@@ -9,6 +9,7 @@ use crate::chain::strategy::{RecoveryStrategy, SafeOutputs, StrategyTable};
 use crate::component::Component;
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::service::{Carried, ServiceSpec, Stateful};
+use blastema_core::dependencies::DependencyError;
 use blastema_core::detection::EnrolError;
 use blastema_core::recovery::{Plan, PlanError, Restart, Strategy};
 use blastema_core::{Fault, FaultKind, NameError, ObjectName};
@@ -41,16 +42,9 @@ pub enum StartError {
     /// An object cannot be watched as its spec says.
     #[error(transparent)]
     Watch(#[from] EnrolError),
-    /// A component depends on what does not exist, or on itself.
-    #[error(
-        "{name} depends on {needed:?}, which is no other object of this node: mend the name, or add it"
-    )]
-    Dependency {
-        /// The component.
-        name: ObjectName,
-        /// What it is said to depend on.
-        needed: String,
-    },
+    /// A component depends on what does not exist, or on itself, perhaps by way of others.
+    #[error(transparent)]
+    Dependency(#[from] DependencyError),
     /// The text of a network's endpoint, or of a neighbour's address there, is wrong.
     #[error("network {network}: {error}")]
     Endpoint {

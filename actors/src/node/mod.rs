@@ -45,6 +45,7 @@ use blastema_contract::naming::NodeRow;
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::SessionRow;
 use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
+use blastema_core::dependencies::Dependencies;
 use blastema_core::detection::{Record, Row};
 use blastema_core::net::Route;
 use blastema_core::net::claims::Wanted;
@@ -55,7 +56,7 @@ use keeper::Shutdown;
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -89,6 +90,7 @@ struct Shared {
     shutdown: Recipient<Shutdown>,
     state: watch::Receiver<NodeState>,
     actors: Mutex<BTreeMap<ObjectName, Box<dyn Any + Send>>>,
+    dependencies: Mutex<Dependencies>,
     plan: Arc<blastema_core::recovery::Plan>,
 }
 
@@ -376,7 +378,8 @@ impl Node {
     /// Adds a component under the root supervisor while the node runs, and starts it.
     ///
     /// # Errors
-    /// Its name is taken or does not parse, a setting makes no sense, or the root refuses it.
+    /// Its name is taken or does not parse, a setting makes no sense, what it depends on is not there or
+    /// depends on it, or the root refuses it.
     pub async fn add_child<C: Component>(
         &self,
         spec: ChildSpec<C>,
@@ -384,12 +387,15 @@ impl Node {
         let seed = tree::seed(spec);
         let planted = seed.plant(&self.0.environment)?;
         let name = planted.child.name().clone();
+        self.0.dependencies().add(name.clone(), &planted.depends_on)?;
         self.0.chain.enrol(&self.0.name, &planted).await;
         let rules = planted.rules(&self.0.plan);
         let actor = planted.actor.downcast_ref::<ActorRef<C>>().cloned();
         let actor = actor.expect("a spec of C makes an actor of C");
         let added = self.0.root.additions.send(AddChild { child: planted.child, rules }).await;
         if !matches!(added, Ok(Ok(()))) {
+            self.0.dependencies().remove(&name);
+            self.0.chain.dismiss(name.clone());
             return Err(SpecError::Refused { name });
         }
         let mut actors = self.0.actors.lock().unwrap_or_else(PoisonError::into_inner);
@@ -409,6 +415,7 @@ impl Node {
             return Err(unknown());
         }
         self.0.chain.dismiss(object.clone());
+        self.0.dependencies().remove(&object);
         self.0.actors.lock().unwrap_or_else(PoisonError::into_inner).remove(&object);
         Ok(())
     }
@@ -425,6 +432,10 @@ impl Node {
 }
 
 impl Shared {
+    fn dependencies(&self) -> MutexGuard<'_, Dependencies> {
+        self.dependencies.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn stop_threads(&self) {
         self.environment.arbiters.stop();
         if let Some(networks) = &self.networks {
