@@ -124,6 +124,7 @@ pub use component::{Component, Failure, Handle};
 pub use context::{Context, LongOperation};
 pub use host::life::TimerId;
 pub use host::spec::{ChildSpec, SpecError};
+pub use host::threads::{ThreadKind, ThreadRow, ThreadState};
 pub use lane::WhenFull;
 pub use platform::sleep;
 pub use ports::{ListenPort, Ports};
@@ -155,13 +156,13 @@ pub use blastema_contract::link::LinkRow;
 pub use blastema_contract::naming::NodeRow;
 pub use blastema_contract::session::SessionRow;
 pub use blastema_contract::supervisor::Branch;
-pub use blastema_core::net::LinkState;
-pub use blastema_core::net::Route;
+pub use blastema_core::net::session::{SessionCounters, SessionState, Standing};
+pub use blastema_core::net::{LinkState, Route};
 pub use blastema_macros::main;
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 pub use node::{
     Cable, Direction, FaultEvents, Impairment, Link, MemoryMedium, Network, Node, NodeBuilder,
-    NodeState, StartError, SupervisorSpec,
+    NodeState, Picture, StartError, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.

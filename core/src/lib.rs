@@ -23,6 +23,7 @@ pub mod lifecycle;
 pub mod machine;
 pub mod name;
 pub mod net;
+pub mod occupancy;
 pub mod quarantine;
 pub mod random;
 pub mod recovery;

@@ -35,7 +35,7 @@ use blastema_core::{
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
 use serving::{Bound, LOOK, Queues};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::oneshot;
@@ -106,6 +106,19 @@ struct Peer {
     incarnation: Incarnation,
     /// That life has ended in order.
     left: bool,
+    /// Contracts that it does not mean as this node does, since the session began.
+    differences: BTreeSet<String>,
+}
+
+impl Peer {
+    /// More are in the log: whoever differs in so many was built from another source.
+    const DIFFERENCES_MAX: usize = 16;
+
+    fn note_difference(&mut self, difference: &str) {
+        if self.differences.len() < Self::DIFFERENCES_MAX {
+            self.differences.insert(difference.to_owned());
+        }
+    }
 }
 
 struct Forwarded {
@@ -366,7 +379,10 @@ impl Gateway {
 
     /// Two nodes do not mean the same: whoever wrote to one of them wants to know, and so does whoever
     /// looks after the robot.
-    fn differs(&self, peer: NodeId, difference: &str) {
+    fn differs(&mut self, peer: NodeId, difference: &str) {
+        if let Some(peer) = self.peers.get_mut(&peer) {
+            peer.note_difference(difference);
+        }
         let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
         error!(node, "a contract differs: {difference}");
         self.declare(FaultKind::ContractMismatch, format!("with node {node}: {difference}"));
@@ -470,6 +486,7 @@ impl Gateway {
             session: 0,
             incarnation: Incarnation::default(),
             left: false,
+            differences: BTreeSet::new(),
         };
         self.peers.entry(peer).or_insert(known);
         (peer, gate)

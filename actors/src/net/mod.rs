@@ -41,7 +41,7 @@ use actix::prelude::*;
 use actix_rt::ArbiterHandle;
 use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
-use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
+use blastema_contract::naming::{FindObject, NodeRow, ReadDifferences, ReadNames};
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::{AreYouAlive, FaultDeclared};
 use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
@@ -358,7 +358,12 @@ impl NetHandle {
 
     /// All sessions.
     pub(crate) async fn read_sessions(&self) -> Vec<SessionRow> {
-        self.sessions.send(ReadSessions).await.unwrap_or_default()
+        let mut rows = self.sessions.send(ReadSessions).await.unwrap_or_default();
+        let mut differences = self.gateway.send(ReadDifferences).await.unwrap_or_default();
+        for row in &mut rows {
+            row.differences = differences.remove(&row.node).unwrap_or_default();
+        }
+        rows
     }
 
     /// Every node that a session is open with, and its objects.

@@ -6,7 +6,7 @@ use super::keeper::NodeState;
 use super::keeper::{Keeper, StartRoot};
 use super::network::{Cable, Network};
 use super::tree::{Ground, Harvest, Planted};
-use super::{Node, Root, Shared};
+use super::{Node, Root, Shared, window};
 use crate::chain::detector::Detector;
 use crate::chain::directory::Directory;
 use crate::chain::monitor::Monitor;
@@ -256,7 +256,13 @@ impl Networks {
     pub(super) async fn leave(&self) {
         self.handle.leave();
         let gone = async {
-            while self.handle.read_sessions().await.iter().any(|row| row.incarnation.is_some()) {
+            while self
+                .handle
+                .read_sessions()
+                .await
+                .iter()
+                .any(|row| row.standing.incarnation.is_some())
+            {
                 tokio::time::sleep(FAREWELL_LOOK).await;
             }
         };
@@ -543,6 +549,10 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     node.0.environment.declare_complaints();
     // From here on the node ends its threads itself.
     undone.kept = true;
+    if let Some(path) = builder.shown_at {
+        let arbiter = node.0.chain.arbiter.as_ref();
+        window::open(path, &node, arbiter).await.map_err(StartError::Shown)?;
+    }
     match keeper.send(StartRoot(root)).await {
         Ok(Ok(())) => Ok(node),
         Ok(Err(reason)) => Err(StartError::GaveUp { reason }),

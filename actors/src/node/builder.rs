@@ -72,6 +72,9 @@ pub enum StartError {
         /// What stands in the way.
         reason: String,
     },
+    /// Nobody can look at the node where it was to be shown.
+    #[error("the node cannot be shown: {0}")]
+    Shown(String),
     /// The operating system has no thread left.
     #[error("a thread could not be started: {0}")]
     Thread(#[from] io::Error),
@@ -111,6 +114,7 @@ pub struct NodeBuilder {
     pub(super) listeners: Vec<Listener>,
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
+    pub(super) shown_at: Option<PathBuf>,
 }
 
 impl StartError {
@@ -146,6 +150,7 @@ impl NodeBuilder {
             listeners: Vec::new(),
             state: watch::channel(NodeState::Starting).0,
             kept_in: None,
+            shown_at: None,
         }
     }
 
@@ -198,6 +203,14 @@ impl NodeBuilder {
     /// A file that is damaged is set aside and becomes a fault. Two nodes never share one.
     pub fn keep_variables(mut self, file: impl Into<PathBuf>) -> Self {
         self.kept_in = Some(file.into());
+        self
+    }
+
+    /// Shows the node to `blastema monitor`, and to whatever else connects to a Unix socket at this path: its
+    /// [`picture`](Node::picture) as JSON, and the end. Only processes of the same user may look, and
+    /// nothing can be changed from there. It can be seen from the start on, and at safe rest.
+    pub fn shown_at(mut self, path: impl Into<PathBuf>) -> Self {
+        self.shown_at = Some(path.into());
         self
     }
 

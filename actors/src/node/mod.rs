@@ -16,12 +16,15 @@ mod checks;
 mod faults;
 mod keeper;
 mod network;
+mod picture;
 mod tree;
+mod window;
 
 pub use builder::{NodeBuilder, StartError};
 pub use faults::FaultEvents;
 pub use keeper::NodeState;
 pub use network::{Cable, Direction, Impairment, Link, MemoryMedium, Network};
+pub use picture::Picture;
 pub use tree::SupervisorSpec;
 
 use crate::chain::supervisor::SupervisorChild;
@@ -30,6 +33,7 @@ use crate::component::Component;
 use crate::host::environment::HostEnvironment;
 use crate::host::office::DeadLetterOffice;
 use crate::host::spec::{ChildSpec, SpecError};
+use crate::host::threads::{self, ThreadRow};
 use crate::lease::{self, Commander};
 use crate::reference::ActorRef;
 use crate::sender::Sender;
@@ -337,7 +341,8 @@ impl Node {
         }
     }
 
-    /// The sessions with other nodes.
+    /// The sessions with other nodes: whether they stand, how much is under way, and what was lost,
+    /// repeated, late or refused.
     pub async fn sessions(&self) -> Vec<SessionRow> {
         match &self.0.networks {
             Some(networks) => networks.handle.read_sessions().await,
@@ -373,6 +378,18 @@ impl Node {
     /// Threads that were given up because a handler never returned.
     pub fn abandoned_threads(&self) -> usize {
         self.0.environment.arbiters.abandoned()
+    }
+
+    /// Everything that the node knows of itself now: table, threads, links, sessions, claims, faults. It
+    /// can be read at any time; a part that does not come within a second is left out.
+    pub async fn picture(&self) -> Picture {
+        Picture::of(self).await
+    }
+
+    /// The threads that components live on: who keeps them, how busy they are, and how much waits there.
+    /// It can be read at any time, also while components are stuck.
+    pub fn threads(&self) -> Vec<ThreadRow> {
+        threads::rows(&self.0.environment.arbiters, &self.0.environment.watch_list)
     }
 
     /// Adds a component under the root supervisor while the node runs, and starts it.

@@ -1,12 +1,12 @@
 //! What the gateway is told and asked.
 
 use super::errand::{Answered, Interested, Noticed, Notify, Published, Ship};
-use super::{Gateway, LEAVE_PATIENCE, topic};
+use super::{Gateway, LEAVE_PATIENCE, Peer, topic};
 use crate::net::door::Condition;
 use crate::net::wardens::KeptOut;
 use crate::platform;
 use actix::prelude::*;
-use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
+use blastema_contract::naming::{FindObject, NodeRow, ReadDifferences, ReadNames};
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::{BeginAnew, Leave, PeerSeen, SessionReported};
 use blastema_contract::strategy::IsolateNode;
@@ -43,6 +43,7 @@ impl Handler<SessionReported> for Gateway {
                 let (peer, gate) = self.meet(&node);
                 self.peers.entry(peer).and_modify(|peer| {
                     (peer.session, peer.incarnation, peer.left) = (session, incarnation, false);
+                    peer.differences.clear();
                 });
                 self.exchange.handle_opened(peer, incarnation, platform::now());
                 for announcement in self.naming.handle_opened(node, incarnation) {
@@ -230,6 +231,16 @@ impl Handler<ReadNames> for Gateway {
             NodeRow { node: node.clone(), incarnation, objects }
         });
         MessageResult(rows.collect())
+    }
+}
+
+impl Handler<ReadDifferences> for Gateway {
+    type Result = MessageResult<ReadDifferences>;
+
+    fn handle(&mut self, _: ReadDifferences, _: &mut Context<Self>) -> Self::Result {
+        let differences = self.peers.values().filter(|peer| !peer.differences.is_empty());
+        let of = |peer: &Peer| (peer.node.clone(), peer.differences.iter().cloned().collect());
+        MessageResult(differences.map(of).collect())
     }
 }
 

@@ -32,11 +32,13 @@ mod output;
 mod reception;
 mod replicas;
 mod round_trip;
+mod standing;
 mod tag;
 mod transmission;
 
 pub use self::config::{PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
+pub use self::standing::{SessionState, Standing};
 
 use self::assembly::Assembly;
 use self::best_effort::BestEffort;
