@@ -2,6 +2,7 @@
 
 mod errand;
 mod inputs;
+mod peer;
 mod serving;
 
 pub(super) use errand::{Notify, Ship};
@@ -29,13 +30,13 @@ use blastema_core::net::isolation::Isolation;
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
 use blastema_core::{
-    ContractIdentity, Delivery, FaultKind, Incarnation, NodeName, ObjectName, PeerIdentity, Place,
-    Why,
+    ContractIdentity, Delivery, FaultKind, NodeName, ObjectName, PeerIdentity, Place, Why,
 };
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
+use peer::Peer;
 use serving::{Bound, LOOK, Queues};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::oneshot;
@@ -95,30 +96,6 @@ pub(super) struct Gateway {
     leaving: bool,
     /// As of which revision of the registry the peers know our names.
     revision: Option<u64>,
-}
-
-struct Peer {
-    node: NodeName,
-    gate: Arc<Gate>,
-    /// The number of the session that was opened last.
-    session: u32,
-    /// The life that it is with, or was.
-    incarnation: Incarnation,
-    /// That life has ended in order.
-    left: bool,
-    /// Contracts that it does not mean as this node does, since the session began.
-    differences: BTreeSet<String>,
-}
-
-impl Peer {
-    /// More are in the log: whoever differs in so many was built from another source.
-    const DIFFERENCES_MAX: usize = 16;
-
-    fn note_difference(&mut self, difference: &str) {
-        if self.differences.len() < Self::DIFFERENCES_MAX {
-            self.differences.insert(difference.to_owned());
-        }
-    }
 }
 
 struct Forwarded {
@@ -381,7 +358,7 @@ impl Gateway {
     /// looks after the robot.
     fn differs(&mut self, peer: NodeId, difference: &str) {
         if let Some(peer) = self.peers.get_mut(&peer) {
-            peer.note_difference(difference);
+            peer.differs(difference);
         }
         let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
         error!(node, "a contract differs: {difference}");
@@ -480,14 +457,7 @@ impl Gateway {
     fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<Gate>) {
         let peer = NodeId::of(node);
         let gate = self.wiring.doors.gate(node);
-        let known = Peer {
-            node: node.clone(),
-            gate: gate.clone(),
-            session: 0,
-            incarnation: Incarnation::default(),
-            left: false,
-            differences: BTreeSet::new(),
-        };
+        let known = Peer::new(node.clone(), gate.clone());
         self.peers.entry(peer).or_insert(known);
         (peer, gate)
     }

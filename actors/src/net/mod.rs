@@ -49,7 +49,7 @@ use blastema_contract::session::{AddGateway, Leave, PeerSeen, ReadSessions, Sess
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::LEARNED_MAX;
-use blastema_core::net::isolation::Judges;
+use blastema_core::net::isolation::{Decision, Judges};
 use blastema_core::net::{LinkNumber, NodeId};
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use discovery::{AddFields, DiscoveryBody, Field, FieldLinks};
@@ -372,9 +372,9 @@ impl NetHandle {
     }
 
     /// Keeps a node out everywhere, or lets it in again.
-    pub(crate) fn isolate(&self, node: &NodeName, isolated: bool) {
+    pub(crate) fn decide(&self, decision: Decision<'_>) {
         if let Some(wardens) = self.wardens.get() {
-            wardens.decide(node, isolated, "the application says so");
+            wardens.decide(decision);
         }
     }
 

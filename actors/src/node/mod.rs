@@ -53,6 +53,7 @@ use blastema_core::dependencies::Dependencies;
 use blastema_core::detection::{Record, Row};
 use blastema_core::net::Route;
 use blastema_core::net::claims::Wanted;
+use blastema_core::net::isolation::Decision;
 use blastema_core::{
     Contract, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable, Why,
 };
@@ -197,7 +198,8 @@ impl Node {
     fn set_isolated(&self, node: &str, isolated: bool) -> Result<(), NameError> {
         let node = NodeName::new(node)?;
         if let Some(networks) = &self.0.networks {
-            networks.handle.isolate(&node, isolated);
+            let cause = "the application says so";
+            networks.handle.decide(Decision { node: &node, isolated, cause });
         }
         Ok(())
     }

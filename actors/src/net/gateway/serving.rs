@@ -96,7 +96,7 @@ impl Gateway {
                     error!(%object, "a peer's contract differs: {difference}");
                     doorway.declare(FaultKind::ContractMismatch, difference.clone());
                     if let Some(peer) = self.peers.get_mut(&peer) {
-                        peer.note_difference(&difference);
+                        peer.differs(&difference);
                     }
                     Err((Why::ContractDiffers { difference }, Some(known)))
                 }
