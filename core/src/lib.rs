@@ -15,6 +15,7 @@ pub mod difference;
 pub mod fault;
 pub mod field;
 pub mod former;
+mod hash;
 pub mod identity;
 pub mod impairment;
 pub mod layout;
