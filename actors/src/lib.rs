@@ -131,12 +131,13 @@ pub use ports::{ListenPort, Ports};
 
 // Sending, and what becomes of messages.
 pub use blastema_core::dead_letters::DeadReason;
+pub use blastema_core::lease::{CommanderId, LeaseStanding};
 pub use blastema_core::{
     Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, RetryRule, Why,
 };
 pub use death_watch::{Down, Ending};
 pub use host::office::DeadLetterOffice;
-pub use lease::{ActuatorSpec, Commander};
+pub use lease::{ActuatorRow, ActuatorSpec, Commander};
 pub use reference::ActorRef;
 pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
 pub use service::{OnPartition, Role, ServiceRef, ServiceSpec, StandbyKind, Stateful};

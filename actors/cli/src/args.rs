@@ -61,7 +61,7 @@ pub(crate) enum Job {
     /// Show what a running node knows of itself
     ///
     /// Its objects with what the monitor thinks of each, the threads that components live on, links,
-    /// sessions with other nodes, claimed names, and faults, as they are now. A node is shown where its
+    /// sessions with other nodes, claimed names, actuators and who commands them, and faults, as they are now. A node is shown where its
     /// program gave it a window, by `NodeBuilder::shown_at`, to the user who runs it. What is not known is a
     /// dash. To go on looking: `watch -n 1 blastema monitor PATH`.
     #[command(after_help = MONITOR_STATUS)]

@@ -34,7 +34,7 @@ use crate::host::environment::HostEnvironment;
 use crate::host::office::DeadLetterOffice;
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::host::threads::{self, ThreadRow};
-use crate::lease::{self, Commander};
+use crate::lease::{self, ActuatorRow, Commander};
 use crate::reference::ActorRef;
 use crate::sender::Sender;
 use crate::service::{Role, ServiceRef};
@@ -263,6 +263,11 @@ impl Node {
         self.0.environment.services.role(&ObjectName::new(name).ok()?)
     }
 
+    /// The actuators of this node, and who commands each.
+    pub fn actuators(&self) -> Vec<ActuatorRow> {
+        self.0.environment.actuators.rows()
+    }
+
     /// Commands the actuator of this name, here or on another node, under the name `own`. The lease is
     /// renewed on this thread; a component commands by [`Context::commander`](crate::Context::commander).
     ///
@@ -382,7 +387,7 @@ impl Node {
         self.0.environment.arbiters.abandoned()
     }
 
-    /// Everything that the node knows of itself now: table, threads, links, sessions, claims, faults. It
+    /// Everything that the node knows of itself now: table, threads, links, sessions, claims, actuators, faults. It
     /// can be read at any time; a part that does not come within a second is left out.
     pub async fn picture(&self) -> Picture {
         Picture::of(self).await

@@ -3,10 +3,12 @@
 use super::{Node, NodeState};
 use crate::claim::ClaimRow;
 use crate::host::threads::{ThreadRow, ThreadState};
+use crate::lease::ActuatorRow;
 use crate::platform;
 use blastema_contract::link::LinkRow;
 use blastema_contract::session::SessionRow;
 use blastema_core::detection::{End, Entry, ObjectKind, Record, Row};
+use blastema_core::lease::LeaseStanding;
 use blastema_core::{Incarnation, Instant, NodeName, ObjectName, Severity};
 use serde_json::{Value, json};
 use std::future::Future;
@@ -38,6 +40,8 @@ pub struct Picture {
     pub sessions: Vec<SessionRow>,
     /// The names of the whole robot that are held, as far as this node knows.
     pub claims: Vec<ClaimRow>,
+    /// The node's actuators, and who commands each.
+    pub actuators: Vec<ActuatorRow>,
     /// The record of faults.
     pub faults: Record,
 }
@@ -53,6 +57,7 @@ impl Picture {
             links: in_time(node.links()).await,
             sessions: in_time(node.sessions()).await,
             claims: node.claims(),
+            actuators: node.actuators(),
             faults: in_time(node.faults()).await,
             seen_at: platform::now(),
         }
@@ -77,6 +82,7 @@ impl Picture {
             "links": self.links.iter().map(link).collect::<Vec<_>>(),
             "sessions": self.sessions.iter().map(session).collect::<Vec<_>>(),
             "claims": self.claims.iter().map(claim).collect::<Vec<_>>(),
+            "actuators": self.actuators.iter().map(actuator).collect::<Vec<_>>(),
             "faults": self.faults.entries.iter().map(|entry| fault(entry, self.seen_at)).collect::<Vec<_>>(),
             "faults_dropped": self.faults.dropped,
         });
@@ -180,6 +186,25 @@ fn claim(row: &ClaimRow) -> Value {
         "epoch": row.holder.epoch,
         "incarnation": row.incarnation.0,
         "age_ms": millis(row.age),
+    })
+}
+
+fn actuator(row: &ActuatorRow) -> Value {
+    let (state, commander, lease) = match &row.standing {
+        LeaseStanding::Free => ("free", None, None),
+        LeaseStanding::Held { commander, epoch, left } => {
+            ("held", Some(commander), Some((*epoch, *left)))
+        }
+        LeaseStanding::Settling { commander } => ("settling", Some(commander), None),
+    };
+    json!({
+        "object": row.object.as_str(),
+        "contract": row.contract,
+        "state": state,
+        "commander": commander.map(|commander| commander.name.as_str()),
+        "life": commander.map(|commander| commander.life.0),
+        "epoch": lease.map(|(epoch, _)| epoch),
+        "left_ms": millis(lease.map(|(_, left)| left)),
     })
 }
 

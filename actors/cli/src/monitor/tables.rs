@@ -7,7 +7,7 @@ use std::fmt::Write;
 type Column = (&'static str, &'static str);
 
 /// The tables, in the order in which they are drawn: a title, their name in the picture, their columns.
-const TABLES: [(&str, &str, &[Column]); 6] = [
+const TABLES: [(&str, &str, &[Column]); 7] = [
     (
         "objects",
         "table",
@@ -89,6 +89,19 @@ const TABLES: [(&str, &str, &[Column]); 6] = [
             ("object", "object"),
             ("epoch", "epoch"),
             ("known for", "age_ms"),
+        ],
+    ),
+    (
+        "actuators",
+        "actuators",
+        &[
+            ("object", "object"),
+            ("contract", "contract"),
+            ("state", "state"),
+            ("commander", "commander"),
+            ("life", "life"),
+            ("epoch", "epoch"),
+            ("lease left", "left_ms"),
         ],
     ),
     (
