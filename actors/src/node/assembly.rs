@@ -6,7 +6,8 @@ use super::keeper::NodeState;
 use super::keeper::{Keeper, StartRoot};
 use super::network::{Cable, Network};
 use super::tree::{Ground, Harvest, Planted};
-use super::{Node, Root, Shared, window};
+use super::window::{Show, Window};
+use super::{Node, Root, Shared};
 use crate::chain::detector::Detector;
 use crate::chain::directory::Directory;
 use crate::chain::monitor::Monitor;
@@ -505,6 +506,13 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     for (name, inquiries) in chain.inquiries.iter().cloned() {
         enrolments.push(middleware(name, Some(inquiries)));
     }
+    let window = builder.shown_at.map(|path| {
+        let (name, place) = (named("window"), chain.arbiter.as_ref());
+        let window = Window::new(path, state.clone());
+        let window = guardian.start(name.clone(), place, |_: &mut Context<Window>| window);
+        enrolments.push(middleware(name, Some(window.clone().recipient())));
+        window
+    });
     enrolments.extend(network_enrolments);
     for (name, inquiries) in harvest.supervisors {
         enrolments.push(middleware(name, Some(inquiries)));
@@ -549,9 +557,10 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     node.0.environment.declare_complaints();
     // From here on the node ends its threads itself.
     undone.kept = true;
-    if let Some(path) = builder.shown_at {
-        let arbiter = node.0.chain.arbiter.as_ref();
-        window::open(path, &node, arbiter).await.map_err(StartError::Shown)?;
+    if let Some(window) = window {
+        // The fault chain's mailboxes close only when the node has ended.
+        let shown = window.send(Show::node(&node)).await.unwrap_or(Ok(()));
+        shown.map_err(StartError::Shown)?;
     }
     match keeper.send(StartRoot(root)).await {
         Ok(Ok(())) => Ok(node),
