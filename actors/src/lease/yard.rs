@@ -12,7 +12,7 @@ use crate::registry::{Doorway, Port, Postmark, ReplyTo};
 use crate::reply::Answer;
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
-use blastema_core::lease::{CommanderId, Lease, LeaseEnd, LeaseOutput};
+use blastema_core::lease::{CommanderId, Lease, LeaseEnd, LeaseOutput, LeaseStanding};
 use blastema_core::{
     ContractIdentity, FaultKind, Incarnation, Instant, Machine, ObjectName, PeerIdentity, Why,
 };
@@ -34,6 +34,17 @@ pub(crate) struct Declared {
     /// The command that brings it to rest, encoded.
     pub(crate) safe: Result<Bytes, Why>,
     pub(crate) cut_off: Option<CutOff>,
+}
+
+/// An actuator and who commands it, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ActuatorRow {
+    /// The component.
+    pub object: ObjectName,
+    /// The contract of its commands.
+    pub contract: &'static str,
+    /// Who commands, under which epoch, and for how long unless the lease is renewed.
+    pub standing: LeaseStanding,
 }
 
 /// One actuator: one contract of commands to one component.
@@ -115,6 +126,18 @@ impl Yard {
             keys.iter().filter_map(|key| actuators.remove(key)).collect::<Vec<_>>()
         };
         drop(gone);
+    }
+
+    /// All of them, and who commands each.
+    pub(crate) fn rows(&self) -> Vec<ActuatorRow> {
+        let now = platform::now();
+        let row = |actuator: &Arc<Actuator>| ActuatorRow {
+            object: actuator.object.clone(),
+            contract: actuator.identity.name,
+            standing: lock(&actuator.lease).standing(now),
+        };
+        let actuators: Vec<_> = lock(&self.actuators).values().cloned().collect();
+        actuators.iter().map(row).collect()
     }
 
     fn find(&self, object: &ObjectName, theirs: &PeerIdentity) -> Option<Arc<Actuator>> {

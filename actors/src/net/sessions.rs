@@ -404,10 +404,9 @@ impl Handler<ReadSessions> for Sessions {
         let row = |(id, session): (NodeId, &Session)| {
             Some(SessionRow {
                 node: self.peers.get(&id)?.node.clone(),
-                incarnation: session.peer(),
-                round_trip: session.round_trip(),
-                counters: session.counters(),
-                refusals: session.refusals(),
+                standing: session.standing(),
+                // The gateway knows.
+                differences: Vec::new(),
             })
         };
         MessageResult(self.crowd.iter().filter_map(row).collect())

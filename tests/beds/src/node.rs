@@ -230,7 +230,7 @@ async fn tell_changes(node: Node) {
             }
         }
         for row in node.sessions().await {
-            let life = format!("{:?}", row.incarnation);
+            let life = format!("{:?}", row.standing.incarnation);
             if before.insert(format!("with {}", row.node), life.clone()).as_ref() != Some(&life) {
                 say(&format!("session with {} {life}", row.node));
             }

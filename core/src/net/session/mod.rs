@@ -32,11 +32,13 @@ mod output;
 mod reception;
 mod replicas;
 mod round_trip;
+mod standing;
 mod tag;
 mod transmission;
 
 pub use self::config::{PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
+pub use self::standing::{SessionState, Standing};
 
 use self::assembly::Assembly;
 use self::best_effort::BestEffort;
@@ -185,42 +187,6 @@ impl Session {
             outputs: VecDeque::new(),
             config,
         }
-    }
-
-    /// The peer's life that the present session is with.
-    pub fn peer(&self) -> Option<Incarnation> {
-        match self.state {
-            State::Open { peer } | State::Closing { peer, .. } => Some(peer.incarnation),
-            _ => None,
-        }
-    }
-
-    /// We ended in order; nothing is left to do.
-    pub fn is_closed(&self) -> bool {
-        self.state == State::Closed
-    }
-
-    /// The smoothed round trip to the peer.
-    pub fn round_trip(&self) -> Option<Duration> {
-        self.trips.iter().find_map(RoundTrip::smoothed)
-    }
-
-    /// What it did so far.
-    pub fn counters(&self) -> SessionCounters {
-        let unfinished = self.pieces.given_up + self.best_effort.unfinished();
-        let Replicas { dropped, missed, alone, .. } = self.replicas;
-        SessionCounters {
-            unfinished: self.counters.unfinished + unfinished,
-            replicas: self.counters.replicas + dropped,
-            missed: self.counters.missed + missed,
-            alone: self.counters.alone + alone,
-            ..self.counters
-        }
-    }
-
-    /// What was refused so far.
-    pub fn refusals(&self) -> Refusals {
-        self.refusals
     }
 
     /// The number of the last session; a machine built anew must begin above it.
