@@ -206,9 +206,9 @@ fn a_wrong_setting_is_pointed_at() {
 
 #[test]
 fn a_wrong_value_is_pointed_at_with_what_it_may_be() {
-    bad("udp://0.0.0.0:1?mtu=big", "big", 20, "a whole number from 640 to 65507");
-    bad("udp://0.0.0.0:1?mtu=639", "639", 20, "from 640");
-    bad("udp://0.0.0.0:1?mtu=65508", "65508", 20, "from 640 to 65507");
+    bad("udp://0.0.0.0:1?mtu=big", "big", 20, "a whole number from 96 to 65507");
+    bad("udp://0.0.0.0:1?mtu=95", "95", 20, "from 96");
+    bad("udp://0.0.0.0:1?mtu=65508", "65508", 20, "from 96 to 65507");
     bad("udp://0.0.0.0:1?interface=sixteen_letters_", "sixteen_letters_", 26, "of an interface");
     bad("udp://239.0.0.1:1?own=[::1]:1", "[::1]:1", 22, "as in 0.0.0.0:7401");
     bad("tcp://0.0.0.0:1?user_timeout=5", "5", 29, "as in 500ms or 2s");

@@ -2,9 +2,9 @@
 //!
 //! * **Frames** are found again after any garbage ([`framing`]); a wrong speed at the other end is
 //!   nothing but garbage.
-//! * **A slow line** is given no more than it carries, so that what waits, waits here, where it is
-//!   bounded in time and counted, and not in the system's buffers, where hellos would wait behind it: they
-//!   wait for the one frame that is going out.
+//! * **A slow line** is given no more than it carries ([`Pace`]), so that what waits, waits here, where it
+//!   is bounded in time and counted, and not in the system's buffers, where hellos would wait behind it:
+//!   they wait for the one frame that is going out.
 //! * **Unplugged**, a port reads as an end, or its writes fail: it is closed at once, which lets a USB
 //!   adapter have its old name again, and opened again by its path, with back-off.
 //!
@@ -13,10 +13,12 @@
 
 mod config;
 pub mod framing;
+mod pace;
 
 pub use self::config::{Parity, SerialConfig, StopBits};
 
 use self::framing::{Deframer, encode, encoded_length};
+use self::pace::{PIECE, Pace};
 use crate::frame_medium::{Arrival, FrameMedium, Opening, QueueLimits, Sending};
 use blastema_contract::transport::MediumAddress;
 use bytes::Bytes;
@@ -26,16 +28,16 @@ use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::time::Sleep;
+use tokio::time::{Instant, Sleep};
 use tokio_serial::{ClearBuffer, DataBits, ErrorKind, FlowControl, SerialPort, SerialStream};
 
 /// A line that carries so many bytes in a second is not slow: hellos are nothing to it.
 const FAST: u64 = 1_000_000;
 /// So many bytes are read at once: what the system holds of a terminal.
 const CHUNK: usize = 4096;
-/// So much time of the line is written at once. Shorter wakes us more often, longer lets more wait in
-/// the system's buffer.
-const PIECE: Duration = Duration::from_millis(5);
+/// So many frames may wait at least: as many as a session has on its way that does not know yet how slow
+/// the line is.
+const LEAST_FRAMES: usize = 8;
 /// The fewest bytes that are written at once: a hello, on the slowest lines.
 const LEAST_PIECE: usize = 32;
 
@@ -51,6 +53,8 @@ pub struct SerialLine {
     outgoing: Vec<u8>,
     written: usize,
     pace: Pace,
+    /// Ends when the line may have taken what was written.
+    timer: Option<Pin<Box<Sleep>>>,
 }
 
 impl SerialLine {
@@ -64,7 +68,30 @@ impl SerialLine {
             outgoing: Vec::new(),
             written: 0,
             pace: Pace::default(),
+            timer: None,
             config,
+        }
+    }
+
+    /// So many bytes are written at once.
+    fn piece(&self) -> usize {
+        self.config.bytes_in(PIECE).max(LEAST_PIECE)
+    }
+
+    /// Ready when the line has taken nearly all that was written.
+    fn poll_line(&mut self, task: &mut Context<'_>) -> Poll<()> {
+        loop {
+            if let Some(timer) = &mut self.timer {
+                ready!(timer.as_mut().poll(task));
+                self.timer = None;
+            }
+            // What the system still holds of it: its line is slower than was said, or was stopped.
+            let queued = self.port.as_ref().map_or(Ok(0), |port| port.bytes_to_write());
+            let late = queued.is_ok_and(|queued| queued as usize > self.piece());
+            match self.pace.due(late, Instant::now()) {
+                Some(due) => self.timer = Some(Box::pin(tokio::time::sleep_until(due))),
+                None => return Poll::Ready(()),
+            }
         }
     }
 
@@ -88,8 +115,7 @@ impl FrameMedium for SerialLine {
     }
 
     fn queue(&self) -> QueueLimits {
-        // Two frames at least: one goes out, one waits.
-        let least = 2 * encoded_length(self.config.mtu());
+        let least = LEAST_FRAMES * encoded_length(self.config.mtu());
         let bytes = self.config.bytes_in(self.config.queue_time).max(least);
         // Each frame costs as much as a small one, so that empty frames have a bound too.
         QueueLimits { frames: bytes.div_ceil(16), bytes }
@@ -131,7 +157,7 @@ impl FrameMedium for SerialLine {
     }
 
     fn poll_room(&mut self, task: &mut Context<'_>) -> Poll<()> {
-        self.pace.poll_due(task)
+        self.poll_line(task)
     }
 
     fn poll_send(
@@ -144,17 +170,17 @@ impl FrameMedium for SerialLine {
             encode(frame, &mut self.outgoing);
             self.written = 0;
         }
-        let Some(port) = &mut self.port else { return Poll::Ready(Err(unplugged())) };
-        let piece = self.config.bytes_in(PIECE).max(LEAST_PIECE);
+        let piece = self.piece();
         while self.written < self.outgoing.len() {
-            ready!(self.pace.poll_due(task));
+            ready!(self.poll_line(task));
+            let Some(port) = &mut self.port else { return Poll::Ready(Err(unplugged())) };
             let end = self.outgoing.len().min(self.written + piece);
             let rest = &self.outgoing[self.written..end];
-            match ready!(Pin::new(&mut *port).poll_write(task, rest)).map_err(lost)? {
+            match ready!(Pin::new(port).poll_write(task, rest)).map_err(lost)? {
                 0 => return Poll::Ready(Err(unplugged())),
                 written => {
                     self.written += written;
-                    self.pace.spend(self.config.time_of(written));
+                    self.pace.spend(self.config.time_of(written), Instant::now());
                 }
             }
         }
@@ -196,7 +222,7 @@ impl FrameMedium for SerialLine {
         self.deframer = Deframer::new(self.config.mtu());
         self.unread = 0..0;
         self.outgoing.clear();
-        self.pace = Pace::default();
+        (self.pace, self.timer) = (Pace::default(), None);
     }
 }
 
@@ -209,39 +235,4 @@ fn unplugged() -> io::Error {
 
 fn lost(error: io::Error) -> io::Error {
     io::Error::new(error.kind(), format!("{error}: {CURE}"))
-}
-
-/// Keeps a writer at the speed of its line.
-#[derive(Default)]
-struct Pace {
-    /// When all that was written has gone out.
-    free: Option<Pin<Box<Sleep>>>,
-    /// Somebody waits for that, and so is owed the time by which he is woken too late.
-    waited: bool,
-}
-
-impl Pace {
-    fn poll_due(&mut self, task: &mut Context<'_>) -> Poll<()> {
-        let Some(free) = &mut self.free else { return Poll::Ready(()) };
-        if free.as_mut().poll(task).is_pending() {
-            self.waited = true;
-            return Poll::Pending;
-        }
-        if !self.waited {
-            // The line was idle for a while: what it could have carried then is gone.
-            self.free = None;
-        }
-        Poll::Ready(())
-    }
-
-    fn spend(&mut self, span: Duration) {
-        self.waited = false;
-        match &mut self.free {
-            Some(free) => {
-                let due = free.deadline() + span;
-                free.as_mut().reset(due);
-            }
-            None => self.free = Some(Box::pin(tokio::time::sleep(span))),
-        }
-    }
 }
