@@ -5,10 +5,10 @@ use blastema_contract::transport::{
     Attach, Lane, MediumAddress, ReadCounters, Received, Transmit, TransportCounters,
     TransportReport,
 };
-use blastema_doubles::{PATIENCE, Probe, advance, paused};
+use blastema_doubles::{PATIENCE, Probe, advance, now, paused};
 use blastema_ptys::Cable;
 use blastema_transports::serial::framing::encode;
-use blastema_transports::{FrameTransport, SerialConfig, SerialLine};
+use blastema_transports::{FrameTransport, Rs485, SerialConfig, SerialLine};
 use std::future::Future;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -31,7 +31,7 @@ impl Node {
     }
 
     fn with(config: SerialConfig) -> Self {
-        let transport = FrameTransport::new(SerialLine::new(config)).start();
+        let transport = FrameTransport::new(SerialLine::new(config, now)).start();
         let (frames, reports) = (Probe::start(), Probe::start());
         let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
         transport.do_send(attach);
@@ -126,6 +126,21 @@ fn what_is_no_terminal_is_no_port() {
 
         let reason = node.closed().await;
         assert!(reason.contains("check that it is a serial port"), "{reason}");
+    });
+}
+
+#[test]
+fn a_driver_that_cannot_turn_the_line_is_named_with_what_helps() {
+    run(async {
+        let cable = Cable::new();
+        let mut config = SerialConfig::new(cable.left());
+        config.rs485 = Some(Rs485::default());
+
+        let reason = Node::with(config).closed().await;
+
+        assert!(reason.contains("left cannot be opened"), "{reason}");
+        assert!(reason.contains("does not turn the line of RS-485"), "{reason}");
+        assert!(reason.contains("use an adapter that turns by itself"), "{reason}");
     });
 }
 

@@ -333,7 +333,8 @@ impl Link {
         let Some(loss) = heard.arrivals.loss_permille() else { return };
         let limits = Limits {
             loss_permille: self.config.degraded_loss_permille,
-            round_trip: self.config.degraded_round_trip,
+            // On a slow medium a round trip takes two frames and two hellos, when it is full.
+            round_trip: self.config.degraded_round_trip.max(self.interval()),
         };
         if self.gauge.judge(loss.max(heard.loss_there), limits, now) {
             self.outputs.push_back(LinkOutput::Quality(self.gauge.quality()));

@@ -31,7 +31,19 @@ pub enum StopBits {
     Two,
 }
 
-/// A serial line with one node at each end: RS-232, RS-422, RS-485 whose adapter turns by itself, or a
+/// How the port's driver turns a line of RS-485 (Linux): it raises RTS before it sends, and lowers it after.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Rs485 {
+    /// RTS is low while it sends, and high otherwise.
+    pub rts_low: bool,
+    /// How long RTS is there before the first byte, in whole milliseconds. Some drivers do without.
+    pub before: Duration,
+    /// How long RTS stays after the last byte, likewise.
+    pub after: Duration,
+}
+
+/// A serial line with one node at each end: RS-232, RS-422, RS-485 whose adapter or driver turns it, or a
 /// USB device (CDC-ACM).
 ///
 /// ```
@@ -44,8 +56,8 @@ pub enum StopBits {
 pub struct SerialConfig {
     /// The port. Best one of `/dev/serial/by-id/`, which stays the same when it is plugged in again.
     pub path: PathBuf,
-    /// The line's speed, in bits a second; both ends must have the same. On USB devices it limits what
-    /// is sent, and nothing else.
+    /// The line's speed, in bits a second; both ends must have the same. A USB device (CDC-ACM) without a
+    /// line is not held to one of 115,200 and more; below, it limits what is sent.
     pub baud: u32,
     /// The parity bit. The frames' checksum finds more than it does.
     pub parity: Parity,
@@ -53,6 +65,9 @@ pub struct SerialConfig {
     pub stop_bits: StopBits,
     /// Whether the other end may stop us by a wire of its own (RTS/CTS).
     pub hardware_flow: bool,
+    /// Whether and how the port's driver turns a line of RS-485. An adapter that does so by itself needs
+    /// nothing.
+    pub rs485: Option<Rs485>,
     /// The largest frame, in bytes. By default what takes 50 ms on the line, but from 96 to 2,048: a
     /// larger one keeps others, and hellos, waiting behind it; of a smaller one, more is headers.
     pub mtu: Option<usize>,
@@ -71,6 +86,7 @@ impl SerialConfig {
             parity: Parity::None,
             stop_bits: StopBits::One,
             hardware_flow: false,
+            rs485: None,
             mtu: None,
             queue_time: Duration::from_millis(100),
         }

@@ -8,27 +8,29 @@
 //! * **Unplugged**, a port reads as an end, or its writes fail: it is closed at once, which lets a USB
 //!   adapter have its old name again, and opened again by its path, with back-off.
 //!
-//! RS-485 adapters must turn the line by themselves, or the system's driver must; two nodes that speak at
-//! once on two wires spoil each other's frames, which the session repeats.
+//! On two wires of RS-485 the adapter must turn the line by itself, or the port's driver, which is asked to
+//! by [`Rs485`]; two nodes that speak at once spoil each other's frames, which the session repeats.
 
 mod config;
 pub mod framing;
 mod pace;
 
-pub use self::config::{Parity, SerialConfig, StopBits};
+pub use self::config::{Parity, Rs485, SerialConfig, StopBits};
 
 use self::framing::{Deframer, encode, encoded_length};
-use self::pace::{PIECE, Pace};
+use self::pace::{Held, PIECE, Pace};
 use crate::frame_medium::{Arrival, FrameMedium, Opening, QueueLimits, Sending};
 use blastema_contract::transport::MediumAddress;
+use blastema_core::Instant;
 use bytes::Bytes;
 use std::future::Future;
 use std::io;
+use std::path::{Path, PathBuf};
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::time::{Instant, Sleep};
+use tokio::time::Sleep;
 use tokio_serial::{ClearBuffer, DataBits, ErrorKind, FlowControl, SerialPort, SerialStream};
 
 /// A line that carries so many bytes in a second is not slow: hellos are nothing to it.
@@ -40,10 +42,16 @@ const CHUNK: usize = 4096;
 const LEAST_FRAMES: usize = 8;
 /// The fewest bytes that are written at once: a hello, on the slowest lines.
 const LEAST_PIECE: usize = 32;
+/// So many bytes are written at once to a device without a line of its own.
+const DEVICE_PIECE: usize = 1024;
+/// From this speed on, one of a device without a line may mean nothing. Who asks for less knows of a line.
+const NOMINAL_BAUD: u32 = 115_200;
 
 /// A serial line as a medium.
 pub struct SerialLine {
     config: SerialConfig,
+    /// The clock on which this arbiter's timers run.
+    now: fn() -> Instant,
     port: Option<SerialStream>,
     deframer: Deframer,
     chunk: Vec<u8>,
@@ -58,9 +66,10 @@ pub struct SerialLine {
 }
 
 impl SerialLine {
-    /// The line at this port.
-    pub fn new(config: SerialConfig) -> Self {
+    /// The line at this port. The clock must be the one on which this arbiter's timers run.
+    pub fn new(config: SerialConfig, now: fn() -> Instant) -> Self {
         SerialLine {
+            now,
             port: None,
             deframer: Deframer::new(config.mtu()),
             chunk: vec![0; CHUNK],
@@ -75,7 +84,10 @@ impl SerialLine {
 
     /// So many bytes are written at once.
     fn piece(&self) -> usize {
-        self.config.bytes_in(PIECE).max(LEAST_PIECE)
+        match self.pace.is_free() {
+            true => DEVICE_PIECE,
+            false => self.config.bytes_in(PIECE).max(LEAST_PIECE),
+        }
     }
 
     /// Ready when the line has taken nearly all that was written.
@@ -85,13 +97,16 @@ impl SerialLine {
                 ready!(timer.as_mut().poll(task));
                 self.timer = None;
             }
-            // What the system still holds of it: its line is slower than was said, or was stopped.
-            let queued = self.port.as_ref().map_or(Ok(0), |port| port.bytes_to_write());
-            let late = queued.is_ok_and(|queued| queued as usize > self.piece());
-            match self.pace.due(late, Instant::now()) {
-                Some(due) => self.timer = Some(Box::pin(tokio::time::sleep_until(due))),
-                None => return Poll::Ready(()),
-            }
+            // A port that cannot say shows by its errors soon enough what it is like.
+            let queued = self.port.as_ref().and_then(|port| port.bytes_to_write().ok());
+            let held = match queued.unwrap_or(0) as usize {
+                0 => Held::Nothing,
+                queued if queued <= self.piece() => Held::Little,
+                _ => Held::Much,
+            };
+            let now = (self.now)();
+            let Some(due) = self.pace.due(held, now) else { return Poll::Ready(()) };
+            self.timer = Some(Box::pin(tokio::time::sleep(due - now)));
         }
     }
 
@@ -128,7 +143,7 @@ impl FrameMedium for SerialLine {
 
     fn open(&mut self) -> io::Result<Opening> {
         self.close();
-        let SerialConfig { path, baud, parity, stop_bits, hardware_flow, .. } = &self.config;
+        let SerialConfig { path, baud, parity, stop_bits, hardware_flow, rs485, .. } = &self.config;
         let parity = match parity {
             Parity::None => tokio_serial::Parity::None,
             Parity::Odd => tokio_serial::Parity::Odd,
@@ -144,11 +159,17 @@ impl FrameMedium for SerialLine {
             .parity(parity)
             .stop_bits(stop_bits)
             .flow_control(flow);
+        if let Some(rs485) = rs485 {
+            turn_by_driver(path, rs485)?;
+        }
         // The lines DTR and RTS are left as the driver sets them: a pty has none, and many a device
         // takes a change of them for a reset.
         let port =
             SerialStream::open(&builder).map_err(|error| io::Error::other(self.explain(&error)))?;
         self.port = Some(port);
+        if *baud >= NOMINAL_BAUD && is_usb_device(path) {
+            self.pace = Pace::of_device();
+        }
         Ok(Opening { local: MediumAddress::Line, mtu: self.config.mtu() })
     }
 
@@ -180,7 +201,7 @@ impl FrameMedium for SerialLine {
                 0 => return Poll::Ready(Err(unplugged())),
                 written => {
                     self.written += written;
-                    self.pace.spend(self.config.time_of(written), Instant::now());
+                    self.pace.spend(self.config.time_of(written), (self.now)());
                 }
             }
         }
@@ -224,6 +245,41 @@ impl FrameMedium for SerialLine {
         self.outgoing.clear();
         (self.pace, self.timer) = (Pace::default(), None);
     }
+}
+
+/// Lets the port's driver turn the line for as long as something goes out. It keeps that when the port is
+/// closed, so that it can be said before the port is opened as a line.
+#[cfg(target_os = "linux")]
+fn turn_by_driver(path: &Path, rs485: &Rs485) -> io::Result<()> {
+    // Whatever keeps it from being opened is told when it is opened as a line.
+    let Ok(port) = serial2::SerialPort::open(path, serial2::KeepSettings) else { return Ok(()) };
+    let mut mode = serial2::rs4xx::Rs485Config::new();
+    mode.set_invert_rts(rs485.rts_low);
+    mode.set_delay_before_send(rs485.before);
+    mode.set_delay_after_send(rs485.after);
+    port.set_rs4xx_mode(mode).map_err(|error| {
+        io::Error::other(format!(
+            "{error}: the port's driver does not turn the line of RS-485 (rs485=true): leave that out, and \
+             use an adapter that turns by itself"
+        ))
+    })
+}
+
+#[cfg(not(target_os = "linux"))]
+fn turn_by_driver(_: &Path, _: &Rs485) -> io::Result<()> {
+    Err(io::Error::other(
+        "only Linux lets a driver turn the line of RS-485 (rs485=true): leave that out, and use an adapter \
+         that turns by itself",
+    ))
+}
+
+/// Whether a port is one of USB CDC-ACM, at either end, where often no line follows.
+fn is_usb_device(path: &Path) -> bool {
+    let Ok(device) = path.canonicalize() else { return false };
+    let Some(name) = device.file_name() else { return false };
+    let driver = Path::new("/sys/class/tty").join(name).join("device/driver");
+    let is_acm = |driver: PathBuf| driver.file_name().is_some_and(|name| name == "cdc_acm");
+    name.as_encoded_bytes().starts_with(b"ttyGS") || driver.read_link().is_ok_and(is_acm)
 }
 
 /// What helps when a port reads or writes no more.

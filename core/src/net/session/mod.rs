@@ -135,6 +135,8 @@ impl Session {
     const CONGESTION_INITIAL: usize = 32;
     /// The same on a narrow path.
     const CONGESTION_NARROW: usize = 4;
+    /// The most there: as many as may wait for a serial line.
+    const CONGESTION_NARROW_MAX: usize = 8;
     /// Parts that are on their way however long the queues are.
     const CONGESTION_LEAST: usize = 2;
     /// Time in queues above which less is sent. Control and hellos stand in the same queues.

@@ -22,8 +22,8 @@ impl RoundTrip {
     const INITIAL: Duration = Duration::from_millis(100);
     /// The same where the medium is probably slow (RFC 6298, 2.1).
     const INITIAL_NARROW: Duration = Duration::from_secs(1);
-    /// The shortest there: a frame, its acknowledgement, and a frame and a hello before either, at 9,600
-    /// bits a second. What was measured with small messages says nothing of large ones.
+    /// The shortest there: a frame, its acknowledgement, which waits a little, and a frame and a hello before
+    /// either, at 9,600 bits a second. What was measured with small messages says nothing of large ones.
     const SHORTEST_NARROW: Duration = Duration::from_millis(400);
     /// The longest there.
     const LONGEST_NARROW: Duration = Duration::from_secs(2);

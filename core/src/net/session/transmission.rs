@@ -3,12 +3,10 @@
 use super::assembly::pieces_of;
 use super::outbound::Part;
 use super::{STREAMS, Session, SessionConfig, SessionOutput, State, lane};
+use crate::net::NARROW;
 use crate::net::packet::{Class, Undelivered};
 use crate::net::segment::{Ack, Data, Segment, Stream, data_header};
 use crate::{Instant, Why};
-
-/// A path of smaller segments is narrow.
-const NARROW: usize = 1200;
 
 /// Which stream goes first when several wait.
 const BY_URGENCY: [Stream; 3] = [Stream::Control, Stream::Redundant, Stream::Data];
@@ -136,6 +134,10 @@ impl Session {
             match stream {
                 Stream::Control => self.transmit(Class::Control, segment),
                 Stream::Data => self.transmit(Class::Data, segment),
+                // A stop, or a beat: it waits for nothing that is said one way.
+                Stream::Redundant if first && last => {
+                    self.transmit_everywhere(Class::Control, segment);
+                }
                 Stream::Redundant => self.transmit_everywhere(Class::Data, segment),
             }
         }
@@ -189,7 +191,10 @@ impl Session {
                 // Nor does an answer, on a narrow path, of which nobody knows to which sending it is.
                 let known = queueing.is_some() || !self.is_narrow();
                 if used && known && !crowded {
-                    let most = self.config.window as usize;
+                    let most = match self.is_narrow() {
+                        true => Self::CONGESTION_NARROW_MAX,
+                        false => self.config.window as usize,
+                    };
                     self.congestion = (self.congestion + progress.parts).min(most);
                 }
                 // Once per round trip, as in RFC 9002: one burst of losses is one sign.
