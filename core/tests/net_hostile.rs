@@ -39,7 +39,7 @@ fn genuine() -> Vec<Bytes> {
     };
     let stamp =
         Stamp { origin: NodeId::of(&name("peer")), incarnation: Incarnation(1), sequence: 2 };
-    let edges = vec![Edge { to: NodeId::of(&name("own")), cost: 1, mtu: 1400 }];
+    let edges = vec![Edge { to: NodeId::of(&name("own")), life: 1, cost: 1, mtu: 1400 }];
     let announce = Routing::Announce(vec![Advertisement {
         stamp,
         node: name("peer"),
@@ -237,7 +237,7 @@ fn a_flood_of_invented_nodes_is_refused_beyond_the_limit() {
     for n in 0..1000 {
         let node = name(&format!("n{n}"));
         let stamp = Stamp { origin: NodeId::of(&node), incarnation: Incarnation(1), sequence: 1 };
-        let edges = vec![Edge { to: NodeId::of(&name("peer")), cost: 1, mtu: 1400 }];
+        let edges = vec![Edge { to: NodeId::of(&name("peer")), life: 1, cost: 1, mtu: 1400 }];
         let announce =
             Routing::Announce(vec![Advertisement { stamp, node, edges, withdrawn: false }]);
         router.handle_routing(LinkNumber(0), announce.encode(), Instant::ORIGIN);

@@ -6,7 +6,7 @@
 //! dispute:   2 │ stamp 16 │ n 1 │ name n
 //! defend:    3 │ incarnation 8 │ advertisement
 //!
-//! advertisement: stamp 16 │ n 1 │ name n │ count 1 │ count × (neighbour 4, cost 2, mtu 2)
+//! advertisement: stamp 16 │ n 1 │ name n │ count 1 │ count × (neighbour 4, life 1, cost 2, mtu 2)
 //! stamp:         origin 4 │ incarnation 8 │ sequence 4
 //! ```
 //!
@@ -65,6 +65,9 @@ pub struct Advertisement {
 pub struct Edge {
     /// To whom.
     pub to: NodeId,
+    /// To which of its lives, as [`life_tag`](Edge::life_tag) has it: while a node begins anew, some know
+    /// its new life already, and their links lead nobody to the old one.
+    pub life: u8,
     /// How dear it is to use; at least 1.
     pub cost: u16,
     /// The largest frame that it carries, in bytes; saturates.
@@ -99,6 +102,14 @@ pub enum Routing {
     },
 }
 
+impl Edge {
+    /// What an edge says of a life: its last eight bits, which two lives that follow each other share by
+    /// chance at most.
+    pub fn life_tag(incarnation: Incarnation) -> u8 {
+        incarnation.0 as u8
+    }
+}
+
 impl Stamp {
     fn put(&self, bytes: &mut BytesMut) {
         bytes.put_u32(self.origin.0);
@@ -118,7 +129,7 @@ impl Stamp {
 impl Advertisement {
     /// How many bytes it takes.
     pub(crate) fn length(&self) -> usize {
-        STAMP + 2 + self.node.as_str().len() + 8 * self.edges.len()
+        STAMP + 2 + self.node.as_str().len() + 9 * self.edges.len()
     }
 
     /// What takes this one back.
@@ -136,6 +147,7 @@ impl Advertisement {
         bytes.put_u8(self.edges.len().min(NEIGHBOURS_MAX) as u8);
         for edge in self.edges.iter().take(NEIGHBOURS_MAX) {
             bytes.put_u32(edge.to.0);
+            bytes.put_u8(edge.life);
             bytes.put_u16(edge.cost);
             bytes.put_u16(edge.mtu);
         }
@@ -157,7 +169,8 @@ impl Advertisement {
         }
         let mut edges = Vec::with_capacity(count);
         for _ in 0..count {
-            let edge = Edge { to: NodeId(reader.u32()?), cost: reader.u16()?, mtu: reader.u16()? };
+            let (to, life) = (NodeId(reader.u32()?), reader.u8()?);
+            let edge = Edge { to, life, cost: reader.u16()?, mtu: reader.u16()? };
             if edge.cost == 0 {
                 return Err(WireError::Malformed { what: "a link's cost" });
             }
@@ -254,7 +267,7 @@ mod tests {
     fn advertisement() -> Advertisement {
         let node = NodeName::new("m1").unwrap();
         let stamp = Stamp { origin: NodeId::of(&node), incarnation: Incarnation(2), sequence: 3 };
-        let edges = vec![Edge { to: NodeId(9), cost: 10, mtu: 1400 }];
+        let edges = vec![Edge { to: NodeId(9), life: 7, cost: 10, mtu: 1400 }];
         Advertisement { stamp, node, edges, withdrawn: false }
     }
 
@@ -262,7 +275,7 @@ mod tests {
     fn the_bytes_of_routing_messages_are_these_for_ever() {
         let origin = NodeId::of(&NodeName::new("m1").unwrap()).0.to_be_bytes();
         let stamp = [&origin[..], &[0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3]].concat();
-        let announce = [&[0], &stamp[..], b"\x02m1\x01\0\0\0\x09\0\x0a\x05\x78"].concat();
+        let announce = [&[0], &stamp[..], b"\x02m1\x01\0\0\0\x09\x07\0\x0a\x05\x78"].concat();
         assert_eq!(&Routing::Announce(vec![advertisement()]).encode()[..], announce);
         let range = Some((NodeId(1), NodeId(2)));
         let have = Routing::Have { range, stamps: vec![advertisement().stamp] };

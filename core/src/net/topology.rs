@@ -215,10 +215,14 @@ impl<'a> Topology<'a> {
     }
 
     /// What another node says of its links; one that could not carry an announcement carries none of
-    /// our traffic either.
+    /// our traffic either, and one to another life than the one that speaks does not lead to it.
     fn announced(&self, id: NodeId) -> impl Iterator<Item = &Edge> {
         let known = self.known.get(&id).map_or(&[][..], |known| &known.edges);
-        known.iter().filter(|edge| usize::from(edge.mtu) >= MTU_MIN)
+        known.iter().filter(|edge| {
+            let told = self.known.get(&edge.to).map(|known| known.stamp.incarnation);
+            usize::from(edge.mtu) >= MTU_MIN
+                && told.is_none_or(|life| Edge::life_tag(life) == edge.life)
+        })
     }
 
     /// What `id` says of its link to `other`, if it says that it has one. Of our own links their hellos

@@ -34,7 +34,7 @@ fn a_cable_whose_quality_swings_moves_traffic_once_and_not_with_every_swing() {
 fn lie(origin: usize, (life, sequence): (u64, u32), to: &[usize]) -> Advertisement {
     let node = name(origin);
     let (origin, incarnation) = (NodeId::of(&node), Incarnation(life));
-    let edge = |to: &usize| Edge { to: NodeId::of(&name(*to)), cost: 1, mtu: 9000 };
+    let edge = |to: &usize| Edge { to: NodeId::of(&name(*to)), life: 1, cost: 1, mtu: 9000 };
     let edges = to.iter().map(edge).collect();
     let stamp = Stamp { origin, incarnation, sequence };
     Advertisement { stamp, node, edges, withdrawn: false }

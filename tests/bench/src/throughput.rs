@@ -1,7 +1,8 @@
 //! How much two nodes carry: small reliable messages per second, and messages of a mebibyte beside
 //! bare TCP.
 //!
-//! This process is pinned to the first core and every other to the second, bare or not.
+//! This process is pinned to the first core and every other to the second, bare or not. `SIZES=small`
+//! or `large` and `MEDIA=udp` or `tcp` narrow it down, for a profile.
 
 use crate::measure::Table;
 use crate::process::{Peer, addresses, pin, serve_until_told, texts};
@@ -154,11 +155,17 @@ async fn sent<M: Event>(
     count as f64 / start.elapsed().as_secs_f64()
 }
 
+/// Whether an environment variable, which lists what is wanted, is not there or lists this.
+fn is_wanted(variable: &str, word: &str) -> bool {
+    std::env::var(variable).map_or(true, |listed| listed.split(',').any(|one| one == word))
+}
+
 pub(crate) fn run(rounds: usize) {
     pin(0);
     let [bare_at, udp, udp_sink, tcp, tcp_sink] = addresses();
     let _bare = Peer::start("throughput", &texts(&["bare", &bare_at.to_string()]));
-    for (medium, own, far) in [("udp", udp, udp_sink), ("tcp", tcp, tcp_sink)] {
+    let media = [("udp", udp, udp_sink), ("tcp", tcp, tcp_sink)];
+    for (medium, own, far) in media.into_iter().filter(|(medium, ..)| is_wanted("MEDIA", medium)) {
         let arguments = texts(&[medium, &far.to_string(), &own.to_string()]);
         let _sink = Peer::start("throughput", &arguments);
         blastema::run(async {
@@ -171,11 +178,21 @@ pub(crate) fn run(rounds: usize) {
             let mut small = Table::new(title, "per second: higher is better");
             let image = vec![7; MEBIBYTE];
             for _ in 0..rounds {
-                large.add("bare TCP", bare(bare_at).await);
-                let images = sent(&node, "sink:large", (LARGE, 16), |_| Image(image.clone())).await;
-                large.add("Sender::deliver", images);
-                let tick = |number| Tick { number, values: [0.5; 3] };
-                small.add("Sender::deliver", sent(&node, "sink:small", (SMALL, 1024), tick).await);
+                if is_wanted("SIZES", "large") {
+                    large.add("bare TCP", bare(bare_at).await);
+                    let image = |_| Image(image.clone());
+                    large.add(
+                        "Sender::deliver",
+                        sent(&node, "sink:large", (LARGE, 16), image).await,
+                    );
+                }
+                if is_wanted("SIZES", "small") {
+                    let tick = |number| Tick { number, values: [0.5; 3] };
+                    small.add(
+                        "Sender::deliver",
+                        sent(&node, "sink:small", (SMALL, 1024), tick).await,
+                    );
+                }
             }
             large.print();
             small.print();

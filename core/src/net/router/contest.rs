@@ -149,7 +149,10 @@ impl Router {
             return self.tell_collision(held, advertisement.node);
         }
         let settled = |dispute: &Dispute| dispute.until.is_none() && dispute.contender >= against;
-        let news = held.is_none_or(|held| held.stamp < advertisement.stamp);
+        // Also where a later life is held, which has ended, and an earlier one defends itself against it.
+        let news = held.is_none_or(|held| {
+            held.stamp < advertisement.stamp || held.stamp.incarnation > incarnation
+        });
         if self.disputes.get(&origin).is_some_and(settled) && !news {
             return;
         }

@@ -28,7 +28,12 @@ impl Router {
     pub(super) fn announce_links(&mut self) {
         let mut edges: BTreeMap<NodeId, Edge> = BTreeMap::new();
         for adjacent in self.links.values() {
-            let edge = Edge { to: adjacent.id, cost: adjacent.cost, mtu: adjacent.mtu };
+            let edge = Edge {
+                to: adjacent.id,
+                life: Edge::life_tag(adjacent.neighbour.incarnation),
+                cost: adjacent.cost,
+                mtu: adjacent.mtu,
+            };
             let best = edges.entry(edge.to).or_insert(edge);
             if edge.cost < best.cost {
                 *best = edge;

@@ -32,9 +32,16 @@ fn up(neighbour: &str, cost: u16) -> LinkStatus {
 
 fn advertisement(node: &str, sequence: u32, edges: &[(&str, u16)]) -> Advertisement {
     let stamp = Stamp { origin: id(node), incarnation: Incarnation(1), sequence };
-    let edge = |(to, cost): &(&str, u16)| Edge { to: id(to), cost: *cost, mtu: 1400 };
+    let edge = |(to, cost): &(&str, u16)| Edge { to: id(to), life: 1, cost: *cost, mtu: 1400 };
     let edges = edges.iter().map(edge).collect();
     Advertisement { stamp, node: named(node), edges, withdrawn: false }
+}
+
+/// The same, of a node that is linked to that life of another.
+fn linked_to(life: u8, to: &str, advertisement: Advertisement) -> Advertisement {
+    let mut linked = advertisement;
+    linked.edges.iter_mut().filter(|edge| edge.to == id(to)).for_each(|edge| edge.life = life);
+    linked
 }
 
 fn tell(router: &mut Router, link: LinkNumber, told: Advertisement, now: u64) {
@@ -334,7 +341,8 @@ fn a_restarted_node_is_told_with_its_new_life() {
     let (node, incarnation) = (named("far"), Incarnation(1));
     let told = without_routing(outputs(&mut router, 1030));
     assert!(told.contains(&RouterOutput::Lost { node, incarnation }), "{told:?}");
-    tell(&mut router, FIRST, advertisement("left", 3, &[("own", 1), ("far", 1)]), 1200);
+    let left = advertisement("left", 3, &[("own", 1), ("far", 1)]);
+    tell(&mut router, FIRST, linked_to(2, "far", left), 1200);
     tell(&mut router, FIRST, reborn, 1200);
 
     let told = without_routing(outputs(&mut router, 1210));
@@ -352,8 +360,12 @@ fn a_new_life_of_which_the_neighbours_say_nothing_waits_for_the_old_one_to_answe
     assert_eq!(without_routing(outputs(&mut router, 2010)), []);
     outputs(&mut router, 2020);
     tell(&mut router, FIRST, reborn, 2030);
+    let lost = without_routing(outputs(&mut router, 2040));
+    assert!(matches!(lost.last(), Some(RouterOutput::Lost { node, .. }) if *node == named("far")));
+    let left = advertisement("left", 2, &[("own", 1), ("far", 1)]);
+    tell(&mut router, FIRST, linked_to(2, "far", left), 2050);
 
-    let told = without_routing(outputs(&mut router, 2040));
+    let told = without_routing(outputs(&mut router, 2060));
     let (node, incarnation) = (named("far"), Incarnation(2));
     assert_eq!(told, [RouterOutput::Reachable { node, incarnation, mtu: 1389 }]);
 }
@@ -526,6 +538,8 @@ fn what_is_withdrawn_counts_for_a_moment_and_then_no_longer() {
     let mut again = advertisement("far", 1, &[("left", 1), ("right", 1)]);
     again.stamp.incarnation = Incarnation(0);
     tell(&mut router, FIRST, again, 1100);
+    let left = advertisement("left", 2, &[("own", 1), ("far", 1)]);
+    tell(&mut router, FIRST, linked_to(0, "far", left), 1100);
     let back = |told: &RouterOutput| matches!(told, RouterOutput::Reachable { node, .. } if *node == named("far"));
     assert!(outputs(&mut router, 1110).iter().any(back));
 }
