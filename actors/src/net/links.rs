@@ -20,7 +20,7 @@ use blastema_contract::transport::{
 };
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::complaints::Complaints;
-use blastema_core::net::frame::is_urgent;
+use blastema_core::net::frame::{is_hello, is_urgent};
 use blastema_core::net::link::LinkRefusal;
 use blastema_core::net::router::{Health, LinkStatus};
 use blastema_core::net::{
@@ -257,7 +257,11 @@ impl Links {
     }
 
     fn transmit(&self, to: MediumAddress, frame: Bytes) {
-        let lane = if is_urgent(&frame) { Lane::Urgent } else { Lane::Usual };
+        let lane = match &frame[..] {
+            frame if is_hello(frame) => Lane::Hello,
+            frame if is_urgent(frame) => Lane::Urgent,
+            _ => Lane::Usual,
+        };
         self.wiring.transport.transmit.do_send(Transmit { to, frame, lane });
     }
 

@@ -20,6 +20,7 @@
 mod acquaintance;
 mod given_up;
 mod greeted;
+mod parts;
 mod quality;
 mod vocabulary;
 
@@ -28,6 +29,7 @@ pub use self::vocabulary::{LinkConfig, LinkOutput, LinkRefusal, LinkState, Neigh
 
 use self::acquaintance::Claimant;
 use self::given_up::GivenUp;
+use self::parts::Parts;
 use self::quality::{Gauge, Limits};
 
 use super::arrival::{Arrival, Arrivals};
@@ -66,6 +68,9 @@ pub struct Link {
     /// It is one of a bus: others say its hellos, of which this one is due.
     on_bus: bool,
     greeting: Option<u32>,
+    /// The medium's largest frame; 0 while that is not known.
+    mtu: usize,
+    parts: Parts,
     gauge: Gauge,
     /// Who was refused last, and who was told of last: what was heard once may be an accident.
     doubted: Option<LinkRefusal>,
@@ -136,6 +141,8 @@ impl Link {
             overtaken: false,
             on_bus: false,
             greeting: None,
+            mtu: 0,
+            parts: Parts::default(),
             gauge: Gauge::default(),
             doubted: None,
             refused: None,
@@ -171,7 +178,9 @@ impl Link {
 
     /// Sends something of the router's. Dropped and counted when the link is not up.
     pub fn handle_routing(&mut self, bytes: Bytes) {
-        self.carry(Frame::Routing(bytes));
+        for frame in parts::frames_of(bytes, self.mtu) {
+            self.carry(frame);
+        }
     }
 
     /// Sends a packet. Dropped and counted when the link is not up.
@@ -211,13 +220,22 @@ impl Link {
         match Frame::decode(frame) {
             Ok(Frame::Hello(hello)) => self.handle_hello(hello, now),
             Ok(Frame::Greeting(greeting)) => self.handle_greeting(greeting, now),
-            Ok(Frame::Routing(_) | Frame::Data(_)) if !self.takes() => {
+            Ok(Frame::Routing(_) | Frame::RoutingPart(_) | Frame::Data(_)) if !self.takes() => {
                 self.refusals.unexpected += 1;
             }
             Ok(Frame::Routing(bytes)) => self.outputs.push_back(LinkOutput::Routing(bytes)),
+            Ok(Frame::RoutingPart(part)) => match self.parts.handle(&part) {
+                Ok(whole) => self.outputs.extend(whole.map(LinkOutput::Routing)),
+                Err(error) => self.refusals.count(&error),
+            },
             Ok(Frame::Data(packet)) => self.outputs.push_back(LinkOutput::Packet(packet)),
             Err(error) => self.refusals.count(&error),
         }
+    }
+
+    /// The medium's largest frame has so many bytes.
+    pub(super) fn handle_mtu(&mut self, mtu: usize) {
+        self.mtu = mtu;
     }
 
     /// The transport knows that the medium, or the connection, is gone: no need to wait for silence.
@@ -325,7 +343,8 @@ impl Link {
         let Some(loss) = heard.arrivals.loss_permille() else { return };
         let limits = Limits {
             loss_permille: self.config.degraded_loss_permille,
-            round_trip: self.config.degraded_round_trip,
+            // On a slow medium a round trip takes two frames and two hellos, when it is full.
+            round_trip: self.config.degraded_round_trip.max(self.interval()),
         };
         if self.gauge.judge(loss.max(heard.loss_there), limits, now) {
             self.outputs.push_back(LinkOutput::Quality(self.gauge.quality()));

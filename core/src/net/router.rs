@@ -96,8 +96,9 @@ impl Known {
     }
 }
 
-/// A link's smallest MTU in bytes: an advertisement with all neighbours must fit.
-pub const MTU_MIN: usize = 640;
+/// A link's smallest MTU in bytes: the hello of a node with the longest name fits, and half of a frame and
+/// more is the message's. Only what routers tell each other is cut below the packet, by the link.
+pub const MTU_MIN: usize = 96;
 
 impl Router {
     /// A router without links.

@@ -4,6 +4,7 @@ mod ways;
 
 pub(crate) use self::ways::Way;
 
+use super::NARROW;
 use super::advertisement::{Advertisement, Edge};
 use super::frame::FRAME_HEADER;
 use super::link::Neighbour;
@@ -13,6 +14,8 @@ use super::router::{Health, LinkNumber, MTU_MIN};
 use crate::{Incarnation, Instant, NodeName};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::time::Duration;
 
 /// The way to one node.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -46,6 +49,13 @@ pub(crate) struct Adjacent {
     /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
     pub(crate) pending: BTreeMap<NodeId, Instant>,
     pub(crate) compare_at: Instant,
+}
+
+impl Adjacent {
+    /// How long an answer of the neighbour's may take, where it takes so long on a fast medium.
+    pub(crate) fn patience(&self, fast: Duration) -> Duration {
+        fast * if usize::from(self.mtu) < NARROW { 10 } else { 1 }
+    }
 }
 
 /// The bytes of a segment that fits into a frame of this size.

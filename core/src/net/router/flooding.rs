@@ -80,8 +80,8 @@ impl Router {
 
     /// Gives these origins' advertisements to a neighbour until it confirms them.
     pub(super) fn announce(&mut self, link: LinkNumber, origins: &[NodeId]) {
-        let again = self.now + self.config.resend;
         let Some(adjacent) = self.links.get_mut(&link) else { return };
+        let again = self.now + adjacent.patience(self.config.resend);
         let room = usize::from(adjacent.mtu) - FRAME_HEADER;
         self.wake_at = self.wake_at.min(again);
         adjacent.pending.extend(origins.iter().map(|origin| (*origin, again)));
@@ -110,6 +110,7 @@ impl Router {
         adjacent.compare_at = self.now + self.config.compare;
         let bytes = Routing::Numbered(link).encode();
         self.outputs.push_back(RouterOutput::Routing { link, bytes });
+        adjacent.compare_at = self.now + adjacent.patience(self.config.compare);
         self.wake_at = self.wake_at.min(adjacent.compare_at);
         let room = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / STAMP;
         let mut stamps: Vec<_> =
@@ -302,12 +303,12 @@ impl Router {
         self.remember_withdrawn(withdrawal.stamp);
         self.own.stamp.sequence = 1;
         self.refresh_at = self.now + self.config.refresh;
-        let again = self.now + self.config.resend;
-        self.wake_at = self.wake_at.min(again);
         let length = 1 + withdrawal.length() + self.own.length() + FRAME_HEADER;
         let (withdrawal, own) = (vec![withdrawal], vec![self.own.clone()]);
         let both = [withdrawal.clone(), own.clone()].concat();
         for (&link, adjacent) in &mut self.links {
+            let again = self.now + adjacent.patience(self.config.resend);
+            self.wake_at = self.wake_at.min(again);
             adjacent.pending.insert(self.id, again);
             let fits = length <= usize::from(adjacent.mtu);
             let frames = if fits { vec![&both] } else { vec![&withdrawal, &own] };

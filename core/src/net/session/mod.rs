@@ -128,10 +128,6 @@ struct StreamState {
 /// In the order of their places.
 const STREAMS: [Stream; 3] = [Stream::Control, Stream::Data, Stream::Redundant];
 
-/// A path of smaller segments leads over a medium that is taken for slow until it is measured: a serial
-/// line, or CAN.
-const NARROW: usize = 1200;
-
 /// Which round trip and silence a stream has.
 fn lane(stream: Stream) -> usize {
     usize::from(stream == Stream::Redundant)
@@ -142,11 +138,13 @@ impl Session {
     const CONGESTION_INITIAL: usize = 32;
     /// The same on a narrow path.
     const CONGESTION_NARROW: usize = 4;
+    /// The most there: as many as may wait for a serial line.
+    const CONGESTION_NARROW_MAX: usize = 8;
     /// Parts that are on their way however long the queues are.
     const CONGESTION_LEAST: usize = 2;
     /// Time in queues above which less is sent. Control and hellos stand in the same queues.
     const QUEUEING_MAX: Duration = Duration::from_millis(200);
-    /// Parts that may always be on their way: fewer would wait for a timer at every loss.
+    /// Parts that may always be on their way elsewhere.
     const CONGESTION_MIN: usize = 8;
     /// How long an unfinished message is kept.
     const ASSEMBLY_PATIENCE: Duration = Duration::from_secs(5);
@@ -264,7 +262,7 @@ impl Session {
     pub fn handle_path(&mut self, mtu: usize, now: Instant) {
         self.now = now;
         self.path = Some(mtu);
-        let narrow = mtu < NARROW;
+        let narrow = self.is_narrow();
         self.trips.iter_mut().for_each(|trip| trip.change_path(narrow));
         if narrow {
             self.congestion = self.congestion.min(Self::CONGESTION_NARROW);
@@ -442,10 +440,8 @@ impl Session {
         let pieces = Assembly::new(assembly, Self::ASSEMBLY_PATIENCE);
         self.best_effort = BestEffort::new(self.config.channels_max, pieces);
         self.replicas = Replicas::default();
-        self.congestion = match self.path {
-            Some(mtu) if mtu < NARROW => Self::CONGESTION_NARROW,
-            _ => Self::CONGESTION_INITIAL,
-        };
+        self.congestion =
+            if self.is_narrow() { Self::CONGESTION_NARROW } else { Self::CONGESTION_INITIAL };
         self.reduced_until = self.orders[0];
         self.retransmit_at = [None; 2];
         self.owed_since = None;
@@ -463,7 +459,10 @@ impl Session {
     }
 
     fn give_up_at(&self) -> Option<Instant> {
-        self.owed_since.map(|since| since + self.config.patience)
+        // Where an answer takes long, one that is lost is asked for twice before that.
+        let answers =
+            if self.path.is_some() { 3 * self.trips[0].timeout() } else { Duration::ZERO };
+        self.owed_since.map(|since| since + self.config.patience.max(answers))
     }
 
     /// The peer has owed us a sign of life for too long.

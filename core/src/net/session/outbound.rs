@@ -92,6 +92,11 @@ impl Outbound {
         self.messages.len()
     }
 
+    /// The number of the next part that is cut.
+    pub(crate) fn next(&self) -> u64 {
+        self.next
+    }
+
     /// Everything was acknowledged.
     pub(crate) fn is_empty(&self) -> bool {
         self.messages.is_empty()
