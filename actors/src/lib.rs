@@ -163,8 +163,7 @@ pub use blastema_macros::main;
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 pub use node::{
     Cable, Direction, FaultEvents, Impairment, Link, MemoryMedium, Network, Node, NodeBuilder,
-    NodeState, RestartError, StartError, SupervisorSpec,
-    NodeState, Picture, StartError, SupervisorSpec,
+    NodeState, Picture, RestartError, StartError, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.

@@ -16,8 +16,8 @@ mod checks;
 mod faults;
 mod keeper;
 mod network;
-mod restart;
 mod picture;
+mod restart;
 mod tree;
 mod window;
 
@@ -25,8 +25,8 @@ pub use builder::{NodeBuilder, StartError};
 pub use faults::FaultEvents;
 pub use keeper::NodeState;
 pub use network::{Cable, Direction, Impairment, Link, MemoryMedium, Network};
-pub use restart::RestartError;
 pub use picture::Picture;
+pub use restart::RestartError;
 pub use tree::SupervisorSpec;
 
 use crate::chain::directory::Directory;

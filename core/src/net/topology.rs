@@ -14,7 +14,6 @@ use super::router::{Health, LinkNumber, MTU_MIN};
 use crate::{Incarnation, Instant, NodeName};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use std::time::Duration;
 
 /// The way to one node.

@@ -5,8 +5,7 @@
 use crate::puppet::{Deed, Do, Note, Strings, life};
 use blastema::core::detection::Opinion;
 use blastema::prelude::*;
-use blastema::{Incarnation, NodeBuilder, RestartError};
-use blastema::{Incarnation, NodeBuilder, ThreadKind, ThreadRow, ThreadState};
+use blastema::{Incarnation, NodeBuilder, RestartError, ThreadKind, ThreadRow, ThreadState};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 

@@ -107,7 +107,6 @@ impl Router {
     /// Tells a neighbour all that we know of, so that it can send what we lack.
     pub(super) fn compare(&mut self, link: LinkNumber) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
-        adjacent.compare_at = self.now + self.config.compare;
         let bytes = Routing::Numbered(link).encode();
         self.outputs.push_back(RouterOutput::Routing { link, bytes });
         adjacent.compare_at = self.now + adjacent.patience(self.config.compare);
