@@ -147,6 +147,72 @@ fn two_nodes_speak_over_a_serial_line_of_9600_bits_a_second() {
     });
 }
 
+/// Goes every way, and waits for nothing that is said one way.
+#[derive(Debug, Request)]
+#[contract(name = "media/stop", reply = (), delivery = "redundant")]
+struct Halt;
+
+struct Brakes;
+
+impl Component for Brakes {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Halt>();
+    }
+}
+
+impl Handle<Halt> for Brakes {
+    async fn handle(&mut self, _: Halt, _: &mut Context<Self>) {}
+}
+
+#[test]
+fn large_messages_on_a_line_of_9600_bits_a_second_take_nothing_down_and_a_stop_goes_before_them() {
+    blastema::run(async {
+        let cable = Cable::slow(960);
+        let at = |own: &Path, name: &str| {
+            Network::new("cable", &format!("serial://{}?baud=9600", own.display())).peer(name, "")
+        };
+        let far = Node::builder("module2")
+            .network(at(&cable.right(), "module1"))
+            .child(ChildSpec::new("mirror", || Mirror))
+            .child(ChildSpec::new("brakes", || Brakes))
+            .start()
+            .await
+            .expect("module2 starts");
+        let near = Node::builder("module1")
+            .network(at(&cable.left(), "module2"))
+            .start()
+            .await
+            .expect("module1 starts");
+        assert!(near.connected("module2", PATIENCE).await, "{:?}", near.links().await);
+        let mirror: Sender<Turn> = near.sender("module2:mirror").expect("a name");
+        let brakes: Sender<Halt> = near.sender("module2:brakes").expect("a name");
+        // What goes before the first message of a kind has gone.
+        mirror.ask_within(Turn(vec![1]), PATIENCE).await.expect("it is answered");
+        brakes.ask_within(Halt, PATIENCE).await.expect("it is answered");
+        let mut faults = [near.fault_events(), far.fault_events()];
+
+        let mut large = Box::pin(mirror.ask_within(Turn(vec![7; 3_000]), 4 * PATIENCE));
+        let mut stops = 0;
+        let turned = loop {
+            let stop = brakes.ask_within(Halt, PATIENCE);
+            tokio::select! {
+                turned = &mut large => break turned,
+                stopped = stop => stopped.expect("it is answered"),
+            }
+            stops += 1;
+        };
+
+        assert_eq!(turned.expect("it is answered"), vec![7; 3_000]);
+        assert!(stops >= 5, "only {stops} stops were answered meanwhile");
+        for faults in &mut faults {
+            let event = tokio::time::timeout(Duration::ZERO, faults.next()).await;
+            assert!(event.is_err(), "{event:?}");
+        }
+        near.shutdown().await;
+        far.shutdown().await;
+    });
+}
+
 #[test]
 fn two_nodes_of_one_process_speak_over_memory() {
     blastema::run(async {

@@ -99,7 +99,7 @@ impl FrameTransport {
             }
             let Some(Going { lane, to, frame }) = &self.going else { return true };
             let sent = match lane {
-                Lane::Urgent => self.medium.poll_send_urgent(task, to, frame),
+                Lane::Hello | Lane::Urgent => self.medium.poll_send_urgent(task, to, frame),
                 Lane::Usual => self.medium.poll_send(task, to, frame),
             };
             match sent {

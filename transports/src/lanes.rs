@@ -1,4 +1,4 @@
-//! What waits for a medium, the urgent before the usual.
+//! What waits for a medium, hellos first and the usual last.
 
 use crate::frame_medium::QueueLimits;
 use blastema_contract::transport::Lane;
@@ -8,9 +8,11 @@ use std::collections::VecDeque;
 /// ever.
 const IN_A_ROW: usize = 8;
 
-/// Two queues before one medium, each bounded by itself, so that the usual fills no place of the urgent.
+/// A queue for each lane before one medium, each bounded by itself, so that the usual fills no place of
+/// the urgent, nor the urgent one of the hellos.
 #[derive(Debug)]
 pub(crate) struct Lanes<T> {
+    hellos: Queue<T>,
     urgent: Queue<T>,
     usual: Queue<T>,
     in_a_row: usize,
@@ -30,7 +32,8 @@ impl<T> Default for Queue<T> {
 
 impl<T> Default for Lanes<T> {
     fn default() -> Self {
-        Lanes { urgent: Queue::default(), usual: Queue::default(), in_a_row: 0 }
+        let (hellos, urgent, usual) = (Queue::default(), Queue::default(), Queue::default());
+        Lanes { hellos, urgent, usual, in_a_row: 0 }
     }
 }
 
@@ -39,6 +42,7 @@ impl<T> Lanes<T> {
     #[must_use = "what is not taken is to be counted"]
     pub(crate) fn push(&mut self, lane: Lane, one: T, bytes: usize, limits: QueueLimits) -> bool {
         let queue = match lane {
+            Lane::Hello => &mut self.hellos,
             Lane::Urgent => &mut self.urgent,
             Lane::Usual => &mut self.usual,
         };
@@ -52,6 +56,9 @@ impl<T> Lanes<T> {
 
     /// Takes out the one that is to go next.
     pub(crate) fn pop(&mut self) -> Option<(Lane, T)> {
+        if let Some(one) = self.hellos.pop() {
+            return Some((Lane::Hello, one));
+        }
         let has_turn = self.in_a_row >= IN_A_ROW && !self.usual.waiting.is_empty();
         if !has_turn && let Some(one) = self.urgent.pop() {
             self.in_a_row += 1;
@@ -62,12 +69,13 @@ impl<T> Lanes<T> {
     }
 
     pub(crate) fn is_empty(&self) -> bool {
-        self.urgent.waiting.is_empty() && self.usual.waiting.is_empty()
+        [&self.hellos, &self.urgent, &self.usual].iter().all(|queue| queue.waiting.is_empty())
     }
 
     /// Throws all away; the answer is how many that were.
     pub(crate) fn clear(&mut self) -> u64 {
-        let waiting = self.urgent.waiting.len() + self.usual.waiting.len();
+        let queues = [&self.hellos, &self.urgent, &self.usual];
+        let waiting: usize = queues.iter().map(|queue| queue.waiting.len()).sum();
         *self = Lanes::default();
         waiting as u64
     }
@@ -92,15 +100,14 @@ mod tests {
     }
 
     #[test]
-    fn the_urgent_goes_before_the_usual_and_each_in_its_order() {
+    fn hellos_go_before_the_urgent_and_the_urgent_before_the_usual_each_in_its_order() {
         let mut lanes = Lanes::default();
-        for (lane, one) in
-            [(Lane::Usual, 1), (Lane::Urgent, 2), (Lane::Usual, 3), (Lane::Urgent, 4)]
-        {
+        for one in 1..=6 {
+            let lane = [Lane::Usual, Lane::Urgent, Lane::Hello][one as usize % 3];
             assert!(lanes.push(lane, one, 10, LIMITS));
         }
 
-        assert_eq!(drain(&mut lanes), [2, 4, 1, 3]);
+        assert_eq!(drain(&mut lanes), [2, 5, 1, 4, 3, 6]);
         assert!(lanes.is_empty());
     }
 
@@ -112,7 +119,8 @@ mod tests {
         let urgent = (0..30).filter(|one| lanes.push(Lane::Urgent, *one, 400, LIMITS)).count();
 
         assert_eq!((usual, urgent), (20, 2));
-        assert_eq!(lanes.clear(), 22);
+        assert!(lanes.push(Lane::Hello, 0, 1_000, LIMITS));
+        assert_eq!(lanes.clear(), 23);
         assert!(lanes.is_empty() && lanes.push(Lane::Urgent, 1, 1_000, LIMITS));
     }
 

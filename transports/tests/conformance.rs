@@ -9,7 +9,7 @@ use blastema_contract::transport::{
     Attach, Close, MediumAddress, ReadCounters, ReadInjectedFaults, Received, Transmit, Transport,
     TransportCounters, TransportReport,
 };
-use blastema_doubles::{PATIENCE, Probe, paused};
+use blastema_doubles::{PATIENCE, Probe, now, paused};
 use blastema_ptys::{Adapters, Cable};
 use blastema_transports::{
     Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig, MemoryMedium, SerialConfig,
@@ -383,7 +383,7 @@ impl Medium for OverSerial {
         }
         let mut config = SerialConfig::new(self.last());
         (config.baud, config.mtu) = (50_000_000, Some(65_535));
-        let (address, panic) = start(FrameTransport::new(SerialLine::new(config)));
+        let (address, panic) = start(FrameTransport::new(SerialLine::new(config, now)));
         Opened { transport: address.into(), wrapper: None, panic }
     }
 

@@ -207,7 +207,7 @@ fn a_usb_serial_device_that_is_unbound_is_opened_when_it_is_back() {
         let fast = |path: &str| {
             let mut config = SerialConfig::new(path);
             config.baud = 1_000_000;
-            End::new(SerialLine::new(config))
+            End::new(SerialLine::new(config, now))
         };
         appears("/dev/ttyACM0").await;
         appears("/dev/ttyGS0").await;

@@ -1,17 +1,20 @@
-//! A link on a slow line that is always full.
+//! Links and sessions on slow lines that are always full.
 
 use actix::Actor;
 use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
-use blastema_core::net::frame::{Frame, is_urgent};
+use blastema_core::net::frame::{FRAME_HEADER, Frame, is_hello, is_urgent};
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
-use blastema_core::net::packet::{Packet, Payload};
+use blastema_core::net::packet::{PACKET_HEADER, Packet, Payload};
+use blastema_core::net::segment::Stream;
+use blastema_core::net::session::{Session, SessionConfig, SessionOutput};
 use blastema_core::net::{Bundle, BundleOutput, Class, Link, LinkNumber, NodeId};
 use blastema_core::{Incarnation, Machine, NodeName};
 use blastema_doubles::{Probe, advance, now, paused};
 use blastema_transports::frame_medium::{Arrival, Opening, QueueLimits, Sending};
-use blastema_transports::{FrameMedium, FrameTransport};
+use blastema_transports::serial::framing::encoded_length;
+use blastema_transports::{FrameMedium, FrameTransport, SerialConfig, SerialLine};
 use bytes::Bytes;
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -23,16 +26,14 @@ use std::task::{Context, Poll, Waker, ready};
 use std::time::Duration;
 use tokio::time::Sleep;
 
-/// What 9,600 bits a second carry, one way.
-const BYTES_PER_SECOND: u64 = 960;
-const MTU: usize = 640;
 const LINK: LinkNumber = LinkNumber(0);
 
 /// What is on its way to one end, and who waits for it there.
 type Wire = Arc<Mutex<(VecDeque<Bytes>, Option<Waker>)>>;
 
-/// One end of a line of 9,600 bits a second.
+/// One end of a serial line, which takes its time.
 struct SlowLine {
+    config: SerialConfig,
     out: Wire,
     back: Wire,
     /// The frame that goes out.
@@ -45,15 +46,15 @@ impl FrameMedium for SlowLine {
     }
 
     fn queue(&self) -> QueueLimits {
-        QueueLimits { frames: 100, bytes: 2 * MTU }
+        SerialLine::new(self.config.clone(), now).queue()
     }
 
     fn bytes_per_second(&self) -> Option<u64> {
-        Some(2 * BYTES_PER_SECOND)
+        SerialLine::new(self.config.clone(), now).bytes_per_second()
     }
 
     fn open(&mut self) -> io::Result<Opening> {
-        Ok(Opening { local: MediumAddress::Line, mtu: MTU })
+        Ok(Opening { local: MediumAddress::Line, mtu: self.config.mtu() })
     }
 
     fn knows(&self, address: &MediumAddress) -> bool {
@@ -66,7 +67,7 @@ impl FrameMedium for SlowLine {
         _: &MediumAddress,
         frame: &Bytes,
     ) -> Poll<io::Result<Sending>> {
-        let span = Duration::from_micros(frame.len() as u64 * 1_000_000 / BYTES_PER_SECOND);
+        let span = self.config.time_of(encoded_length(frame.len()));
         let busy = self.busy.get_or_insert_with(|| Box::pin(tokio::time::sleep(span)));
         ready!(busy.as_mut().poll(task));
         self.busy = None;
@@ -94,95 +95,211 @@ impl FrameMedium for SlowLine {
 
 struct End {
     bundle: RefCell<Bundle>,
+    session: RefCell<Session>,
     transport: Transport,
     frames: Probe<Received>,
     _reports: Probe<TransportReport>,
     states: RefCell<Vec<LinkState>>,
+    /// What the session has delivered.
+    came: RefCell<Vec<Bytes>>,
+    mtu: usize,
 }
 
 impl End {
-    fn new(name: &str, [out, back]: [Wire; 2]) -> Self {
-        let medium = SlowLine { out, back, busy: None };
+    fn new([name, other]: [&str; 2], baud: u32, [out, back]: [Wire; 2]) -> Self {
+        let mut line = SerialConfig::new("/dev/null");
+        line.baud = baud;
+        let mtu = line.mtu();
+        let medium = SlowLine { config: line, out, back, busy: None };
+        let rate = medium.bytes_per_second().unwrap();
         let transport = Transport::from(FrameTransport::new(medium).start());
         let (frames, reports) = (Probe::start(), Probe::start());
         let (to_frames, to_reports) = (frames.recipient(), reports.recipient());
         transport.attach.do_send(Attach { frames: to_frames, reports: to_reports });
         let mut bundle = Bundle::default();
-        let config = LinkConfig::new(NodeName::new(name).unwrap(), Incarnation(1));
+        let [name, other] = [name, other].map(|name| NodeName::new(name).unwrap());
+        let config = LinkConfig::new(name.clone(), Incarnation(1));
         bundle.insert(LINK, Link::new(config, now()));
-        bundle.handle_mtu(MTU);
-        bundle.handle_rate(2 * BYTES_PER_SECOND);
-        let bundle = RefCell::new(bundle);
-        End { bundle, transport, frames, _reports: reports, states: RefCell::default() }
+        bundle.handle_mtu(mtu);
+        bundle.handle_rate(rate);
+        let session = Session::new(SessionConfig::new(name, Incarnation(1), other), now());
+        End {
+            bundle: RefCell::new(bundle),
+            session: RefCell::new(session),
+            transport,
+            frames,
+            _reports: reports,
+            states: RefCell::default(),
+            came: RefCell::default(),
+            mtu,
+        }
     }
 
     fn send(&self, frame: Bytes) {
-        let lane = if is_urgent(&frame) { Lane::Urgent } else { Lane::Usual };
+        let lane = match &frame[..] {
+            frame if is_hello(frame) => Lane::Hello,
+            frame if is_urgent(frame) => Lane::Urgent,
+            _ => Lane::Usual,
+        };
         self.transport.transmit.do_send(Transmit { to: MediumAddress::Line, frame, lane });
     }
 
+    fn say(&self, stream: Stream, message: Bytes) {
+        self.session.borrow_mut().handle_send(stream, message, now()).unwrap();
+        self.carry_on();
+    }
+
     fn carry_on(&self) {
-        let mut bundle = self.bundle.borrow_mut();
+        let (mut bundle, mut session) = (self.bundle.borrow_mut(), self.session.borrow_mut());
         for Received { frame, .. } in self.frames.drain() {
             bundle.get_mut(LINK).unwrap().handle_frame(frame, now());
         }
         if bundle.poll_timeout().is_some_and(|due| due <= now()) {
             bundle.handle_timeout(now());
         }
-        while let Some(output) = bundle.poll_output() {
-            match output {
-                BundleOutput::Of(_, LinkOutput::Transmit(frame)) => self.send(frame),
-                BundleOutput::Of(_, LinkOutput::Changed { state, .. }) => {
-                    self.states.borrow_mut().push(state);
+        if session.poll_timeout().is_some_and(|due| due <= now()) {
+            session.handle_timeout(now());
+        }
+        loop {
+            if let Some(output) = bundle.poll_output() {
+                match output {
+                    BundleOutput::Of(_, LinkOutput::Transmit(frame)) => self.send(frame),
+                    BundleOutput::Of(_, LinkOutput::Changed { state, .. }) => {
+                        self.states.borrow_mut().push(state);
+                        session.handle_incarnation(Incarnation(1), now());
+                        session.handle_path(self.mtu - FRAME_HEADER - PACKET_HEADER, now());
+                    }
+                    BundleOutput::Of(_, LinkOutput::Packet(bytes)) => {
+                        if let Ok(Packet { payload: Payload::Segment(segment), .. }) =
+                            Packet::decode(bytes)
+                        {
+                            session.handle_segment(segment, now());
+                        }
+                    }
+                    _ => {}
                 }
-                _ => {}
+                continue;
+            }
+            match session.poll_output() {
+                Some(SessionOutput::Transmit { class, segment, .. }) => {
+                    let packet = packet(class, segment).encode();
+                    bundle.get_mut(LINK).unwrap().handle_packet(packet);
+                }
+                Some(SessionOutput::Message { message, .. }) => {
+                    self.came.borrow_mut().push(message);
+                }
+                Some(SessionOutput::Ended { why, .. }) => panic!("the session ended: {why}"),
+                Some(_) => {}
+                None => return,
             }
         }
     }
 }
 
-/// Twenty-five seconds during which both nodes say more than there is room for, in frames of this size.
+fn packet(class: Class, segment: Bytes) -> Packet {
+    let payload = Payload::Segment(segment);
+    Packet { class, hops: 1, destination: NodeId(1), source: NodeId(2), payload }
+}
+
+/// Both ends of a line of so many bits a second.
+fn ends(baud: u32) -> [End; 2] {
+    let (there, back) = (Wire::default(), Wire::default());
+    let left = End::new(["left", "right"], baud, [there.clone(), back.clone()]);
+    [left, End::new(["right", "left"], baud, [back, there])]
+}
+
+/// Twenty-five seconds during which both nodes say more than there is room for, in frames of this size,
+/// beside control that nobody answers.
 fn flood(size: usize) {
     paused(async {
-        let (there, back) = (Wire::default(), Wire::default());
-        let left = End::new("left", [there.clone(), back.clone()]);
-        let right = End::new("right", [back, there]);
-        let bulk = Packet {
-            class: Class::Data,
-            hops: 1,
-            destination: NodeId(1),
-            source: NodeId(2),
-            payload: Payload::Segment(vec![7; size - 11].into()),
-        };
-        let bulk = Frame::Data(bulk.encode()).encode();
-        assert_eq!(bulk.len(), size);
-        (0..2 * MTU / size)
-            .for_each(|_| [&left, &right].into_iter().for_each(|end| end.send(bulk.clone())));
+        let ends = ends(9_600);
+        let bulk = |class| Frame::Data(packet(class, vec![7; size - 11].into()).encode()).encode();
+        assert_eq!(bulk(Class::Data).len(), size);
 
         for _ in 0..2_500 {
-            for end in [&left, &right] {
-                end.send(bulk.clone());
+            for end in &ends {
+                end.send(bulk(Class::Data));
+                end.send(bulk(Class::Control));
                 end.carry_on();
             }
             advance(Duration::from_millis(10)).await;
         }
 
-        for end in [&left, &right] {
+        for end in &ends {
             assert_eq!(*end.states.borrow(), [LinkState::Up], "up once, and never suspect");
             let bundle = end.bundle.borrow();
             let link = bundle.get(LINK).unwrap();
             assert_eq!(link.quality().loss_permille, 0);
-            assert!(link.hello_interval() < Duration::from_millis(750));
+            assert!(link.hello_interval() < Duration::from_millis(600));
         }
     });
 }
 
 #[test]
 fn a_link_stays_up_while_its_line_is_full_of_large_frames() {
-    flood(MTU);
+    flood(96);
 }
 
 #[test]
 fn a_link_stays_up_while_its_line_is_full_of_small_frames() {
     flood(40);
+}
+
+/// Both nodes say 30,000 bytes at once, and beside it every half second something small that goes every
+/// way, which comes within `bound` each time.
+fn bulk_both_ways(baud: u32, bound: Duration) {
+    paused(async {
+        let step = Duration::from_millis(10) * 9_600 / baud;
+        let ends = ends(baud);
+        while ends.iter().any(|end| end.session.borrow().peer().is_none()) {
+            ends.iter().for_each(End::carry_on);
+            advance(step).await;
+        }
+        let wire = SerialConfig::new("/dev/null").time_of(30_000) * 115_200 / baud;
+        let began = now();
+        ends.iter().for_each(|end| end.say(Stream::Data, vec![7; 30_000].into()));
+
+        let (mut longest, mut asked) = (Duration::ZERO, began);
+        let mut waits = false;
+        while ends.iter().any(|end| !end.came.borrow().iter().any(|came| came.len() == 30_000)) {
+            if !waits && now() - asked >= Duration::from_millis(500) {
+                (waits, asked) = (true, now());
+                ends[0].say(Stream::Redundant, Bytes::from_static(b"stop"));
+            }
+            ends.iter().for_each(End::carry_on);
+            let mut came = ends[1].came.borrow_mut();
+            if let Some(at) = came.iter().position(|came| came == "stop") {
+                came.remove(at);
+                waits = false;
+                longest = longest.max(now() - asked);
+            }
+            drop(came);
+            assert!(
+                (now() - began) * 2 < wire * 5,
+                "two fifths of the line are the bulk's at least"
+            );
+            advance(step).await;
+        }
+
+        assert!(longest < bound, "{longest:?}");
+        for end in &ends {
+            assert_eq!(*end.states.borrow(), [LinkState::Up], "up once, and never suspect");
+            assert_eq!(end.session.borrow().counters().repeated, 0);
+        }
+    });
+}
+
+#[test]
+fn bulk_both_ways_takes_no_line_of_9600_baud_down_and_keeps_no_stop_for_long() {
+    bulk_both_ways(9_600, Duration::from_millis(400));
+}
+
+#[test]
+fn bulk_both_ways_takes_no_line_of_38400_baud_down_and_keeps_no_stop_for_long() {
+    bulk_both_ways(38_400, Duration::from_millis(200));
+}
+
+#[test]
+fn bulk_both_ways_takes_no_line_of_115200_baud_down_and_keeps_no_stop_for_long() {
+    bulk_both_ways(115_200, Duration::from_millis(200));
 }

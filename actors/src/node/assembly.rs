@@ -1,11 +1,12 @@
 //! How a node is put together: the one place that knows all actors.
 
 use super::builder::{NodeBuilder, Placement, StartError};
-use super::checks::{check_dependencies, check_networks, check_service, check_service_order};
+use super::checks::{check_networks, check_service, check_service_order, dependencies};
 use super::keeper::NodeState;
 use super::keeper::{Keeper, KeeperSetup, StartRoot, TellRest};
 use super::network::{Cable, Network};
 use super::tree::{Ground, Harvest, Planted};
+use super::window::{Show, Window};
 use super::{Node, Root, Shared};
 use crate::chain::detector::Detector;
 use crate::chain::directory::Directory;
@@ -267,7 +268,13 @@ impl Networks {
     pub(super) async fn leave(&self) {
         self.handle.leave();
         let gone = async {
-            while self.handle.read_sessions().await.iter().any(|row| row.incarnation.is_some()) {
+            while self
+                .handle
+                .read_sessions()
+                .await
+                .iter()
+                .any(|row| row.standing.incarnation.is_some())
+            {
                 tokio::time::sleep(FAREWELL_LOOK).await;
             }
         };
@@ -490,7 +497,8 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     let root = builder.root.plant(&ground, &mut harvest)?;
     let names: Vec<&ObjectName> = harvest.components.iter().map(|facts| &facts.name).collect();
     plan.check(names, &builder.own_kinds, builder.strategies.names())?;
-    check_dependencies(&node, &harvest)?;
+    let dependencies = dependencies(&node, &harvest);
+    dependencies.check()?;
 
     let mut enrolments: Vec<Enrol> = Vec::new();
     if let Some(networks) = &networks {
@@ -516,6 +524,13 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     for (name, inquiries) in chain.inquiries.iter().cloned() {
         enrolments.push(middleware(name, Some(inquiries)));
     }
+    let window = builder.shown_at.map(|path| {
+        let (name, place) = (named("window"), chain.arbiter.as_ref());
+        let window = Window::new(path, state.clone());
+        let window = guardian.start(name.clone(), place, |_: &mut Context<Window>| window);
+        enrolments.push(middleware(name, Some(window.clone().recipient())));
+        window
+    });
     enrolments.extend(network_enrolments);
     for (name, inquiries) in harvest.supervisors {
         enrolments.push(middleware(name, Some(inquiries)));
@@ -555,12 +570,18 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
         directory: kept_by,
         state,
         actors: Mutex::new(actors),
+        dependencies: Mutex::new(dependencies),
         plan,
     };
     let node = Node(Arc::new(shared));
     node.0.environment.declare_complaints();
     // From here on the node ends its threads itself.
     undone.kept = true;
+    if let Some(window) = window {
+        // The fault chain's mailboxes close only when the node has ended.
+        let shown = window.send(Show::node(&node)).await.unwrap_or(Ok(()));
+        shown.map_err(StartError::Shown)?;
+    }
     match keeper.send(StartRoot(root)).await {
         Ok(Ok(())) => Ok(node),
         Ok(Err(reason)) => Err(StartError::GaveUp { reason }),

@@ -377,7 +377,7 @@ impl Medium {
             }
             Medium::At(Endpoint::Serial(config)) => {
                 let make = move |_: &mut Context<FrameTransport>| {
-                    FrameTransport::new(SerialLine::new(config))
+                    FrameTransport::new(SerialLine::new(config, platform::now))
                 };
                 Transport::from(guardian.start(object, arbiter, make))
             }

@@ -7,6 +7,7 @@ use super::words::{Answered, AskService, Task};
 use crate::platform;
 use crate::registry::Registry;
 use crate::sender::{RequestError, next_id};
+use blastema_core::retry::Attempt;
 use blastema_core::{
     ContractIdentity, Instant, MessageId, NameError, NodeName, ObjectName, Request, RetryRule, Why,
     codec,
@@ -148,7 +149,8 @@ impl<M: Request> ServiceRef<M> {
                 }
                 Err(why) => why,
             };
-            match rule.again(asked, &why, M::IDEMPOTENT, until.as_nanos()) {
+            let attempt = Attempt { asked, why: &why, idempotent: M::IDEMPOTENT };
+            match rule.again(attempt, until.as_nanos()) {
                 Some(wait) if platform::now() + wait < until => tokio::time::sleep(wait).await,
                 _ => return Err(failed(why)),
             }

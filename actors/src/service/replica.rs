@@ -144,7 +144,7 @@ impl ReplicaBody {
     /// Hands something to the component; the answer comes back to this body.
     fn hand_over(
         &self,
-        (contract, bytes): (&str, &[u8]),
+        (contract, message): (&str, Vec<u8>),
         then: impl FnOnce(Result<Bytes, Why>) -> Done + Send + 'static,
         context: &mut Context<Self>,
     ) {
@@ -153,7 +153,7 @@ impl ReplicaBody {
         match self.registry.doorway(&self.carried.component, contract) {
             // What came of it is told to the closure in every case.
             Ok((_, doorway)) => {
-                let _ = doorway.deliver(bytes, Postmark::default(), Some(reply_to));
+                let _ = doorway.deliver(&message.into(), Postmark::default(), Some(reply_to));
             }
             Err(why) => reply_to(Err(why)),
         }
@@ -177,7 +177,7 @@ impl ReplicaBody {
         match read {
             Ok((contract, payload)) => {
                 let then = move |result| Done::Executed { result, save };
-                self.hand_over((&contract, &payload), then, context);
+                self.hand_over((&contract, payload), then, context);
             }
             Err(why) => refused(why, context),
         }
@@ -202,7 +202,7 @@ impl ReplicaBody {
                 Err(_) => Done::LoadAgain { state },
             }
         };
-        self.hand_over((LoadState::NAME, &bytes), then, context);
+        self.hand_over((LoadState::NAME, bytes), then, context);
     }
 
     fn save(&mut self, after: Option<Result<Bytes, Why>>, context: &mut Context<Self>) {
@@ -220,7 +220,7 @@ impl ReplicaBody {
                 None => Done::Saved { state },
             }
         };
-        self.hand_over((SaveState::NAME, &bytes), then, context);
+        self.hand_over((SaveState::NAME, bytes), then, context);
     }
 
     fn tell(&mut self, to: &NodeName, message: Bytes) {
@@ -307,7 +307,7 @@ impl ReplicaBody {
         let mut bytes = Vec::new();
         // A number always fits.
         let _ = codec::encode(&RoleChanged { epoch }, &mut bytes);
-        self.hand_over((RoleChanged::NAME, &bytes), |told| Done::Told(told.map(drop)), context);
+        self.hand_over((RoleChanged::NAME, bytes), |told| Done::Told(told.map(drop)), context);
     }
 
     /// Asks in a while whether the component takes something again.

@@ -74,10 +74,12 @@ impl Transmit {
     }
 }
 
-/// Of what waits for a medium, the urgent goes before the usual.
+/// Of what waits for a medium, hellos go first, then the urgent, then the usual.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Lane {
-    /// Hellos, acknowledgements, what routers tell each other, what keeps the robot together.
+    /// Signs of life, without which the link falls. Links see that they are few.
+    Hello,
+    /// Acknowledgements, what routers tell each other, what keeps the robot together.
     Urgent,
     /// What its objects say to each other.
     #[default]

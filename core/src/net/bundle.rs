@@ -63,6 +63,7 @@ impl Bundle {
             link.join_bus();
             bus.remove(&number);
         }
+        link.handle_mtu(self.mtu);
         self.crowd.insert(number, link);
         self.pace();
     }
@@ -110,6 +111,7 @@ impl Bundle {
     /// that one which waits for it is not late by an interval.
     pub fn handle_mtu(&mut self, mtu: usize) {
         self.mtu = mtu;
+        self.each(|link| link.handle_mtu(mtu));
         self.pace();
     }
 

@@ -4,7 +4,7 @@
 //!      0        1
 //! ┌────────┬────────┬──────────────────────────────┐
 //! │ 1011 v │  kind  │ hello, routing, data         │   v = version of the protocol, 1
-//! │        │        │ or greeting                  │
+//! │        │        │ greeting, or routing part    │
 //! └────────┴────────┴──────────────────────────────┘
 //!
 //! hello, kind 0, 38 bytes and the name:
@@ -19,10 +19,14 @@
 //! that it is heard, and the round trip without any clock in common. Stance and loss say what this end
 //! thinks of the link, so that both ends use it, or neither. Numbers are big-endian.
 //! On a bus one [greeting](super::greeting), kind 3, goes to all in place of a hello to each.
+//!
+//! What a router says and no frame of the medium carries whole goes in parts, kind 4: one byte, which part
+//! it is from 0, with 128 added to the last, then the bytes.
+//!
 //! A frame ends where the transport says that it ends; integrity is the transport's business.
 
 use super::greeting::Greeting;
-use super::packet::Class;
+use super::packet;
 use super::wire::{Reader, WireError, Write};
 use crate::{Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
@@ -38,6 +42,7 @@ const HELLO: u8 = 0;
 const ROUTING: u8 = 1;
 const DATA: u8 = 2;
 const GREETING: u8 = 3;
+const ROUTING_PART: u8 = 4;
 
 /// What one link says to the link at the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -50,6 +55,19 @@ pub enum Frame {
     Data(Bytes),
     /// I live, and this is what I hear of each of you.
     Greeting(Greeting),
+    /// A part of what the neighbour's router should know, where no frame carries it whole.
+    RoutingPart(RoutingPart),
+}
+
+/// A part of something of the router's.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RoutingPart {
+    /// Which, from 0 to [`INDEX_MAX`](RoutingPart::INDEX_MAX).
+    pub index: u8,
+    /// It is the last.
+    pub last: bool,
+    /// The bytes.
+    pub bytes: Bytes,
 }
 
 /// A link's sign of life.
@@ -108,6 +126,15 @@ impl Frame {
                 greeting.encode(&mut bytes);
                 bytes.freeze()
             }
+            Frame::RoutingPart(part) => {
+                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 1 + part.bytes.len());
+                bytes.put_u8(MAGIC | VERSION);
+                bytes.put_u8(ROUTING_PART);
+                let last = if part.last { RoutingPart::LAST } else { 0 };
+                bytes.put_u8(last | part.index & RoutingPart::INDEX_MAX);
+                bytes.put_slice(&part.bytes);
+                bytes.freeze()
+            }
         }
     }
 
@@ -130,16 +157,34 @@ impl Frame {
             ROUTING => Ok(Frame::Routing(reader.rest())),
             DATA => Ok(Frame::Data(reader.rest())),
             GREETING => Greeting::decode(reader).map(Frame::Greeting),
+            ROUTING_PART => {
+                let first = reader.u8()?;
+                let (index, last) =
+                    (first & RoutingPart::INDEX_MAX, first & RoutingPart::LAST != 0);
+                Ok(Frame::RoutingPart(RoutingPart { index, last, bytes: reader.rest() }))
+            }
             _ => Err(WireError::Malformed { what: "a frame's kind" }),
         }
     }
+}
+
+impl RoutingPart {
+    /// The number of the last of the most parts.
+    pub const INDEX_MAX: u8 = 127;
+    const LAST: u8 = 128;
+}
+
+/// Whether these bytes are a hello, or a greeting. They go before all else: a link that they do not keep
+/// up carries nothing.
+pub fn is_hello(frame: &[u8]) -> bool {
+    matches!(frame, [_, HELLO | GREETING, ..])
 }
 
 /// Whether these bytes of a frame should overtake what waits for a slow medium: hellos, what routers tell
 /// each other, and packets of the class [`Control`](super::Class::Control), such as acknowledgements.
 pub fn is_urgent(frame: &[u8]) -> bool {
     match frame {
-        [_, DATA, packet, ..] => packet >> 6 == Class::Control as u8,
+        [_, DATA, packet @ ..] => packet::is_control(packet),
         [_, kind, ..] => *kind != DATA,
         _ => false,
     }
@@ -202,7 +247,7 @@ impl Hello {
 mod tests {
     use super::*;
     use crate::net::node_id::NodeId;
-    use crate::net::packet::{Packet, Payload};
+    use crate::net::packet::{Class, Packet, Payload};
 
     fn hello() -> Hello {
         Hello {
@@ -225,13 +270,21 @@ mod tests {
         assert_eq!(&Frame::Hello(hello()).encode()[..], golden);
         assert_eq!(&Frame::Data(Bytes::from_static(b"xy")).encode()[..], b"\xb1\x02xy");
         assert_eq!(&Frame::Routing(Bytes::from_static(b"z")).encode()[..], b"\xb1\x01z");
+        let part = RoutingPart { index: 3, last: true, bytes: Bytes::from_static(b"z") };
+        assert_eq!(&Frame::RoutingPart(part).encode()[..], b"\xb1\x04\x83z");
     }
 
     #[test]
     fn a_frame_comes_back_as_it_was() {
         let nothing_heard = Hello { echo: None, ..hello() };
-        for frame in [Frame::Hello(hello()), Frame::Hello(nothing_heard), Frame::Data(Bytes::new())]
-        {
+        let part = |last| RoutingPart { index: 127, last, bytes: Bytes::from_static(b"z") };
+        for frame in [
+            Frame::Hello(hello()),
+            Frame::Hello(nothing_heard),
+            Frame::Data(Bytes::new()),
+            Frame::RoutingPart(part(false)),
+            Frame::RoutingPart(part(true)),
+        ] {
             assert_eq!(Frame::decode(frame.encode()), Ok(frame));
         }
     }
@@ -241,17 +294,17 @@ mod tests {
         let check = |frame: Frame, expected| assert_eq!(is_urgent(&frame.encode()), expected);
         check(Frame::Hello(hello()), true);
         check(Frame::Routing(Bytes::from_static(b"z")), true);
+        assert!(is_hello(&Frame::Hello(hello()).encode()));
+        assert!(!is_hello(&Frame::Routing(Bytes::new()).encode()));
         for (class, expected) in
             [(Class::Control, true), (Class::Data, false), (Class::Bulk, false)]
         {
-            let packet = Packet {
-                class,
-                hops: 1,
-                destination: NodeId(1),
-                source: NodeId(2),
-                payload: Payload::Segment(Bytes::new()),
-            };
-            check(Frame::Data(packet.encode()), expected);
+            let copy = Payload::Copy { copy: 1, relays: vec![NodeId(3)], segment: Bytes::new() };
+            for payload in [Payload::Segment(Bytes::new()), copy] {
+                let (destination, source) = (NodeId(1), NodeId(2));
+                let packet = Packet { class, hops: 1, destination, source, payload };
+                check(Frame::Data(packet.encode()), expected);
+            }
         }
         assert!(!is_urgent(b""));
     }

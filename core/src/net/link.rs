@@ -18,7 +18,9 @@
 //! A link does not queue, repeat or order anything: that is the session's business, end to end.
 
 mod acquaintance;
+mod given_up;
 mod greeted;
+mod parts;
 mod quality;
 mod vocabulary;
 
@@ -26,6 +28,8 @@ pub use self::quality::Quality;
 pub use self::vocabulary::{LinkConfig, LinkOutput, LinkRefusal, LinkState, Neighbour};
 
 use self::acquaintance::Claimant;
+use self::given_up::GivenUp;
+use self::parts::Parts;
 use self::quality::{Gauge, Limits};
 
 use super::arrival::{Arrival, Arrivals};
@@ -58,9 +62,15 @@ pub struct Link {
     calm: u32,
     /// It is suspect for what was, and not for what is.
     proving: bool,
+    given_up: GivenUp,
+    /// It is up because the neighbour uses it: the next hello may still be from before that.
+    overtaken: bool,
     /// It is one of a bus: others say its hellos, of which this one is due.
     on_bus: bool,
     greeting: Option<u32>,
+    /// The medium's largest frame; 0 while that is not known.
+    mtu: usize,
+    parts: Parts,
     gauge: Gauge,
     /// Who was refused last, and who was told of last: what was heard once may be an accident.
     doubted: Option<LinkRefusal>,
@@ -127,8 +137,12 @@ impl Link {
             last_suspicion: Instant::ORIGIN,
             calm: 0,
             proving: false,
+            given_up: GivenUp::default(),
+            overtaken: false,
             on_bus: false,
             greeting: None,
+            mtu: 0,
+            parts: Parts::default(),
             gauge: Gauge::default(),
             doubted: None,
             refused: None,
@@ -164,7 +178,9 @@ impl Link {
 
     /// Sends something of the router's. Dropped and counted when the link is not up.
     pub fn handle_routing(&mut self, bytes: Bytes) {
-        self.carry(Frame::Routing(bytes));
+        for frame in parts::frames_of(bytes, self.mtu) {
+            self.carry(frame);
+        }
     }
 
     /// Sends a packet. Dropped and counted when the link is not up.
@@ -184,6 +200,7 @@ impl Link {
     /// that says so has come or not.
     fn takes(&mut self) -> bool {
         if !self.carries() && self.has_proved() {
+            self.overtaken = true;
             self.change(LinkState::Up, "the neighbour uses it");
         }
         self.carries()
@@ -203,13 +220,22 @@ impl Link {
         match Frame::decode(frame) {
             Ok(Frame::Hello(hello)) => self.handle_hello(hello, now),
             Ok(Frame::Greeting(greeting)) => self.handle_greeting(greeting, now),
-            Ok(Frame::Routing(_) | Frame::Data(_)) if !self.takes() => {
+            Ok(Frame::Routing(_) | Frame::RoutingPart(_) | Frame::Data(_)) if !self.takes() => {
                 self.refusals.unexpected += 1;
             }
             Ok(Frame::Routing(bytes)) => self.outputs.push_back(LinkOutput::Routing(bytes)),
+            Ok(Frame::RoutingPart(part)) => match self.parts.handle(&part) {
+                Ok(whole) => self.outputs.extend(whole.map(LinkOutput::Routing)),
+                Err(error) => self.refusals.count(&error),
+            },
             Ok(Frame::Data(packet)) => self.outputs.push_back(LinkOutput::Packet(packet)),
             Err(error) => self.refusals.count(&error),
         }
+    }
+
+    /// The medium's largest frame has so many bytes.
+    pub(super) fn handle_mtu(&mut self, mtu: usize) {
+        self.mtu = mtu;
     }
 
     /// The transport knows that the medium, or the connection, is gone: no need to wait for silence.
@@ -279,8 +305,10 @@ impl Link {
         let Arrival::New { missed } = self.meet(&hello, interval, now) else { return };
         self.calm = after(self.calm, missed);
         self.listen(&hello, missed, now);
+        self.hear_out(hello.stance, now);
         self.judge_quality(now);
-        if self.carries() && hello.stance == Stance::Down {
+        let overtaken = std::mem::take(&mut self.overtaken);
+        if self.carries() && hello.stance == Stance::Down && !overtaken {
             self.go_down("the neighbour has given it up", now);
         }
         self.rise(now);
@@ -315,7 +343,8 @@ impl Link {
         let Some(loss) = heard.arrivals.loss_permille() else { return };
         let limits = Limits {
             loss_permille: self.config.degraded_loss_permille,
-            round_trip: self.config.degraded_round_trip,
+            // On a slow medium a round trip takes two frames and two hellos, when it is full.
+            round_trip: self.config.degraded_round_trip.max(self.interval()),
         };
         if self.gauge.judge(loss.max(heard.loss_there), limits, now) {
             self.outputs.push_back(LinkOutput::Quality(self.gauge.quality()));
@@ -328,7 +357,8 @@ impl Link {
         match self.state {
             LinkState::Up => {}
             LinkState::Suspect => {
-                if self.due(self.config.suspect_after_percent).is_some_and(|due| due <= now) {
+                let late = self.due(self.config.suspect_after_percent);
+                if self.is_given_up() || late.is_some_and(|due| due <= now) {
                     return;
                 }
                 // Twice as many for each time: traffic must not come and go with every lost hello.
@@ -400,6 +430,9 @@ impl Link {
             heard.arrivals.forget_loss();
         }
         self.state = state;
+        if state != LinkState::Suspect {
+            self.given_up.since = None;
+        }
         self.proving &= state == LinkState::Suspect;
         let neighbour = self.neighbour().cloned();
         self.outputs.push_back(LinkOutput::Changed { state, neighbour, reason });

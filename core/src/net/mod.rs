@@ -52,6 +52,7 @@ pub mod message;
 pub mod naming;
 pub mod node_id;
 pub mod packet;
+pub mod parcel;
 pub mod router;
 pub mod segment;
 pub mod session;
@@ -68,3 +69,6 @@ pub use session::{Session, SessionConfig, SessionOutput};
 pub use topology::Route;
 pub use waiting_room::WaitingRoom;
 pub use wire::{Refusals, WireError};
+
+/// Smaller frames are those of a medium that is taken for slow until it is measured: a serial line, or CAN.
+pub(crate) const NARROW: usize = 1200;

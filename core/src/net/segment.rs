@@ -24,7 +24,7 @@
 //! ack   next expected v │ window v │ n 1 │ n × (gap v, length v): beyond, these arrived as well
 //! ```
 
-use super::wire::{Reader, WireError, Write};
+use super::wire::{Reader, WireError, Write, varint_length};
 use crate::Incarnation;
 use bytes::{BufMut, Bytes, BytesMut};
 
@@ -32,8 +32,11 @@ use bytes::{BufMut, Bytes, BytesMut};
 pub const RANGES_MAX: usize = 16;
 /// The most pieces of one thing: a message of a mebibyte in the smallest segments.
 pub const PIECES_MAX: u16 = 4096;
-/// The most bytes that a data segment puts before its payload, acknowledgement and pieces apart.
-pub const DATA_HEADER: usize = 1 + 4 + 10;
+
+/// The bytes that a data segment puts before its payload, acknowledgement and pieces apart.
+pub(crate) fn data_header(sequence: u64) -> usize {
+    1 + 4 + varint_length(sequence)
+}
 
 /// Which of a session's ordered streams. Control goes first when both wait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -278,7 +281,7 @@ impl Data {
             | u8::from(self.last) << 2
             | u8::from(self.ack.is_some()) << 3
             | u8::from(self.piece.is_some()) << 4;
-        let mut bytes = begin(kind, flags, DATA_HEADER + 16 + self.payload.len());
+        let mut bytes = begin(kind, flags, data_header(self.sequence) + 16 + self.payload.len());
         bytes.put_u32(self.tag);
         bytes.varint(self.sequence);
         Piece::put(self.piece, &mut bytes);
@@ -347,6 +350,17 @@ impl Piece {
 }
 
 impl Ack {
+    /// How many bytes it takes.
+    pub(super) fn length(&self) -> usize {
+        let mut length = varint_length(self.next) + varint_length(self.window.into()) + 1;
+        let mut before = self.next;
+        for (first, last) in self.ranges.iter().take(RANGES_MAX) {
+            length += varint_length(first - before) + varint_length(last - first);
+            before = *last;
+        }
+        length
+    }
+
     fn put(&self, bytes: &mut BytesMut) {
         bytes.varint(self.next);
         bytes.varint(self.window.into());

@@ -1,6 +1,6 @@
 //! A serial cable of two ptys, each at a stable path, with a relay between them.
 
-use rustix::event::{PollFd, PollFlags, poll};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fd::OwnedFd;
 use rustix::fs::{Mode, OFlags};
 use rustix::pipe::{PipeFlags, pipe_with};
@@ -26,6 +26,8 @@ use tempfile::TempDir;
 /// All of its methods panic where the system has no ptys.
 pub struct Cable {
     folder: TempDir,
+    /// So many bytes are moved each way in a tick; all that there are where it is not given.
+    tick: Option<usize>,
     plugged: RefCell<Option<Plugged>>,
 }
 
@@ -46,16 +48,29 @@ struct Pty {
 impl Default for Cable {
     fn default() -> Self {
         let folder = TempDir::new().expect("a folder for the ends");
-        let cable = Cable { folder, plugged: RefCell::default() };
+        let cable = Cable { folder, tick: None, plugged: RefCell::default() };
         cable.plug();
         cable
     }
 }
 
+/// How often a slow cable moves something. On a busy computer it does so more rarely, and is slower.
+const TICK: Timespec = Timespec { tv_sec: 0, tv_nsec: 10_000_000 };
+
 impl Cable {
     /// A cable that is plugged in.
     pub fn new() -> Self {
         Cable::default()
+    }
+
+    /// A cable that carries so many bytes a second each way, or a little less: what it is given beyond waits
+    /// in the system, as it does before a real port.
+    pub fn slow(bytes_per_second: usize) -> Self {
+        let mut cable = Cable::default();
+        cable.unplug();
+        cable.tick = Some((bytes_per_second / 100).max(1));
+        cable.plug();
+        cable
     }
 
     /// The path of one end.
@@ -72,8 +87,8 @@ impl Cable {
     pub fn plug(&self) {
         let ends = Arc::new([Pty::open(&self.left()), Pty::open(&self.right())]);
         let (stopped, stop) = pipe_with(PipeFlags::CLOEXEC).expect("a pipe");
-        let between = ends.clone();
-        let relay = std::thread::spawn(move || relay(&between, &stopped));
+        let (between, tick) = (ends.clone(), self.tick);
+        let relay = std::thread::spawn(move || relay(&between, &stopped, tick));
         *self.plugged.borrow_mut() = Some(Plugged { ends, stop, relay });
     }
 
@@ -126,9 +141,13 @@ impl Pty {
 }
 
 /// Moves bytes both ways until it is stopped; what one end does not take waits.
-fn relay(ends: &[Pty; 2], stopped: &OwnedFd) {
+fn relay(ends: &[Pty; 2], stopped: &OwnedFd, tick: Option<usize>) {
     let mut waiting: [Vec<u8>; 2] = Default::default();
     loop {
+        if tick.is_some() {
+            let mut stop = [PollFd::new(stopped, PollFlags::empty())];
+            poll(&mut stop, Some(&TICK)).expect("the files are open");
+        }
         let wanted = |to: usize| {
             // From an end whose bytes still wait nothing is read.
             let reads = if waiting[1 - to].is_empty() { PollFlags::IN } else { PollFlags::empty() };
@@ -147,8 +166,9 @@ fn relay(ends: &[Pty; 2], stopped: &OwnedFd) {
         let mismatched = ends[0].speed() != ends[1].speed();
         for (from, to) in [(0, 1), (1, 0)] {
             let mut buffer = [0; 4096];
+            let buffer = &mut buffer[..tick.unwrap_or(4096)];
             if waiting[to].is_empty()
-                && let Ok(read) = rustix::io::read(&ends[from].master, &mut buffer)
+                && let Ok(read) = rustix::io::read(&ends[from].master, &mut *buffer)
             {
                 let bytes = &mut buffer[..read];
                 if mismatched {

@@ -18,7 +18,7 @@ pub use self::error::{EndpointError, EndpointProblem};
 
 use self::settings::{Settings, is_interface};
 #[cfg(feature = "serial")]
-use crate::serial::{Parity, SerialConfig, StopBits};
+use crate::serial::{Parity, Rs485, SerialConfig, StopBits};
 #[cfg(feature = "tcp")]
 use crate::tcp::TcpConfig;
 #[cfg(feature = "udp")]
@@ -52,7 +52,7 @@ const LONGEST: Duration = Duration::from_secs(3600);
 /// | `udp://10.0.1.1:7400?interface=firewire0` | IP over IEEE 1394, bound to its interface | as UDP |
 /// | `tcp://10.0.0.1:7400` | TCP | `interface`, `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout`, `user_timeout` |
 /// | `unix:///run/x.sock` | a Unix-domain socket | `mode` (octal), `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout` |
-/// | `serial:///dev/ttyUSB0` | a serial line | `baud`, `parity`, `stop_bits`, `flow`, `mtu`, `queue_time` |
+/// | `serial:///dev/ttyUSB0` | a serial line | `baud`, `parity`, `stop_bits`, `flow`, `rs485`, `rts`, `rts_before`, `rts_after`, `mtu`, `queue_time` |
 /// | `can://can0` | a CAN interface | `fd`, `bit_rate_switch`, `bitrate`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
 /// | `slcan:///dev/ttyACM0` | a CAN adapter on a serial port | `bitrate`, `fd`, `bit_rate_switch`, `data_bitrate`, `baud`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
 /// | `memory://name` | between nodes of one process | |
@@ -462,10 +462,35 @@ fn serial(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     // XON and XOFF are not among them: their bytes stand in frames, too.
     let flows = [("none", false), ("hardware", true)];
     settings.choice("flow", &flows, &mut config.hardware_flow)?;
+    config.rs485 = rs485(&mut settings)?;
+    if config.hardware_flow && config.rs485.is_some() {
+        return Err(
+            settings.contradiction("flow", "RTS turns the line with rs485=true: leave flow out")
+        );
+    }
     config.mtu = largest_frame(&mut settings, 65_535)?;
     settings.span("queue_time", Duration::from_millis(1)..=LONGEST, &mut config.queue_time)?;
     settings.finish()?;
     Ok(Endpoint::Serial(config))
+}
+
+/// How the driver turns the line, if it does.
+#[cfg(feature = "serial")]
+fn rs485(settings: &mut Settings<'_>) -> Result<Option<Rs485>, EndpointError> {
+    let (mut turns, mut how) = (false, Rs485::default());
+    settings.switch("rs485", &mut turns)?;
+    settings.choice("rts", &[("high", false), ("low", true)], &mut how.rts_low)?;
+    let times = Duration::ZERO..=Duration::from_millis(100);
+    settings.span("rts_before", times.clone(), &mut how.before)?;
+    settings.span("rts_after", times, &mut how.after)?;
+    let given = ["rts", "rts_before", "rts_after"].into_iter().find(|key| settings.has(key));
+    match given {
+        Some(key) if !turns => {
+            let why = "RTS is the driver's where it turns a line of RS-485: add rs485=true";
+            Err(settings.contradiction(key, why))
+        }
+        _ => Ok(turns.then_some(how)),
+    }
 }
 
 /// What serial ports of today can, with room above, in bits a second.

@@ -139,6 +139,12 @@ impl<'a> Settings<'a> {
         self.take("interface", expected, |text| is_interface(text).then(|| text.to_owned()))
     }
 
+    /// Whether a key is given.
+    #[cfg(feature = "serial")]
+    pub(super) fn has(&self, key: &str) -> bool {
+        self.pairs.iter().any(|pair| pair.key == key)
+    }
+
     /// An error at one of the keys that stand there, for what does not go with another.
     pub(super) fn contradiction(&self, key: &str, why: &'static str) -> EndpointError {
         let pair = self.pairs.iter().find(|pair| pair.key == key);

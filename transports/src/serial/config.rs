@@ -5,7 +5,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 /// The largest frame that a line has unless told, in bytes: beyond, headers cost next to nothing.
-const MTU_MAX: usize = 4_096;
+const MTU_MAX: usize = 2_048;
+/// How long the largest frame may keep a line, and what is urgent waiting, unless told.
+const FRAME_TIME: Duration = Duration::from_millis(50);
 
 /// The parity bit of a serial line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -29,7 +31,19 @@ pub enum StopBits {
     Two,
 }
 
-/// A serial line with one node at each end: RS-232, RS-422, RS-485 whose adapter turns by itself, or a
+/// How the port's driver turns a line of RS-485 (Linux): it raises RTS before it sends, and lowers it after.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Rs485 {
+    /// RTS is low while it sends, and high otherwise.
+    pub rts_low: bool,
+    /// How long RTS is there before the first byte, in whole milliseconds. Some drivers do without.
+    pub before: Duration,
+    /// How long RTS stays after the last byte, likewise.
+    pub after: Duration,
+}
+
+/// A serial line with one node at each end: RS-232, RS-422, RS-485 whose adapter or driver turns it, or a
 /// USB device (CDC-ACM).
 ///
 /// ```
@@ -42,8 +56,8 @@ pub enum StopBits {
 pub struct SerialConfig {
     /// The port. Best one of `/dev/serial/by-id/`, which stays the same when it is plugged in again.
     pub path: PathBuf,
-    /// The line's speed, in bits a second; both ends must have the same. On USB devices it limits what
-    /// is sent, and nothing else.
+    /// The line's speed, in bits a second; both ends must have the same. A USB device (CDC-ACM) without a
+    /// line is not held to one of 115,200 and more; below, it limits what is sent.
     pub baud: u32,
     /// The parity bit. The frames' checksum finds more than it does.
     pub parity: Parity,
@@ -51,12 +65,15 @@ pub struct SerialConfig {
     pub stop_bits: StopBits,
     /// Whether the other end may stop us by a wire of its own (RTS/CTS).
     pub hardware_flow: bool,
-    /// The largest frame, in bytes. By default what takes 25 ms on the line, but from 640 to 4,096: a
-    /// larger one keeps others, and hellos, waiting behind it; with a smaller one, routers cannot tell
-    /// each other where nodes are.
+    /// Whether and how the port's driver turns a line of RS-485. An adapter that does so by itself needs
+    /// nothing.
+    pub rs485: Option<Rs485>,
+    /// The largest frame, in bytes. By default what takes 50 ms on the line, but from 96 to 2,048: a
+    /// larger one keeps others, and hellos, waiting behind it; of a smaller one, more is headers.
     pub mtu: Option<usize>,
-    /// How much may wait for the line, in time that it takes to send; beyond, frames are dropped. More
-    /// rides out longer bursts, and makes everything later while they last.
+    /// How much of one urgency may wait for the line, in time that it takes to send, and eight of the
+    /// largest frames at least; beyond, frames are dropped. More rides out longer bursts, and makes
+    /// everything later while they last.
     pub queue_time: Duration,
 }
 
@@ -69,6 +86,7 @@ impl SerialConfig {
             parity: Parity::None,
             stop_bits: StopBits::One,
             hardware_flow: false,
+            rs485: None,
             mtu: None,
             queue_time: Duration::from_millis(100),
         }
@@ -99,7 +117,7 @@ impl SerialConfig {
 
     /// The largest frame, in bytes.
     pub fn mtu(&self) -> usize {
-        self.mtu.unwrap_or_else(|| self.bytes_in(Duration::from_millis(25)).clamp(MTU_MIN, MTU_MAX))
+        self.mtu.unwrap_or_else(|| self.bytes_in(FRAME_TIME).clamp(MTU_MIN, MTU_MAX))
     }
 }
 
@@ -115,10 +133,10 @@ mod tests {
             assert_eq!(config.mtu(), expected, "at {baud} bits a second");
         };
 
-        check(9_600, 640);
-        check(115_200, 640);
-        check(921_600, 2_304);
-        check(4_000_000, 4_096);
+        check(9_600, 96);
+        check(38_400, 192);
+        check(115_200, 576);
+        check(921_600, 2_048);
     }
 
     #[test]

@@ -2,26 +2,30 @@
 //!
 //! * **Frames** are found again after any garbage ([`framing`]); a wrong speed at the other end is
 //!   nothing but garbage.
-//! * **A slow line** is given no more than it carries, so that what waits, waits here, where it is
-//!   bounded in time and counted, and not in the system's buffers, where hellos would wait behind it: they
-//!   wait for the one frame that is going out.
+//! * **A slow line** is given no more than it carries ([`Pace`]), so that what waits, waits here, where it
+//!   is bounded in time and counted, and not in the system's buffers, where hellos would wait behind it:
+//!   they wait for the one frame that is going out.
 //! * **Unplugged**, a port reads as an end, or its writes fail: it is closed at once, which lets a USB
 //!   adapter have its old name again, and opened again by its path, with back-off.
 //!
-//! RS-485 adapters must turn the line by themselves, or the system's driver must; two nodes that speak at
-//! once on two wires spoil each other's frames, which the session repeats.
+//! On two wires of RS-485 the adapter must turn the line by itself, or the port's driver, which is asked to
+//! by [`Rs485`]; two nodes that speak at once spoil each other's frames, which the session repeats.
 
 mod config;
 pub mod framing;
+mod pace;
 
-pub use self::config::{Parity, SerialConfig, StopBits};
+pub use self::config::{Parity, Rs485, SerialConfig, StopBits};
 
 use self::framing::{Deframer, encode, encoded_length};
+use self::pace::{Held, PIECE, Pace};
 use crate::frame_medium::{Arrival, FrameMedium, Opening, QueueLimits, Sending};
 use blastema_contract::transport::MediumAddress;
+use blastema_core::Instant;
 use bytes::Bytes;
 use std::future::Future;
 use std::io;
+use std::path::{Path, PathBuf};
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
@@ -33,15 +37,21 @@ use tokio_serial::{ClearBuffer, DataBits, ErrorKind, FlowControl, SerialPort, Se
 const FAST: u64 = 1_000_000;
 /// So many bytes are read at once: what the system holds of a terminal.
 const CHUNK: usize = 4096;
-/// So much time of the line is written at once. Shorter wakes us more often, longer lets more wait in
-/// the system's buffer.
-const PIECE: Duration = Duration::from_millis(5);
+/// So many frames may wait at least: as many as a session has on its way that does not know yet how slow
+/// the line is.
+const LEAST_FRAMES: usize = 8;
 /// The fewest bytes that are written at once: a hello, on the slowest lines.
 const LEAST_PIECE: usize = 32;
+/// So many bytes are written at once to a device without a line of its own.
+const DEVICE_PIECE: usize = 1024;
+/// From this speed on, one of a device without a line may mean nothing. Who asks for less knows of a line.
+const NOMINAL_BAUD: u32 = 115_200;
 
 /// A serial line as a medium.
 pub struct SerialLine {
     config: SerialConfig,
+    /// The clock on which this arbiter's timers run.
+    now: fn() -> Instant,
     port: Option<SerialStream>,
     deframer: Deframer,
     chunk: Vec<u8>,
@@ -51,12 +61,15 @@ pub struct SerialLine {
     outgoing: Vec<u8>,
     written: usize,
     pace: Pace,
+    /// Ends when the line may have taken what was written.
+    timer: Option<Pin<Box<Sleep>>>,
 }
 
 impl SerialLine {
-    /// The line at this port.
-    pub fn new(config: SerialConfig) -> Self {
+    /// The line at this port. The clock must be the one on which this arbiter's timers run.
+    pub fn new(config: SerialConfig, now: fn() -> Instant) -> Self {
         SerialLine {
+            now,
             port: None,
             deframer: Deframer::new(config.mtu()),
             chunk: vec![0; CHUNK],
@@ -64,7 +77,36 @@ impl SerialLine {
             outgoing: Vec::new(),
             written: 0,
             pace: Pace::default(),
+            timer: None,
             config,
+        }
+    }
+
+    /// So many bytes are written at once.
+    fn piece(&self) -> usize {
+        match self.pace.is_free() {
+            true => DEVICE_PIECE,
+            false => self.config.bytes_in(PIECE).max(LEAST_PIECE),
+        }
+    }
+
+    /// Ready when the line has taken nearly all that was written.
+    fn poll_line(&mut self, task: &mut Context<'_>) -> Poll<()> {
+        loop {
+            if let Some(timer) = &mut self.timer {
+                ready!(timer.as_mut().poll(task));
+                self.timer = None;
+            }
+            // A port that cannot say shows by its errors soon enough what it is like.
+            let queued = self.port.as_ref().and_then(|port| port.bytes_to_write().ok());
+            let held = match queued.unwrap_or(0) as usize {
+                0 => Held::Nothing,
+                queued if queued <= self.piece() => Held::Little,
+                _ => Held::Much,
+            };
+            let now = (self.now)();
+            let Some(due) = self.pace.due(held, now) else { return Poll::Ready(()) };
+            self.timer = Some(Box::pin(tokio::time::sleep(due - now)));
         }
     }
 
@@ -88,8 +130,7 @@ impl FrameMedium for SerialLine {
     }
 
     fn queue(&self) -> QueueLimits {
-        // Two frames at least: one goes out, one waits.
-        let least = 2 * encoded_length(self.config.mtu());
+        let least = LEAST_FRAMES * encoded_length(self.config.mtu());
         let bytes = self.config.bytes_in(self.config.queue_time).max(least);
         // Each frame costs as much as a small one, so that empty frames have a bound too.
         QueueLimits { frames: bytes.div_ceil(16), bytes }
@@ -102,7 +143,7 @@ impl FrameMedium for SerialLine {
 
     fn open(&mut self) -> io::Result<Opening> {
         self.close();
-        let SerialConfig { path, baud, parity, stop_bits, hardware_flow, .. } = &self.config;
+        let SerialConfig { path, baud, parity, stop_bits, hardware_flow, rs485, .. } = &self.config;
         let parity = match parity {
             Parity::None => tokio_serial::Parity::None,
             Parity::Odd => tokio_serial::Parity::Odd,
@@ -118,11 +159,17 @@ impl FrameMedium for SerialLine {
             .parity(parity)
             .stop_bits(stop_bits)
             .flow_control(flow);
+        if let Some(rs485) = rs485 {
+            turn_by_driver(path, rs485)?;
+        }
         // The lines DTR and RTS are left as the driver sets them: a pty has none, and many a device
         // takes a change of them for a reset.
         let port =
             SerialStream::open(&builder).map_err(|error| io::Error::other(self.explain(&error)))?;
         self.port = Some(port);
+        if *baud >= NOMINAL_BAUD && is_usb_device(path) {
+            self.pace = Pace::of_device();
+        }
         Ok(Opening { local: MediumAddress::Line, mtu: self.config.mtu() })
     }
 
@@ -131,7 +178,7 @@ impl FrameMedium for SerialLine {
     }
 
     fn poll_room(&mut self, task: &mut Context<'_>) -> Poll<()> {
-        self.pace.poll_due(task)
+        self.poll_line(task)
     }
 
     fn poll_send(
@@ -144,17 +191,17 @@ impl FrameMedium for SerialLine {
             encode(frame, &mut self.outgoing);
             self.written = 0;
         }
-        let Some(port) = &mut self.port else { return Poll::Ready(Err(unplugged())) };
-        let piece = self.config.bytes_in(PIECE).max(LEAST_PIECE);
+        let piece = self.piece();
         while self.written < self.outgoing.len() {
-            ready!(self.pace.poll_due(task));
+            ready!(self.poll_line(task));
+            let Some(port) = &mut self.port else { return Poll::Ready(Err(unplugged())) };
             let end = self.outgoing.len().min(self.written + piece);
             let rest = &self.outgoing[self.written..end];
-            match ready!(Pin::new(&mut *port).poll_write(task, rest)).map_err(lost)? {
+            match ready!(Pin::new(port).poll_write(task, rest)).map_err(lost)? {
                 0 => return Poll::Ready(Err(unplugged())),
                 written => {
                     self.written += written;
-                    self.pace.spend(self.config.time_of(written));
+                    self.pace.spend(self.config.time_of(written), (self.now)());
                 }
             }
         }
@@ -196,8 +243,43 @@ impl FrameMedium for SerialLine {
         self.deframer = Deframer::new(self.config.mtu());
         self.unread = 0..0;
         self.outgoing.clear();
-        self.pace = Pace::default();
+        (self.pace, self.timer) = (Pace::default(), None);
     }
+}
+
+/// Lets the port's driver turn the line for as long as something goes out. It keeps that when the port is
+/// closed, so that it can be said before the port is opened as a line.
+#[cfg(target_os = "linux")]
+fn turn_by_driver(path: &Path, rs485: &Rs485) -> io::Result<()> {
+    // Whatever keeps it from being opened is told when it is opened as a line.
+    let Ok(port) = serial2::SerialPort::open(path, serial2::KeepSettings) else { return Ok(()) };
+    let mut mode = serial2::rs4xx::Rs485Config::new();
+    mode.set_invert_rts(rs485.rts_low);
+    mode.set_delay_before_send(rs485.before);
+    mode.set_delay_after_send(rs485.after);
+    port.set_rs4xx_mode(mode).map_err(|error| {
+        io::Error::other(format!(
+            "{error}: the port's driver does not turn the line of RS-485 (rs485=true): leave that out, and \
+             use an adapter that turns by itself"
+        ))
+    })
+}
+
+#[cfg(not(target_os = "linux"))]
+fn turn_by_driver(_: &Path, _: &Rs485) -> io::Result<()> {
+    Err(io::Error::other(
+        "only Linux lets a driver turn the line of RS-485 (rs485=true): leave that out, and use an adapter \
+         that turns by itself",
+    ))
+}
+
+/// Whether a port is one of USB CDC-ACM, at either end, where often no line follows.
+fn is_usb_device(path: &Path) -> bool {
+    let Ok(device) = path.canonicalize() else { return false };
+    let Some(name) = device.file_name() else { return false };
+    let driver = Path::new("/sys/class/tty").join(name).join("device/driver");
+    let is_acm = |driver: PathBuf| driver.file_name().is_some_and(|name| name == "cdc_acm");
+    name.as_encoded_bytes().starts_with(b"ttyGS") || driver.read_link().is_ok_and(is_acm)
 }
 
 /// What helps when a port reads or writes no more.
@@ -209,39 +291,4 @@ fn unplugged() -> io::Error {
 
 fn lost(error: io::Error) -> io::Error {
     io::Error::new(error.kind(), format!("{error}: {CURE}"))
-}
-
-/// Keeps a writer at the speed of its line.
-#[derive(Default)]
-struct Pace {
-    /// When all that was written has gone out.
-    free: Option<Pin<Box<Sleep>>>,
-    /// Somebody waits for that, and so is owed the time by which he is woken too late.
-    waited: bool,
-}
-
-impl Pace {
-    fn poll_due(&mut self, task: &mut Context<'_>) -> Poll<()> {
-        let Some(free) = &mut self.free else { return Poll::Ready(()) };
-        if free.as_mut().poll(task).is_pending() {
-            self.waited = true;
-            return Poll::Pending;
-        }
-        if !self.waited {
-            // The line was idle for a while: what it could have carried then is gone.
-            self.free = None;
-        }
-        Poll::Ready(())
-    }
-
-    fn spend(&mut self, span: Duration) {
-        self.waited = false;
-        match &mut self.free {
-            Some(free) => {
-                let due = free.deadline() + span;
-                free.as_mut().reset(due);
-            }
-            None => self.free = Some(Box::pin(tokio::time::sleep(span))),
-        }
-    }
 }

@@ -17,8 +17,8 @@ const OVERHEAD: usize = 64;
 #[derive(Default)]
 pub(super) struct Outgoing {
     frames: VecDeque<(Lane, Bytes)>,
-    /// What the frames of each lane cost together, the urgent first.
-    costs: [usize; 2],
+    /// What the frames of each lane cost together, in the order in which they go.
+    costs: [usize; 3],
     /// How much of the first frame, with its header, is written already.
     written: usize,
 }
@@ -34,11 +34,11 @@ impl Outgoing {
         *cost = more;
         match lane {
             Lane::Usual => self.frames.push_back((lane, frame)),
-            Lane::Urgent => {
-                // Behind the one that has begun, and behind the urgent that wait.
+            Lane::Hello | Lane::Urgent => {
+                // Behind the one that has begun, and behind those that wait and are as urgent.
                 let begun = usize::from(self.written > 0);
                 let waiting = self.frames.iter().skip(begun);
-                let ahead = waiting.take_while(|(lane, _)| *lane == Lane::Urgent).count();
+                let ahead = waiting.take_while(|(other, _)| *other <= lane).count();
                 let place = (begun + ahead).min(self.frames.len());
                 self.frames.insert(place, (lane, frame));
             }
@@ -131,7 +131,7 @@ mod tests {
         let completed = [3, 1, 6, 1, 4, 6].map(|bytes| outgoing.advance(bytes));
 
         assert_eq!(completed, [0, 1, 0, 1, 1, 1]);
-        assert_eq!((outgoing.costs, outgoing.written, outgoing.frames.len()), ([0, 0], 0, 0));
+        assert_eq!((outgoing.costs, outgoing.written, outgoing.frames.len()), ([0; 3], 0, 0));
     }
 
     #[test]
@@ -159,8 +159,9 @@ mod tests {
         for frame in ["x", "y"] {
             push(&mut outgoing, Lane::Urgent, frame);
         }
+        push(&mut outgoing, Lane::Hello, "h");
 
         let order: Vec<_> = outgoing.frames.iter().map(|(_, frame)| &frame[..]).collect();
-        assert_eq!(order, [b"a", b"x", b"y", b"b"]);
+        assert_eq!(order, [b"a", b"h", b"x", b"y", b"b"]);
     }
 }

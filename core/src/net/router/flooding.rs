@@ -80,8 +80,8 @@ impl Router {
 
     /// Gives these origins' advertisements to a neighbour until it confirms them.
     pub(super) fn announce(&mut self, link: LinkNumber, origins: &[NodeId]) {
-        let again = self.now + self.config.resend;
         let Some(adjacent) = self.links.get_mut(&link) else { return };
+        let again = self.now + adjacent.patience(self.config.resend);
         let room = usize::from(adjacent.mtu) - FRAME_HEADER;
         self.wake_at = self.wake_at.min(again);
         adjacent.pending.extend(origins.iter().map(|origin| (*origin, again)));
@@ -107,7 +107,9 @@ impl Router {
     /// Tells a neighbour all that we know of, so that it can send what we lack.
     pub(super) fn compare(&mut self, link: LinkNumber) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
-        adjacent.compare_at = self.now + self.config.compare;
+        let bytes = Routing::Numbered(link).encode();
+        self.outputs.push_back(RouterOutput::Routing { link, bytes });
+        adjacent.compare_at = self.now + adjacent.patience(self.config.compare);
         self.wake_at = self.wake_at.min(adjacent.compare_at);
         let room = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / STAMP;
         let mut stamps: Vec<_> =
@@ -239,6 +241,7 @@ impl Router {
             withdrawn.truncate(WITHDRAWN_MAX - 1);
             withdrawn.push_front(advertisement.stamp);
         }
+        self.hear_given_up(effective.as_ref(), &advertisement);
         let (reached, ended) = (false, false);
         let known = Known { advertisement, expires, reached, ended, believed, withdrawn };
         let same = match (&effective, known.effective()) {
@@ -299,12 +302,12 @@ impl Router {
         self.remember_withdrawn(withdrawal.stamp);
         self.own.stamp.sequence = 1;
         self.refresh_at = self.now + self.config.refresh;
-        let again = self.now + self.config.resend;
-        self.wake_at = self.wake_at.min(again);
         let length = 1 + withdrawal.length() + self.own.length() + FRAME_HEADER;
         let (withdrawal, own) = (vec![withdrawal], vec![self.own.clone()]);
         let both = [withdrawal.clone(), own.clone()].concat();
         for (&link, adjacent) in &mut self.links {
+            let again = self.now + adjacent.patience(self.config.resend);
+            self.wake_at = self.wake_at.min(again);
             adjacent.pending.insert(self.id, again);
             let fits = length <= usize::from(adjacent.mtu);
             let frames = if fits { vec![&both] } else { vec![&withdrawal, &own] };

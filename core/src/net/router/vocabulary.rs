@@ -22,9 +22,10 @@ pub struct RouterConfig {
     pub refresh: Duration,
     /// A node that nobody has heard of for so long is forgotten. At least three times `refresh`.
     pub lifetime: Duration,
-    /// How often neighbours compare what they know.
+    /// How often neighbours compare what they know; ten times as rarely over narrow media.
     pub compare: Duration,
-    /// After how long an advertisement is repeated that a neighbour has not confirmed.
+    /// After how long an advertisement is repeated that a neighbour has not confirmed; ten times as long
+    /// over narrow media.
     pub resend: Duration,
     /// How many nodes may pass a packet on, at most 31.
     pub hops: u8,
@@ -105,6 +106,11 @@ pub enum RouterOutput {
         destination: NodeId,
         /// Why it did not.
         reason: Undelivered,
+    },
+    /// The neighbour says by another way that it has given this link up: tell the link.
+    GivenUp {
+        /// Which.
+        link: LinkNumber,
     },
     /// A node can be reached, or has a new incarnation.
     Reachable {

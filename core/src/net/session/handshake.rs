@@ -10,8 +10,7 @@ impl Session {
     pub(super) fn open(&mut self, peer: Option<Peer>) {
         self.number = self.number.saturating_add(1);
         self.tag = tag::tag(&self.config, self.number);
-        let narrow = self.path.is_some_and(|mtu| mtu < super::NARROW);
-        let pause = self.config.retransmit_min * if narrow { 10 } else { 1 };
+        let pause = self.config.retransmit_min * if self.is_narrow() { 10 } else { 1 };
         self.state = State::Opening { peer, again_at: self.now, pause };
         self.say_open();
     }

@@ -32,11 +32,13 @@ mod output;
 mod reception;
 mod replicas;
 mod round_trip;
+mod standing;
 mod tag;
 mod transmission;
 
 pub use self::config::{PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
+pub use self::standing::{SessionState, Standing};
 
 use self::assembly::Assembly;
 use self::best_effort::BestEffort;
@@ -45,6 +47,7 @@ use self::outbound::Outbound;
 use self::replicas::Replicas;
 use self::round_trip::RoundTrip;
 use super::packet::{Class, Undelivered};
+use super::parcel::Parcel;
 use super::segment::{Data, Datagram, Segment, Stream};
 use super::wire::Refusals;
 use crate::{Incarnation, Instant, Machine, Why};
@@ -125,10 +128,6 @@ struct StreamState {
 /// In the order of their places.
 const STREAMS: [Stream; 3] = [Stream::Control, Stream::Data, Stream::Redundant];
 
-/// A path of smaller segments leads over a medium that is taken for slow until it is measured: a serial
-/// line, or CAN.
-const NARROW: usize = 1200;
-
 /// Which round trip and silence a stream has.
 fn lane(stream: Stream) -> usize {
     usize::from(stream == Stream::Redundant)
@@ -139,11 +138,13 @@ impl Session {
     const CONGESTION_INITIAL: usize = 32;
     /// The same on a narrow path.
     const CONGESTION_NARROW: usize = 4;
+    /// The most there: as many as may wait for a serial line.
+    const CONGESTION_NARROW_MAX: usize = 8;
     /// Parts that are on their way however long the queues are.
     const CONGESTION_LEAST: usize = 2;
     /// Time in queues above which less is sent. Control and hellos stand in the same queues.
     const QUEUEING_MAX: Duration = Duration::from_millis(200);
-    /// Parts that may always be on their way: fewer would wait for a timer at every loss.
+    /// Parts that may always be on their way elsewhere.
     const CONGESTION_MIN: usize = 8;
     /// How long an unfinished message is kept.
     const ASSEMBLY_PATIENCE: Duration = Duration::from_secs(5);
@@ -186,42 +187,6 @@ impl Session {
         }
     }
 
-    /// The peer's life that the present session is with.
-    pub fn peer(&self) -> Option<Incarnation> {
-        match self.state {
-            State::Open { peer } | State::Closing { peer, .. } => Some(peer.incarnation),
-            _ => None,
-        }
-    }
-
-    /// We ended in order; nothing is left to do.
-    pub fn is_closed(&self) -> bool {
-        self.state == State::Closed
-    }
-
-    /// The smoothed round trip to the peer.
-    pub fn round_trip(&self) -> Option<Duration> {
-        self.trips.iter().find_map(RoundTrip::smoothed)
-    }
-
-    /// What it did so far.
-    pub fn counters(&self) -> SessionCounters {
-        let unfinished = self.pieces.given_up + self.best_effort.unfinished();
-        let Replicas { dropped, missed, alone, .. } = self.replicas;
-        SessionCounters {
-            unfinished: self.counters.unfinished + unfinished,
-            replicas: self.counters.replicas + dropped,
-            missed: self.counters.missed + missed,
-            alone: self.counters.alone + alone,
-            ..self.counters
-        }
-    }
-
-    /// What was refused so far.
-    pub fn refusals(&self) -> Refusals {
-        self.refusals
-    }
-
     /// The number of the last session; a machine built anew must begin above it.
     pub fn number(&self) -> u32 {
         self.number
@@ -236,11 +201,11 @@ impl Session {
     pub fn handle_send(
         &mut self,
         stream: Stream,
-        message: Bytes,
+        message: impl Into<Parcel>,
         now: Instant,
     ) -> Result<(), Refused> {
         self.now = now;
-        self.check(&message)?;
+        let message = self.check(message.into())?;
         let SessionConfig { buffer_bytes, buffer_messages, .. } = self.config;
         let state = &mut self.streams[stream as usize];
         let outbound = &mut state.outbound;
@@ -251,7 +216,7 @@ impl Session {
             self.outputs.push_back(SessionOutput::Full { stream });
         }
         if full(2) {
-            return Err((Why::Full, message));
+            return Err((Why::Full, message.into_bytes()));
         }
         outbound.push(message);
         self.owed_since.get_or_insert(now);
@@ -266,11 +231,11 @@ impl Session {
     pub fn handle_send_newest(
         &mut self,
         channel: u32,
-        message: Bytes,
+        message: impl Into<Parcel>,
         now: Instant,
     ) -> Result<(), Refused> {
         self.now = now;
-        self.check(&message)?;
+        let message = self.check(message.into())?.into_bytes();
         let (State::Open { peer }, Some(room)) = (self.state, self.path) else {
             return Err((Why::Restarting, message));
         };
@@ -280,15 +245,15 @@ impl Session {
         Ok(())
     }
 
-    fn check(&self, message: &Bytes) -> Result<(), Refused> {
-        let refuse = |why| Err((why, message.clone()));
+    fn check(&self, message: Parcel) -> Result<Parcel, Refused> {
+        let refuse = |why| Err((why, message.clone().into_bytes()));
         match self.state {
             State::Closing { .. } | State::Closed => refuse(Why::Stopped),
             State::Idle => refuse(self.unreachable()),
             _ if message.len() > self.config.message_max => {
                 refuse(Why::TooLargeForSession { limit: self.config.message_max })
             }
-            _ => Ok(()),
+            _ => Ok(message),
         }
     }
 
@@ -297,7 +262,7 @@ impl Session {
     pub fn handle_path(&mut self, mtu: usize, now: Instant) {
         self.now = now;
         self.path = Some(mtu);
-        let narrow = mtu < NARROW;
+        let narrow = self.is_narrow();
         self.trips.iter_mut().for_each(|trip| trip.change_path(narrow));
         if narrow {
             self.congestion = self.congestion.min(Self::CONGESTION_NARROW);
@@ -475,10 +440,8 @@ impl Session {
         let pieces = Assembly::new(assembly, Self::ASSEMBLY_PATIENCE);
         self.best_effort = BestEffort::new(self.config.channels_max, pieces);
         self.replicas = Replicas::default();
-        self.congestion = match self.path {
-            Some(mtu) if mtu < NARROW => Self::CONGESTION_NARROW,
-            _ => Self::CONGESTION_INITIAL,
-        };
+        self.congestion =
+            if self.is_narrow() { Self::CONGESTION_NARROW } else { Self::CONGESTION_INITIAL };
         self.reduced_until = self.orders[0];
         self.retransmit_at = [None; 2];
         self.owed_since = None;
@@ -496,7 +459,10 @@ impl Session {
     }
 
     fn give_up_at(&self) -> Option<Instant> {
-        self.owed_since.map(|since| since + self.config.patience)
+        // Where an answer takes long, one that is lost is asked for twice before that.
+        let answers =
+            if self.path.is_some() { 3 * self.trips[0].timeout() } else { Duration::ZERO };
+        self.owed_since.map(|since| since + self.config.patience.max(answers))
     }
 
     /// The peer has owed us a sign of life for too long.

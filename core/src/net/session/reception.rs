@@ -7,6 +7,7 @@ use super::{Session, SessionOutput, State};
 use crate::Why;
 use crate::net::packet::Class;
 use crate::net::segment::{Data, Datagram, Segment, Stream};
+use std::time::Duration;
 
 impl Session {
     pub(super) fn handle_data(&mut self, data: Data) {
@@ -26,8 +27,8 @@ impl Session {
         };
         if let Some(payload) = whole {
             let mut messages = Vec::new();
+            let times = (self.now, self.ack_delay());
             let inbound = &mut self.streams[stream as usize].inbound;
-            let times = (self.now, self.config.ack_delay);
             let arrived = inbound.handle(sequence, (first, last, payload), times, &mut messages);
             let outputs = messages.into_iter();
             self.outputs.extend(outputs.map(|message| SessionOutput::Message { stream, message }));
@@ -48,6 +49,15 @@ impl Session {
             }
         }
         self.close_when_done();
+    }
+
+    /// On a narrow path an acknowledgement waits longer for something to travel with, for alone it takes a
+    /// third of what a part does.
+    fn ack_delay(&self) -> Duration {
+        const NARROW_MAX: Duration = Duration::from_millis(50);
+        let trip = self.trips[0].smoothed().filter(|_| self.is_narrow());
+        let quarter = trip.map_or(Duration::ZERO, |trip| trip / 4);
+        self.config.ack_delay.max(quarter.min(NARROW_MAX))
     }
 
     pub(super) fn handle_datagram(&mut self, datagram: Datagram) {

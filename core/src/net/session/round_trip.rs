@@ -9,10 +9,10 @@ pub(crate) struct RoundTrip {
     deviation: Duration,
     /// The shortest on this path: what is above it was spent in queues.
     least: Option<Duration>,
-    /// What is waited before the first measurement.
-    initial: Duration,
-    /// Doublings since the last sign of progress.
+    /// Doublings since the last measurement: what a repetition brought may be the answer to the first
+    /// sending (Karn's algorithm).
     backoff: u32,
+    narrow: bool,
     shortest: Duration,
     longest: Duration,
 }
@@ -22,14 +22,19 @@ impl RoundTrip {
     const INITIAL: Duration = Duration::from_millis(100);
     /// The same where the medium is probably slow (RFC 6298, 2.1).
     const INITIAL_NARROW: Duration = Duration::from_secs(1);
+    /// The shortest there: a frame, its acknowledgement, which waits a little, and a frame and a hello before
+    /// either, at 9,600 bits a second. What was measured with small messages says nothing of large ones.
+    const SHORTEST_NARROW: Duration = Duration::from_millis(400);
+    /// The longest there.
+    const LONGEST_NARROW: Duration = Duration::from_secs(2);
 
     pub(crate) fn new(shortest: Duration, longest: Duration) -> Self {
         RoundTrip {
             smoothed: None,
             deviation: Duration::ZERO,
             least: None,
-            initial: Self::INITIAL,
             backoff: 0,
+            narrow: false,
             shortest,
             longest,
         }
@@ -41,6 +46,7 @@ impl RoundTrip {
 
     /// Answers how much of it was spent in queues.
     pub(crate) fn measure(&mut self, sample: Duration) -> Duration {
+        self.progress();
         let least = self.least.map_or(sample, |least| least.min(sample));
         self.least = Some(least);
         match self.smoothed {
@@ -59,15 +65,19 @@ impl RoundTrip {
     /// Another path has another shortest. On a narrow one a single segment may take long.
     pub(crate) fn change_path(&mut self, narrow: bool) {
         self.least = None;
-        self.initial = if narrow { Self::INITIAL_NARROW } else { Self::INITIAL };
+        self.narrow = narrow;
         self.progress();
     }
 
     pub(crate) fn timeout(&self) -> Duration {
-        let base = self.smoothed.map_or(self.initial, |smoothed| smoothed + 4 * self.deviation);
-        let base = base.max(self.shortest);
+        let (initial, shortest, longest) = match self.narrow {
+            true => (Self::INITIAL_NARROW, Self::SHORTEST_NARROW, Self::LONGEST_NARROW),
+            false => (Self::INITIAL, self.shortest, self.longest),
+        };
+        let base = self.smoothed.map_or(initial, |smoothed| smoothed + 4 * self.deviation);
+        let base = base.max(shortest);
         // A slow line's round trip may be longer than the longest that one waits elsewhere.
-        base.saturating_mul(1 << self.backoff).min(self.longest.max(base))
+        base.saturating_mul(1 << self.backoff).min(longest.max(base))
     }
 
     pub(crate) fn back_off(&mut self) {
@@ -75,6 +85,7 @@ impl RoundTrip {
         self.backoff = (self.backoff + 1).min(10);
     }
 
+    /// The peer answers, or another session begins.
     pub(crate) fn progress(&mut self) {
         self.backoff = 0;
     }

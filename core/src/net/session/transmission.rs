@@ -3,8 +3,9 @@
 use super::assembly::pieces_of;
 use super::outbound::Part;
 use super::{STREAMS, Session, SessionConfig, SessionOutput, State, lane};
-use crate::net::packet::{Class, Undelivered};
-use crate::net::segment::{Ack, DATA_HEADER, Data, Segment, Stream};
+use crate::net::NARROW;
+use crate::net::packet::{Class, Undelivered, WAY_MAX};
+use crate::net::segment::{Ack, Data, Segment, Stream, data_header};
 use crate::{Instant, Why};
 
 /// Which stream goes first when several wait.
@@ -33,6 +34,17 @@ impl Session {
         }
     }
 
+    /// The path leads over a medium that is taken for slow until it is measured: a serial line, or CAN.
+    pub(super) fn is_narrow(&self) -> bool {
+        self.path.is_some_and(|mtu| mtu < NARROW)
+    }
+
+    /// Parts that may always be on their way: fewer would wait for a timer at every loss. Of a narrow path
+    /// they would be seconds.
+    fn congestion_min(&self) -> usize {
+        if self.is_narrow() { Self::CONGESTION_NARROW } else { Self::CONGESTION_MIN }
+    }
+
     /// Parts on their way of the streams that share this lane.
     pub(super) fn flying(&self, of: usize) -> usize {
         let streams = STREAMS.into_iter().filter(|stream| lane(*stream) == of);
@@ -51,13 +63,19 @@ impl Session {
         let Some(mtu) = self.path else { return false };
         let congested =
             self.flying(0) >= self.congestion || self.flying_bytes(0) >= self.config.window_bytes;
-        // Room for an acknowledgement of a few ranges; one with more travels alone.
-        let room = mtu.saturating_sub(DATA_HEADER + 32).clamp(64, self.config.part_max);
+        // Room for an acknowledgement of a few ranges, or of none in a small frame; a longer one travels
+        // alone.
+        let ack_room = 32.min(mtu / 8);
+        let always = self.congestion_min();
         for stream in BY_URGENCY {
             let state = &mut self.streams[stream as usize];
+            // The way of each copy is written before it.
+            let way = if stream == Stream::Redundant { WAY_MAX } else { 0 };
+            let header = data_header(state.outbound.next()) + way;
+            let room = mtu.saturating_sub(header + ack_room).clamp(48, self.config.part_max);
             let held = match stream {
                 // Some of it may always be on its way, whatever data is before it.
-                Stream::Control => congested && state.outbound.flying() >= Self::CONGESTION_MIN,
+                Stream::Control => congested && state.outbound.flying() >= always,
                 Stream::Data => congested,
                 // It keeps its time whatever one of the ways is like; the peer's window bounds it.
                 Stream::Redundant => false,
@@ -71,7 +89,7 @@ impl Session {
                 let owed = state.inbound.owed().is_some();
                 let ack = owed.then(|| state.inbound.acknowledge());
                 let (ack, alone) = match ack {
-                    Some(ack) if ack.ranges.len() > 2 => (None, Some(ack)),
+                    Some(ack) if ack.length() > ack_room => (None, Some(ack)),
                     ack => (ack, None),
                 };
                 if let Some(ack) = alone {
@@ -118,6 +136,10 @@ impl Session {
             match stream {
                 Stream::Control => self.transmit(Class::Control, segment),
                 Stream::Data => self.transmit(Class::Data, segment),
+                // A stop, or a beat: it waits for nothing that is said one way.
+                Stream::Redundant if first && last => {
+                    self.transmit_everywhere(Class::Control, segment);
+                }
                 Stream::Redundant => self.transmit_everywhere(Class::Data, segment),
             }
         }
@@ -160,7 +182,6 @@ impl Session {
         let queueing = progress.round_trip.map(|sample| self.trips[of].measure(sample));
         let crowded = queueing.is_some_and(|queueing| queueing > Self::QUEUEING_MAX);
         if let Some(order) = progress.order {
-            self.trips[of].progress();
             let mut lost = false;
             // What took another lane may have taken longer without being lost.
             for stream in STREAMS.into_iter().filter(|stream| lane(*stream) == of) {
@@ -169,14 +190,20 @@ impl Session {
             if stream != Stream::Redundant {
                 // A window that is not used tells nothing of a larger one (RFC 7661).
                 let used = self.flying(0) + progress.parts >= self.congestion;
-                if used && !crowded {
-                    let most = self.config.window as usize;
+                // Nor does an answer, on a narrow path, of which nobody knows to which sending it is.
+                let known = queueing.is_some() || !self.is_narrow();
+                if used && known && !crowded {
+                    let most = match self.is_narrow() {
+                        true => Self::CONGESTION_NARROW_MAX,
+                        false => self.config.window as usize,
+                    };
                     self.congestion = (self.congestion + progress.parts).min(most);
                 }
                 // Once per round trip, as in RFC 9002: one burst of losses is one sign.
                 if (lost || crowded) && order >= self.reduced_until {
                     self.reduced_until = self.orders[0];
-                    let least = if crowded { Self::CONGESTION_LEAST } else { Self::CONGESTION_MIN };
+                    let least =
+                        if crowded { Self::CONGESTION_LEAST } else { self.congestion_min() };
                     self.congestion = (self.congestion / 2).max(least.min(self.congestion));
                 }
             }
@@ -203,7 +230,8 @@ impl Session {
     pub(super) fn handle_silence(&mut self, of: usize) {
         self.trips[of].back_off();
         if of == 0 {
-            self.congestion = self.congestion.min(Self::CONGESTION_MIN);
+            let most = if self.is_narrow() { Self::CONGESTION_LEAST } else { Self::CONGESTION_MIN };
+            self.congestion = self.congestion.min(most);
             self.reduced_until = self.orders[0];
         }
         for stream in STREAMS.into_iter().filter(|stream| lane(*stream) == of) {
