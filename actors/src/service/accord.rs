@@ -57,9 +57,8 @@ impl ReplicaBody {
             let now = platform::now();
             match answer.map_err(|error| error.why) {
                 Ok(theirs) => body.machine.handle_terms(&with, &theirs, now),
-                Err(Why::Left { .. } | Why::Unknown { .. }) => {
-                    body.machine.handle_no_terms(&with, now);
-                }
+                Err(Why::Unknown { .. }) => body.machine.handle_no_terms(&with, now),
+                Err(Why::Left { .. }) => body.machine.handle_left(&with, now),
                 // It is asked again.
                 Err(_) => {}
             }

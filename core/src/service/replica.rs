@@ -103,15 +103,15 @@ pub enum ReplicaOutput {
         detail: String,
     },
     /// Another node was told something else of the service than this one: nobody of both serves until that is
-    /// mended.
+    /// mended. Or it was told nothing, and should have been.
     Disputed {
         /// In what, and what is to be written.
         detail: String,
     },
     /// What was disputed is over. What is left of it, if there is any, follows.
     Agreed,
-    /// Ask this node what it was told of the service, and say so by [`Replica::handle_terms`], or
-    /// [`Replica::handle_no_terms`].
+    /// Ask this node what it was told of the service, and say so by [`Replica::handle_terms`],
+    /// [`Replica::handle_no_terms`] or [`Replica::handle_left`].
     Compare {
         /// Which.
         with: NodeName,

@@ -26,6 +26,10 @@ impl Terms {
         Terms { members, kind, on_partition, hello_interval }
     }
 
+    pub(super) fn list(&self, node: &NodeName) -> bool {
+        self.members.contains(node)
+    }
+
     pub(super) fn encode(&self) -> Vec<u8> {
         codec::encode_unbounded(self)
     }

@@ -12,15 +12,21 @@
 //! no promise, votes for nobody, and does not claim. It goes on as soon as the other says the same, in a life
 //! that was told better; or has ended in order, or carries the service no more. That it is out of sight is no
 //! reason: where it serves there, it may not here.
+//!
+//! A member that is there and does not carry the service is told as well, and does no harm: it is one that has
+//! failed.
 
 use super::super::terms::Terms;
 use super::*;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// How soon another one is asked again that has not answered, or differs. Shorter finds out sooner; each
-/// question is a small message.
+/// How soon another one is asked again that has not answered. Shorter finds out sooner; each question is a
+/// small message, and none where no path leads there.
 const ASK_AGAIN: Duration = Duration::from_millis(500);
+/// And one that has answered, and differs: another life of it says by itself what it was told. Shorter
+/// notices sooner that it has left, and loads slow lines.
+const LOOK_AGAIN: Duration = Duration::from_secs(5);
 /// The most others of whom it is remembered what they say: far more than carry one service.
 const KNOWN_MAX: usize = 1024;
 
@@ -42,8 +48,10 @@ struct Known {
 enum Opinion {
     #[default]
     Unheard,
-    /// It was told the same; or it does not carry this service, but something else of its name.
+    /// It was told the same.
     Agrees,
+    /// It does not carry this service; said once, it may just begin.
+    Absent { twice: bool },
     /// In this.
     Differs(String),
 }
@@ -69,7 +77,32 @@ impl Accord {
     fn differences(&self) -> impl Iterator<Item = &str> {
         self.known.values().filter_map(|known| match &known.opinion {
             Opinion::Differs(text) => Some(text.as_str()),
-            Opinion::Unheard | Opinion::Agrees => None,
+            Opinion::Unheard | Opinion::Agrees | Opinion::Absent { .. } => None,
+        })
+    }
+
+    /// Somebody is to be told of this one.
+    fn is_wrong(&self, node: &NodeName, opinion: &Opinion) -> bool {
+        match opinion {
+            Opinion::Differs(_) => true,
+            Opinion::Absent { twice } => *twice && self.terms.list(node),
+            Opinion::Unheard | Opinion::Agrees => false,
+        }
+    }
+
+    /// Who was told nothing at all.
+    fn absent(&self) -> Option<String> {
+        let wrong = |(node, known): &(&NodeName, &Known)| self.is_wrong(node, &known.opinion);
+        let absent = self.known.iter().filter(wrong).filter_map(|(node, known)| {
+            matches!(known.opinion, Opinion::Absent { .. }).then(|| node.to_string())
+        });
+        let absent: Vec<_> = absent.collect();
+        (!absent.is_empty()).then(|| {
+            format!(
+                "listed, but without this service: {}; give it there too, or leave it out of all lists: \
+                 so it counts as one that has failed",
+                absent.join(", ")
+            )
         })
     }
 
@@ -104,9 +137,15 @@ impl Replica {
     /// These other nodes have an object of the service's name. To be told several times a second.
     pub fn handle_carriers(&mut self, found: &[NodeName], now: Instant) {
         // One that returns may return in another life.
-        let differs = |known: &Known| matches!(known.opinion, Opinion::Differs(_));
-        self.accord.known.retain(|node, known| differs(known) || found.contains(node));
-        let all: BTreeSet<_> = self.accord.known.keys().chain(found).cloned().collect();
+        let members = &self.config.members;
+        let concerns = |node: &NodeName| found.contains(node) || members.contains(node);
+        self.accord.known.retain(|node, known| match &known.opinion {
+            Opinion::Differs(_) => true,
+            Opinion::Unheard | Opinion::Absent { .. } => concerns(node),
+            Opinion::Agrees => found.contains(node),
+        });
+        let known = self.accord.known.keys();
+        let all: BTreeSet<_> = known.chain(found).chain(members).cloned().collect();
         all.iter().for_each(|node| self.compare(node, now));
     }
 
@@ -123,9 +162,16 @@ impl Replica {
         self.note_opinion(from, opinion, now);
     }
 
-    /// This node has ended in order, or does not carry the service.
+    /// This node is there, and does not carry the service.
     pub fn handle_no_terms(&mut self, of: &NodeName, now: Instant) {
-        self.note_opinion(of, Opinion::Agrees, now);
+        let before = self.accord.known.get(of).map(|known| &known.opinion);
+        let twice = matches!(before, Some(Opinion::Absent { .. }));
+        self.note_opinion(of, Opinion::Absent { twice }, now);
+    }
+
+    /// This node has ended in order.
+    pub fn handle_left(&mut self, node: &NodeName, now: Instant) {
+        self.note_opinion(node, Opinion::Unheard, now);
     }
 
     /// A replica that begins with what this one knows of the others, after its body has failed.
@@ -154,8 +200,12 @@ impl Replica {
         let Some(known) = self.accord.known(node).filter(|_| *node != self.config.own) else {
             return;
         };
-        let lately = known.asked.is_some_and(|asked| now - asked < ASK_AGAIN);
-        if known.opinion != Opinion::Agrees && !lately {
+        let again = match known.opinion {
+            Opinion::Agrees => return,
+            Opinion::Unheard => ASK_AGAIN,
+            Opinion::Absent { .. } | Opinion::Differs(_) => LOOK_AGAIN,
+        };
+        if known.asked.is_none_or(|asked| now - asked >= again) {
             known.asked = Some(now);
             self.outputs.push_back(ReplicaOutput::Compare { with: node.clone() });
         }
@@ -165,12 +215,12 @@ impl Replica {
         let Some(known) = self.accord.known(of).filter(|known| known.opinion != opinion) else {
             return;
         };
-        let before = std::mem::replace(&mut known.opinion, opinion);
-        match (before, &known.opinion) {
-            (Opinion::Differs(_), _) => self.outputs.push_back(ReplicaOutput::Agreed),
-            // What one more says is more of the same.
-            (_, Opinion::Differs(_)) => {}
-            _ => return,
+        let before = std::mem::replace(&mut known.opinion, opinion.clone());
+        match (self.accord.is_wrong(of, &before), self.accord.is_wrong(of, &opinion)) {
+            (false, false) => return,
+            // One more is more of the same.
+            (false, true) => {}
+            (true, _) => self.outputs.push_back(ReplicaOutput::Agreed),
         }
         self.tell_dispute();
         if self.accord.is_disputed() {
@@ -181,8 +231,9 @@ impl Replica {
     }
 
     fn tell_dispute(&mut self) {
-        if let Some(detail) = self.dispute() {
-            self.outputs.push_back(ReplicaOutput::Disputed { detail });
+        let wrong: Vec<_> = self.dispute().into_iter().chain(self.accord.absent()).collect();
+        if !wrong.is_empty() {
+            self.outputs.push_back(ReplicaOutput::Disputed { detail: wrong.join("; ") });
         }
     }
 }

@@ -114,9 +114,30 @@ async fn a_dispute_is_over_when_the_other_has_left_in_order_but_not_when_it_is_c
     wrong.cable("ethernet").unwrap().restore();
     wrong.advance(3000 * MS).await;
     wrong.shutdown().await;
-    nodes[0].advance(2000 * MS).await;
+    nodes[0].advance(6000 * MS).await;
     assert_eq!(serving(&nodes), 1);
     assert_eq!(dispute(&nodes[0]).await, None);
+}
+
+#[blastema_testkit::test]
+async fn a_listed_node_that_does_not_carry_the_service_is_named_while_the_others_serve() {
+    let medium = MemoryMedium::default();
+    let without = TestNode::start(node("module3", &medium)).await;
+    let nodes = vec![
+        start("module1", &medium, on(&MEMBERS)).await,
+        start("module2", &medium, on(&MEMBERS)).await,
+    ];
+    without.advance(10_000 * MS).await;
+
+    assert_eq!(serving(&nodes), 1);
+    for node in &nodes {
+        let said = dispute(node).await.expect("redundancy is missing");
+        assert!(said.contains("without this service: module3"), "{said}");
+    }
+    without.shutdown().await;
+    let _with = start("module3", &medium, on(&MEMBERS)).await;
+    nodes[0].advance(3000 * MS).await;
+    assert_eq!((dispute(&nodes[0]).await, dispute(&nodes[1]).await), (None, None));
 }
 
 #[blastema_testkit::test]

@@ -150,7 +150,7 @@ fn a_dispute_outlives_that_the_other_is_out_of_sight_but_not_that_it_has_left() 
     robot.kill(0);
     let now = robot.now;
     for member in [1, 2] {
-        robot.members[member].as_mut().unwrap().replica.handle_no_terms(&node(0), now);
+        robot.members[member].as_mut().unwrap().replica.handle_left(&node(0), now);
         robot.settle(member);
     }
     robot.advance_ms(300);
@@ -225,8 +225,35 @@ fn those_who_agree_are_asked_once_and_the_others_again_and_again() {
     assert_eq!(asked(&[0, 1, 2], 1000), [1, 2]);
     assert_eq!(asked(&[1, 2], 1499), [0; 0]);
     assert_eq!(asked(&[1, 2], 1500), [2]);
-    assert_eq!(asked(&[2], 2000), [2], "one has gone");
+    assert_eq!(asked(&[2], 2000), [1, 2], "one has gone");
+    assert_eq!(asked(&[2], 2400), [0; 0]);
     assert_eq!(asked(&[1, 2], 2500), [1, 2], "and is back, in whichever life");
-    own.handle_terms(&node(2), b"nonsense", Instant::from_millis(2600));
+    assert_eq!(asked(&[1, 2, 4], 3000), [2, 4], "members or not");
+    own.handle_terms(&node(2), b"nonsense", Instant::from_millis(3100));
     assert_eq!(own.refused(), 1);
+}
+
+#[test]
+fn a_member_that_does_not_carry_the_service_is_told_and_keeps_nobody_from_serving() {
+    let mut robot = Robot::new(1, 3, StandbyKind::Warm, OnPartition::Stop);
+    let say = |robot: &mut Robot, of: usize| {
+        let now = robot.now;
+        robot.members[0].as_mut().unwrap().replica.handle_no_terms(&node(of), now);
+        robot.settle(0);
+        robot.disputes.get(&0).cloned()
+    };
+    assert_eq!(say(&mut robot, 2), None, "it may just begin");
+    let told = say(&mut robot, 2).expect("it does not");
+    assert!(told.contains("listed, but without this service: module2; give it there"), "{told}");
+    for _ in 0..3 {
+        assert_eq!(say(&mut robot, 7), Some(told.clone()), "who is not listed need not");
+    }
+
+    robot.advance_ms(200);
+    assert_eq!(robot.primaries().len(), 1);
+    let terms = robot.members[2].as_ref().unwrap().replica.terms();
+    let now = robot.now;
+    robot.members[0].as_mut().unwrap().replica.handle_terms(&node(2), &terms, now);
+    robot.settle(0);
+    assert_eq!(robot.disputing(), [0; 0]);
 }
