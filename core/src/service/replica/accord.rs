@@ -92,11 +92,10 @@ impl Accord {
 
     /// Who was told nothing at all.
     fn absent(&self) -> Option<String> {
-        let wrong = |(node, known): &(&NodeName, &Known)| self.is_wrong(node, &known.opinion);
-        let absent = self.known.iter().filter(wrong).filter_map(|(node, known)| {
-            matches!(known.opinion, Opinion::Absent { .. }).then(|| node.to_string())
+        let absent = self.known.iter().filter(|(node, known)| {
+            matches!(known.opinion, Opinion::Absent { .. }) && self.is_wrong(node, &known.opinion)
         });
-        let absent: Vec<_> = absent.collect();
+        let absent: Vec<_> = absent.map(|(node, _)| node.as_str()).collect();
         (!absent.is_empty()).then(|| {
             format!(
                 "listed, but without this service: {}; give it there too, or leave it out of all lists: \
