@@ -82,12 +82,12 @@ impl Dependencies {
     /// # Errors
     /// What is wrong; the object is not entered then.
     pub fn add(&mut self, object: ObjectName, needs: &[String]) -> Result<(), DependencyError> {
-        self.enter(object.clone(), needs);
-        let checked = self.check_known(&object).and_then(|()| self.check_circles());
-        if checked.is_err() {
-            self.remove(&object);
-        }
-        checked
+        let mut with = self.clone();
+        with.enter(object.clone(), needs);
+        with.check_known(&object)?;
+        with.check_circles()?;
+        *self = with;
+        Ok(())
     }
 
     /// The node has the object no more. Others may still need it.
@@ -145,18 +145,21 @@ pub fn circle(needs: &BTreeMap<&ObjectName, Vec<&ObjectName>>) -> Option<Vec<Obj
         let mut next = Some(start);
         while next.is_some() || !way.is_empty() {
             if let Some(name) = next {
-                match met.insert(name, true) {
+                match met.get(name) {
                     Some(true) => {
                         let way = way.iter().map(|(name, _)| *name).skip_while(|met| *met != name);
                         return Some(way.chain([name]).cloned().collect());
                     }
-                    Some(false) => drop(met.insert(name, false)),
-                    None => way.push((name, needs_of(name))),
+                    Some(false) => {}
+                    None => {
+                        met.insert(name, true);
+                        way.push((name, needs_of(name)));
+                    }
                 }
             }
             next = way.last_mut().and_then(|(_, open)| open.next().copied());
             if next.is_none() {
-                met.extend(way.pop().map(|(name, _)| (name, false)));
+                met.extend(way.pop().map(|(settled, _)| (settled, false)));
             }
         }
     }

@@ -78,8 +78,13 @@ struct Pool {
     stopped: bool,
 }
 
-/// A thread, for people: who may live there, its pulse, and to whose handler it was lost.
-pub(crate) type Thread = (ThreadKind, Arc<Pulse>, Option<ObjectName>);
+/// A thread that was begun here and has not ended.
+pub(crate) struct Thread {
+    pub(crate) kind: ThreadKind,
+    pub(crate) pulse: Arc<Pulse>,
+    /// The culprit, if it is given up.
+    pub(crate) lost_to: Option<ObjectName>,
+}
 
 impl Pool {
     /// At [`ABANDONED_LIMIT`] the process is begun anew; threads that came back are forgotten.
@@ -212,7 +217,11 @@ impl Arbiters {
         let usable = pool.seats.iter().chain(&pool.own).map(|seat| (seat, None));
         let lost = pool.lost.iter().map(|(seat, culprit)| (seat, Some(culprit.clone())));
         let there = usable.chain(lost).filter(|(seat, _)| seat.handle.alive());
-        there.map(|(seat, lost_to)| (seat.kind(), seat.pulse.clone(), lost_to)).collect()
+        let thread = |(seat, lost_to): (&Seat, _)| {
+            let (kind, pulse) = (seat.kind(), seat.pulse.clone());
+            Thread { kind, pulse, lost_to }
+        };
+        there.map(thread).collect()
     }
 
     /// How many threads are given up now and have not come back.
@@ -230,7 +239,8 @@ impl Arbiters {
     pub(crate) fn stop(&self) {
         let ended = Pool { stopped: true, ..Pool::default() };
         let pool = std::mem::replace(&mut *self.pool_of(), ended);
-        for seat in pool.seats.iter().chain(&pool.own) {
+        let lost = pool.lost.iter().map(|(seat, _)| seat);
+        for seat in pool.seats.iter().chain(&pool.own).chain(lost) {
             seat.handle.stop();
         }
     }

@@ -86,12 +86,15 @@ pub(crate) fn rows(arbiters: &Arbiters, list: &WatchList) -> Vec<ThreadRow> {
     let (mut residents, seen) = (list.residents(), list.seen());
     let mut threads = arbiters.threads();
     if arbiters.are_here() {
-        let starter = |of: &Residents| (ThreadKind::Starter, of.pulse.clone(), None);
+        let starter = |of: &Residents| {
+            let (kind, pulse) = (ThreadKind::Starter, of.pulse.clone());
+            Thread { kind, pulse, lost_to: None }
+        };
         threads = residents.values().map(starter).collect();
     }
-    threads.sort_by_key(|(_, pulse, _)| pulse.id());
+    threads.sort_by_key(|thread| thread.pulse.id());
     let now = platform::now();
-    let row = |(kind, pulse, lost_to): Thread| {
+    let row = |Thread { kind, pulse, lost_to }: Thread| {
         let number = pulse.id();
         let seen = seen.get(&number);
         let mut lives = residents.remove(&number).unwrap_or_else(|| Residents::none(&pulse));

@@ -202,7 +202,7 @@ fn actuator(row: &ActuatorRow) -> Value {
         "contract": row.contract,
         "state": state,
         "commander": commander.map(|commander| commander.name.as_str()),
-        "life": commander.map(|commander| commander.life.0),
+        "incarnation": commander.map(|commander| commander.life.0),
         "epoch": lease.map(|(epoch, _)| epoch),
         "left_ms": millis(lease.map(|(_, left)| left)),
     })

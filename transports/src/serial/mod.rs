@@ -2,7 +2,7 @@
 //!
 //! * **Frames** are found again after any garbage ([`framing`]); a wrong speed at the other end is
 //!   nothing but garbage.
-//! * **A slow line** is given no more than it carries ([`Pace`]), so that what waits, waits here, where it
+//! * **A slow line** is given no more than it carries (its pace), so that what waits, waits here, where it
 //!   is bounded in time and counted, and not in the system's buffers, where hellos would wait behind it:
 //!   they wait for the one frame that is going out.
 //! * **Unplugged**, a port reads as an end, or its writes fail: it is closed at once, which lets a USB

@@ -60,7 +60,11 @@ pub(crate) fn run(options: &MonitorOptions) -> Result<(), MonitorError> {
         let picture: Value = serde_json::from_str(&text).map_err(reason).map_err(no_node)?;
         let shown = if options.json { text } else { tables::draw(&picture) };
         let printed = io::stdout().write_all(shown.as_bytes()).and_then(|()| io::stdout().flush());
-        printed.map_err(MonitorError::Print)?;
+        match printed {
+            // Whoever reads has seen enough, as `head` has.
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(()),
+            printed => printed.map_err(MonitorError::Print)?,
+        }
     }
     Ok(())
 }

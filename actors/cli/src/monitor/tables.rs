@@ -99,7 +99,7 @@ const TABLES: [(&str, &str, &[Column]); 7] = [
             ("contract", "contract"),
             ("state", "state"),
             ("commander", "commander"),
-            ("life", "life"),
+            ("life", "incarnation"),
             ("epoch", "epoch"),
             ("lease left", "left_ms"),
         ],
