@@ -56,6 +56,7 @@ pub mod parcel;
 pub mod router;
 pub mod segment;
 pub mod session;
+pub mod standing;
 pub mod waiting_room;
 
 pub use bundle::{Bundle, BundleOutput};
