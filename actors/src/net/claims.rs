@@ -14,7 +14,7 @@ use blastema_core::net::claims::{
     ClaimRefused, Claims, ClaimsConfig, ClaimsOutput, Holder, NameHeld, Wanted,
 };
 use blastema_core::net::complaints::Complaints;
-use blastema_core::net::standing::Standing;
+use blastema_core::net::latch::Latch;
 use blastema_core::net::{NodeId, Refusals};
 use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName};
 use std::collections::BTreeMap;
@@ -71,7 +71,7 @@ pub(crate) struct ClaimsBody {
     peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
     complaints: Complaints<NodeName>,
     /// As many names as components here claim.
-    troubles: Standing<Trouble>,
+    troubles: Latch<Trouble>,
 }
 
 /// Where the body is told and asked.
@@ -100,7 +100,7 @@ impl ClaimsBody {
                 own: BTreeMap::new(),
                 peers: BTreeMap::new(),
                 complaints: Complaints::default(),
-                troubles: Standing::default(),
+                troubles: Latch::default(),
                 setup,
             }
         };

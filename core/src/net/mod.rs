@@ -47,6 +47,7 @@ pub mod exchange;
 pub mod frame;
 pub mod greeting;
 pub mod isolation;
+pub mod latch;
 pub mod link;
 pub mod message;
 pub mod naming;
@@ -56,7 +57,6 @@ pub mod parcel;
 pub mod router;
 pub mod segment;
 pub mod session;
-pub mod standing;
 pub mod waiting_room;
 
 pub use bundle::{Bundle, BundleOutput};

@@ -19,8 +19,8 @@ pub use self::vocabulary::{Health, LinkStatus, RouterConfig, RouterOutput, Troub
 
 use self::contest::Dispute;
 use super::advertisement::{Advertisement, Routing, Stamp};
+use super::latch::Latch;
 use super::node_id::NodeId;
-use super::standing::Standing;
 use super::topology::{self, Adjacent, Route, Topology, Way};
 use super::wire::Refusals;
 use crate::{Incarnation, Instant, Machine, NodeName};
@@ -68,7 +68,7 @@ pub struct Router {
     /// Links to those lives. They carry, and are not used.
     contested: BTreeMap<LinkNumber, LinkStatus>,
     /// What was told of as a fault and is not over.
-    troubles: Standing<Trouble>,
+    troubles: Latch<Trouble>,
     /// Nodes that the router before this one could reach, and until when they may take to be found
     /// again.
     remembered: Option<(Instant, Vec<(NodeName, Incarnation)>)>,
@@ -133,7 +133,7 @@ impl Router {
             rumour: None,
             disputes: BTreeMap::new(),
             contested: BTreeMap::new(),
-            troubles: Standing::default(),
+            troubles: Latch::default(),
             remembered: None,
             wake_at: refresh_at,
             now,

@@ -4,7 +4,7 @@
 //! holder of a name is asked as often. What nobody says any more for a minute has ended.
 
 use super::{Router, RouterOutput, Trouble};
-use crate::net::standing::QUIET;
+use crate::net::latch::QUIET;
 
 impl Router {
     /// It is told of now.

@@ -13,24 +13,24 @@ pub const QUIET: Duration = Duration::from_secs(60);
 
 /// What stands, by what it is; as much as there are things to be wrong.
 #[derive(Clone, Debug)]
-pub struct Standing<K> {
+pub struct Latch<K> {
     /// When it was last heard of; `None` for what lasts until it is ended.
     last: BTreeMap<K, Option<Instant>>,
 }
 
-impl<K> Default for Standing<K> {
+impl<K> Default for Latch<K> {
     fn default() -> Self {
-        Standing { last: BTreeMap::new() }
+        Latch { last: BTreeMap::new() }
     }
 }
 
-impl<K: Ord + Clone> Standing<K> {
+impl<K: Ord + Clone> Latch<K> {
     /// It is found now, and is over when nothing is heard of it any more.
     pub fn begin(&mut self, what: K, now: Instant) {
         self.last.insert(what, Some(now));
     }
 
-    /// It is found, and lasts until it is [ended](Standing::end).
+    /// It is found, and lasts until it is [ended](Latch::end).
     pub fn hold(&mut self, what: K) {
         self.last.insert(what, None);
     }
@@ -77,17 +77,17 @@ mod tests {
 
     #[test]
     fn what_goes_on_stands_and_is_over_a_minute_after_it_was_last_heard_of() {
-        let mut standing = Standing::default();
-        standing.begin('a', at(0));
-        standing.hold('b');
-        standing.go_on(&'a', at(50));
-        standing.go_on(&'c', at(50));
+        let mut latch = Latch::default();
+        latch.begin('a', at(0));
+        latch.hold('b');
+        latch.go_on(&'a', at(50));
+        latch.go_on(&'c', at(50));
 
-        assert_eq!(standing.due(), Some(at(110)));
-        assert_eq!(standing.take_over(at(109)), []);
-        assert_eq!(standing.take_over(at(110)), ['a']);
-        assert_eq!(standing.take_over(at(1000)), []);
-        assert!(standing.iter().eq(&['b']));
-        assert_eq!((standing.end(&'b'), standing.end(&'b')), (true, false));
+        assert_eq!(latch.due(), Some(at(110)));
+        assert_eq!(latch.take_over(at(109)), []);
+        assert_eq!(latch.take_over(at(110)), ['a']);
+        assert_eq!(latch.take_over(at(1000)), []);
+        assert!(latch.iter().eq(&['b']));
+        assert_eq!((latch.end(&'b'), latch.end(&'b')), (true, false));
     }
 }
