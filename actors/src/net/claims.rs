@@ -7,13 +7,14 @@ use crate::guardian::{Guardian, answers_the_monitor};
 use crate::platform;
 use crate::registry::Registry;
 use actix::prelude::*;
-use blastema_contract::reports::{AreYouAlive, FaultDeclared};
+use blastema_contract::reports::{AreYouAlive, FaultDeclared, FaultMended};
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::PeerSeen;
 use blastema_core::net::claims::{
     ClaimRefused, Claims, ClaimsConfig, ClaimsOutput, Holder, NameHeld, Wanted,
 };
 use blastema_core::net::complaints::Complaints;
+use blastema_core::net::latch::Latch;
 use blastema_core::net::{NodeId, Refusals};
 use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName};
 use std::collections::BTreeMap;
@@ -39,6 +40,7 @@ pub(crate) struct ClaimsSetup {
     pub(crate) registry: Registry,
     pub(crate) names: Names,
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
+    pub(crate) mended: Option<Recipient<FaultMended>>,
 }
 
 /// A name that is claimed here.
@@ -47,6 +49,15 @@ struct Own {
     number: u64,
     told: watch::Sender<ClaimState>,
     unattended: bool,
+}
+
+/// What is wrong.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Trouble {
+    /// Somebody claims what must be refused.
+    Refusals,
+    /// Somebody else has this name.
+    Taken(ObjectName),
 }
 
 /// The body.
@@ -59,6 +70,8 @@ pub(crate) struct ClaimsBody {
     /// Nodes that a session is open with.
     peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
     complaints: Complaints<NodeName>,
+    /// As many names as components here claim.
+    troubles: Latch<Trouble>,
 }
 
 /// Where the body is told and asked.
@@ -87,6 +100,7 @@ impl ClaimsBody {
                 own: BTreeMap::new(),
                 peers: BTreeMap::new(),
                 complaints: Complaints::default(),
+                troubles: Latch::default(),
                 setup,
             }
         };
@@ -132,12 +146,29 @@ impl ClaimsBody {
         }
     }
 
+    /// Something is over: a fault is, once nothing else of its kind is left.
+    fn mend(&self, over: &Trouble) {
+        let kind = match over {
+            Trouble::Refusals => FaultKind::CheckFailed,
+            Trouble::Taken(_) => FaultKind::NameTaken,
+        };
+        let same = |left: &&Trouble| std::mem::discriminant(*left) == std::mem::discriminant(over);
+        if self.troubles.iter().any(|left| same(&left)) {
+            return;
+        }
+        if let Some(mended) = &self.setup.mended {
+            let incarnation = crate::guardian::alive().incarnation;
+            mended.do_send(FaultMended { object: super::named("claims"), incarnation, kind });
+        }
+    }
+
     fn refused(&mut self, name: &ObjectName, refused: ClaimRefused) {
         warn!(%name, "a claim is refused: {refused}");
         let unattended = self.own.get(name).filter(|own| own.unattended);
         if let Some(object) = unattended.map(|own| own.wanted.object.clone()) {
             let detail = format!("{object} goes without the name {name}: {refused}");
             self.declare(FaultKind::NameTaken, detail);
+            self.troubles.hold(Trouble::Taken(name.clone()));
         }
         self.end(name, ClaimState::Refused(refused.into()));
     }
@@ -150,7 +181,11 @@ impl ClaimsBody {
             if let Some(since) = self.complaints.handle_look(node.clone(), refusals) {
                 let detail = format!("what {node} claims is refused all the time: {since}");
                 self.declare(FaultKind::CheckFailed, detail);
+                self.troubles.begin(Trouble::Refusals, platform::now());
             }
+        }
+        for over in self.troubles.take_over(platform::now()) {
+            self.mend(&over);
         }
     }
 }
@@ -215,6 +250,10 @@ impl Body for ClaimsBody {
             ClaimsOutput::Granted { name, epoch } => {
                 info!(%name, epoch, "a name is ours");
                 self.tell(&name, ClaimState::Held { epoch });
+                let taken = Trouble::Taken(name);
+                if self.troubles.end(&taken) {
+                    self.mend(&taken);
+                }
             }
             ClaimsOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
             ClaimsOutput::Refused(held) => {
@@ -232,6 +271,8 @@ impl Body for ClaimsBody {
                      that were made out of each other's sight; {what}"
                 );
                 self.declare(FaultKind::NameTaken, detail);
+                // Each of the two knows it now, and what becomes of it.
+                self.troubles.begin(Trouble::Taken(name.clone()), platform::now());
                 match stands_by {
                     true => self.tell(&name, ClaimState::StandsBy),
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
@@ -266,6 +307,7 @@ impl Handler<Wish> for ClaimsBody {
                             let object = wanted.object;
                             let detail = format!("{object} goes without a name: {held}");
                             self.declare(FaultKind::NameTaken, detail);
+                            self.troubles.hold(Trouble::Taken(held.name.clone()));
                         }
                         told.send_replace(ClaimState::Refused(held.into()));
                         return;
@@ -334,25 +376,51 @@ mod tests {
     use super::*;
     use crate::claim::Claim;
     use blastema_core::net::claims::ClaimPolicy;
-    use blastema_doubles::{advance, paused, settle};
+    use blastema_doubles::{Probe, advance, paused, settle};
 
     fn wanted() -> Wanted {
         Wanted::new(ObjectName::new("map").unwrap(), ClaimPolicy::Refuse)
+    }
+
+    fn setup(names: &Names) -> ClaimsSetup {
+        ClaimsSetup {
+            node: NodeName::new("a").unwrap(),
+            incarnation: Incarnation(1),
+            settle: Duration::ZERO,
+            expected: Vec::new(),
+            registry: Registry::default(),
+            names: names.clone(),
+            faults: None,
+            mended: None,
+        }
+    }
+
+    #[test]
+    fn that_a_component_goes_without_its_name_is_over_when_it_has_it() {
+        paused(async {
+            let (declared, mended) =
+                (Probe::<FaultDeclared>::start(), Probe::<FaultMended>::start());
+            let (faults, over) = (Some(declared.recipient()), Some(mended.recipient()));
+            let names = Names::default();
+            let setup = ClaimsSetup { faults, mended: over, ..setup(&names) };
+            let _ports = ClaimsBody::start(setup, &Guardian::default(), None);
+            let claim = Claim::make(&names, wanted()).await.unwrap();
+
+            names.claim_unattended(wanted(), 98);
+            assert_eq!(declared.expect().await.kind, FaultKind::NameTaken);
+            mended.expect_none_for(Duration::from_secs(100)).await;
+            drop(claim);
+            names.claim_unattended(wanted(), 99);
+
+            assert_eq!(mended.expect().await.kind, FaultKind::NameTaken);
+        });
     }
 
     #[test]
     fn what_is_claimed_outlives_a_panic_of_those_who_keep_it() {
         paused(async {
             let names = Names::default();
-            let setup = ClaimsSetup {
-                node: NodeName::new("a").unwrap(),
-                incarnation: Incarnation(1),
-                settle: Duration::ZERO,
-                expected: Vec::new(),
-                registry: Registry::default(),
-                names: names.clone(),
-                faults: None,
-            };
+            let setup = setup(&names);
             let ports = ClaimsBody::start(setup, &Guardian::default(), None);
             let claim = Claim::make(&names, wanted()).await.unwrap();
             let epoch = claim.epoch().unwrap();

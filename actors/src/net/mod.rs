@@ -44,7 +44,7 @@ use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::naming::{FindObject, NodeRow, ReadDifferences, ReadNames};
 use blastema_contract::recoverer::Recover;
-use blastema_contract::reports::{AreYouAlive, FaultDeclared};
+use blastema_contract::reports::{AreYouAlive, FaultDeclared, FaultMended};
 use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
 use blastema_contract::session::{AddGateway, Leave, PeerSeen, ReadSessions, SessionRow};
 use blastema_contract::strategy::{IsolateNode, Reroute};
@@ -132,6 +132,8 @@ pub(crate) struct NetEnvironment {
     pub(crate) judges: Judges,
     /// Is told of faults that are found in what other nodes send.
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
+    /// Is told of those that are over.
+    pub(crate) mended: Option<Recipient<FaultMended>>,
     /// Are told whom they can talk to.
     pub(crate) envoys: Vec<Recipient<PeerSeen>>,
 }
@@ -200,8 +202,8 @@ pub(crate) fn start(
     }
     environment.envoys.extend(discovery.clone().map(Addr::recipient));
 
-    let (nodes, faults) = (environment.nodes.clone(), environment.faults.clone());
-    let make = router::Router::maker(life.clone(), nodes, faults);
+    let faults = (environment.faults.clone(), environment.mended.clone());
+    let make = router::Router::maker(life.clone(), environment.nodes.clone(), faults);
     let router = guardian.start(named("router"), place, make);
 
     let told = (environment.faults.clone(), environment.nodes.clone());

@@ -6,13 +6,14 @@ use crate::platform;
 use actix::prelude::*;
 use blastema_contract::link::{AddLinks, Arrived, Carry, GivenUp, LinkChanged, Load, ReportLinks};
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::reports::FaultDeclared;
+use blastema_contract::reports::{FaultDeclared, FaultMended};
 use blastema_contract::router::{
     AddSessions, KeepOut, PanicOnPurpose, PathReported, ReadRoutes, Routes, SegmentArrived,
     SendSegment,
 };
 use blastema_contract::strategy::Reroute;
 use blastema_core::detection::NodeCondition;
+use blastema_core::net::router::Trouble;
 use blastema_core::net::{self, LinkNumber, NodeId, RouterConfig, RouterOutput};
 use blastema_core::recovery::{Done, Failed};
 use blastema_core::{FaultKind, Incarnation, NodeName, Place};
@@ -30,6 +31,7 @@ pub(super) struct Router {
     sessions: Option<AddSessions>,
     monitor: Option<Recipient<NodeReported>>,
     faults: Option<Recipient<FaultDeclared>>,
+    mended: Option<Recipient<FaultMended>>,
     /// Who can be reached, in which life: what a router that begins anew must find again.
     reached: BTreeMap<NodeName, Incarnation>,
     /// Who wants to know whether there is another way to a node, until that is certain: as many as the
@@ -43,7 +45,7 @@ impl Router {
     pub(super) fn maker(
         (node, incarnation): (NodeName, Incarnation),
         monitor: Option<Recipient<NodeReported>>,
-        faults: Option<Recipient<FaultDeclared>>,
+        (faults, mended): (Option<Recipient<FaultDeclared>>, Option<Recipient<FaultMended>>),
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         move |_| {
             let config = RouterConfig::new(node, incarnation);
@@ -56,6 +58,7 @@ impl Router {
                 sessions: None,
                 monitor,
                 faults,
+                mended,
                 reached: BTreeMap::new(),
                 inquirers: Vec::new(),
                 kept_out: BTreeSet::new(),
@@ -70,6 +73,18 @@ impl Router {
             let object = super::named("router");
             let incarnation = crate::guardian::alive().incarnation;
             faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        }
+    }
+
+    fn mend(&self, trouble: Trouble) {
+        let kind = match trouble {
+            Trouble::Forged => FaultKind::CheckFailed,
+            Trouble::NameTaken => FaultKind::NameTaken,
+        };
+        info!(fault = %kind, "nothing more of it was heard for a minute");
+        if let Some(mended) = &self.mended {
+            let incarnation = crate::guardian::alive().incarnation;
+            mended.do_send(FaultMended { object: super::named("router"), incarnation, kind });
         }
     }
 
@@ -134,6 +149,8 @@ impl Actor for Router {
 
 impl Supervised for Router {
     fn restarting(&mut self, context: &mut Context<Self>) {
+        // What goes on is told anew.
+        self.machine.troubles().for_each(|trouble| self.mend(trouble));
         let reached = self.reached.clone();
         self.machine = net::Router::reborn(self.config.clone(), reached, platform::now());
         for node in &self.kept_out {
@@ -192,6 +209,7 @@ impl Body for Router {
                     format!("{what}: {times} times within ten seconds, by way of {neighbour}");
                 self.declare(FaultKind::CheckFailed, detail);
             }
+            RouterOutput::Over(trouble) => self.mend(trouble),
             RouterOutput::NumberTaken { node, refused } => {
                 self.declare(FaultKind::NameTaken, format!(
                     "the names {node} and {refused} give one node number: {refused} is kept out; \

@@ -188,6 +188,7 @@ impl Robot {
             links: Some(links.recipient()),
             nodes: Some(nodes.recipient()),
             faults: Some(declared.recipient()),
+            mended: None,
             judges: Judges::Majority,
             envoys: Vec::new(),
         };
@@ -735,6 +736,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             links: None,
             nodes: None,
             faults: None,
+            mended: None,
             judges: Judges::Majority,
             envoys: Vec::new(),
         };

@@ -331,6 +331,7 @@ fn make_networks(
         links: Some(monitor.clone().recipient()),
         nodes: Some(monitor.clone().recipient()),
         faults: Some(monitor.clone().recipient()),
+        mended: Some(monitor.clone().recipient()),
         judges,
         envoys: Vec::new(),
     };
@@ -378,6 +379,7 @@ fn claims_setup(
         registry: environment.registry.clone(),
         names: environment.names.clone(),
         faults: Some(parts.monitor.clone().recipient()),
+        mended: Some(parts.monitor.clone().recipient()),
     }
 }
 

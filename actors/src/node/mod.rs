@@ -54,9 +54,9 @@ use blastema_contract::session::SessionRow;
 use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
 use blastema_core::dependencies::Dependencies;
 use blastema_core::detection::{Record, Row};
-use blastema_core::net::Route;
 use blastema_core::net::claims::Wanted;
 use blastema_core::net::isolation::Decision;
+use blastema_core::net::{Refusals, Route};
 use blastema_core::{
     Contract, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable, Why,
 };
@@ -350,6 +350,15 @@ impl Node {
         match &self.0.networks {
             Some(networks) => networks.handle.read_routes().await.routes,
             None => Vec::new(),
+        }
+    }
+
+    /// What was not passed on, and why: what could not be understood, announcements that were old or forged,
+    /// copies whose way is not there any more.
+    pub async fn not_routed(&self) -> Refusals {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_routes().await.refusals,
+            None => Refusals::default(),
         }
     }
 

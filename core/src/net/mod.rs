@@ -47,6 +47,7 @@ pub mod exchange;
 pub mod frame;
 pub mod greeting;
 pub mod isolation;
+pub mod latch;
 pub mod link;
 pub mod message;
 pub mod naming;

@@ -12,12 +12,14 @@ mod contest;
 mod flooding;
 mod forwarding;
 mod given_up;
+mod trouble;
 mod vocabulary;
 
-pub use self::vocabulary::{Health, LinkStatus, RouterConfig, RouterOutput};
+pub use self::vocabulary::{Health, LinkStatus, RouterConfig, RouterOutput, Trouble};
 
 use self::contest::Dispute;
 use super::advertisement::{Advertisement, Routing, Stamp};
+use super::latch::Latch;
 use super::node_id::NodeId;
 use super::topology::{self, Adjacent, Route, Topology, Way};
 use super::wire::Refusals;
@@ -65,6 +67,8 @@ pub struct Router {
     disputes: BTreeMap<NodeId, Dispute>,
     /// Links to those lives. They carry, and are not used.
     contested: BTreeMap<LinkNumber, LinkStatus>,
+    /// What was told of as a fault and is not over.
+    troubles: Latch<Trouble>,
     /// Nodes that the router before this one could reach, and until when they may take to be found
     /// again.
     remembered: Option<(Instant, Vec<(NodeName, Incarnation)>)>,
@@ -129,6 +133,7 @@ impl Router {
             rumour: None,
             disputes: BTreeMap::new(),
             contested: BTreeMap::new(),
+            troubles: Latch::default(),
             remembered: None,
             wake_at: refresh_at,
             now,
@@ -150,6 +155,11 @@ impl Router {
         router.remembered = Some((until, reached.into_iter().collect()));
         router.wake_at = router.wake_at.min(until);
         router
+    }
+
+    /// What was told of and is not over.
+    pub fn troubles(&self) -> impl Iterator<Item = Trouble> {
+        self.troubles.iter().copied()
     }
 
     /// What was refused so far.
@@ -370,8 +380,8 @@ impl Router {
             known.believed.iter().map(|(_, until)| *until).chain([known.expires])
         });
         let remembered = self.remembered.iter().map(|(until, _)| *until);
-        let disputes = self.dispute_ends();
-        links.chain(ages).chain(remembered).chain(disputes).fold(self.refresh_at, Instant::min)
+        let ends = self.dispute_ends().into_iter().chain(self.troubles.due());
+        links.chain(ages).chain(remembered).chain(ends).fold(self.refresh_at, Instant::min)
     }
 }
 
@@ -413,6 +423,7 @@ impl Machine for Router {
             self.settle_disputes();
         }
         self.give_up_remembered();
+        self.end_troubles();
         self.wake_at = self.earliest();
     }
 }

@@ -11,7 +11,7 @@
 //! without anybody's knowing, it does not defend itself. Where two halves of a network meet that have each
 //! a node of this name, the older life stays, everywhere.
 
-use super::{Health, LinkNumber, LinkStatus, Router, RouterOutput};
+use super::{Health, LinkNumber, LinkStatus, Router, RouterOutput, Trouble};
 use crate::net::advertisement::{Advertisement, Routing, Stamp};
 use crate::net::link::Neighbour;
 use crate::net::node_id::NodeId;
@@ -27,6 +27,8 @@ pub(super) struct Dispute {
     until: Option<Instant>,
     /// When others were last asked, or told.
     told_at: Instant,
+    /// When the holder was last asked.
+    asked_at: Instant,
 }
 
 impl Router {
@@ -34,6 +36,8 @@ impl Router {
     const DEFEND_WITHIN: Duration = Duration::from_secs(1);
     /// A dispute is asked about, and its end told again, no more often.
     const TELL_AGAIN: Duration = Duration::from_millis(100);
+    /// The holder hears so often that the contender is still there.
+    const ASK_AGAIN: Duration = Duration::from_secs(10);
 
     /// Whether this life of a node is kept out, because an older one is still there.
     pub(super) fn is_contested(&mut self, node: &NodeName, incarnation: Incarnation) -> bool {
@@ -48,7 +52,7 @@ impl Router {
         }
         if self.disputes.get(&id).is_none_or(|dispute| dispute.contender < incarnation) {
             let until = Some(now + Self::DEFEND_WITHIN);
-            let dispute = Dispute { contender: incarnation, until, told_at: now };
+            let dispute = Dispute { contender: incarnation, until, told_at: now, asked_at: now };
             self.disputes.insert(id, dispute);
             self.wake_at = self.wake_at.min(now + Self::DEFEND_WITHIN);
             let contender = Stamp { origin: id, incarnation, sequence: 0 };
@@ -83,7 +87,8 @@ impl Router {
             return;
         }
         let until = known.map_or(Some(now + Self::DEFEND_WITHIN), |dispute| dispute.until);
-        self.disputes.insert(origin, Dispute { contender: incarnation, until, told_at: now });
+        let dispute = Dispute { contender: incarnation, until, told_at: now, asked_at: now };
+        self.disputes.insert(origin, dispute);
         self.wake_at = self.wake_at.min(now + Self::DEFEND_WITHIN);
         self.tell_all(&Routing::Dispute { contender, node }, Some(from));
     }
@@ -114,8 +119,14 @@ impl Router {
             self.usurper = Some(against);
             let (incarnation, first) = (against, true);
             self.outputs.push_back(RouterOutput::NameTaken { incarnation, first });
-        } else if self.now < self.defended_at + Self::TELL_AGAIN {
-            return;
+            self.begin_trouble(Trouble::NameTaken);
+        } else {
+            if alive {
+                self.go_on(Trouble::NameTaken);
+            }
+            if self.now < self.defended_at + Self::TELL_AGAIN {
+                return;
+            }
         }
         self.defended_at = self.now;
         self.renew();
@@ -137,7 +148,9 @@ impl Router {
         }
         if origin == self.id {
             let own = self.own.stamp.incarnation;
+            self.go_on(Trouble::NameTaken);
             if incarnation < own && own <= against && self.usurper != Some(incarnation) {
+                self.begin_trouble(Trouble::NameTaken);
                 self.usurper = Some(incarnation);
                 self.outputs.push_back(RouterOutput::NameTaken { incarnation, first: false });
             }
@@ -170,7 +183,8 @@ impl Router {
             self.refusals.too_large += 1;
             return;
         }
-        let dispute = Dispute { contender, until: None, told_at: self.now };
+        let asked_at = known.map_or(self.now, |known| known.asked_at);
+        let dispute = Dispute { contender, until: None, told_at: self.now, asked_at };
         self.disputes.insert(origin, dispute);
         self.learn(advertisement.clone(), from);
         self.outdate();
@@ -194,8 +208,17 @@ impl Router {
 
     /// The contender, which is kept out, announces itself over and over: it is told why.
     pub(super) fn tell_contender(&mut self, link: LinkNumber) {
-        if let Some(status) = self.contested.get(&link) {
-            self.tell_why(link, NodeId::of(&status.neighbour.node));
+        let Some(LinkStatus { neighbour, .. }) = self.contested.get(&link) else { return };
+        let (node, now) = (neighbour.node.clone(), self.now);
+        let (origin, incarnation) = (NodeId::of(&node), neighbour.incarnation);
+        self.tell_why(link, origin);
+        let due = |dispute: &&mut Dispute| {
+            dispute.until.is_none() && dispute.asked_at + Self::ASK_AGAIN <= now
+        };
+        if let Some(dispute) = self.disputes.get_mut(&origin).filter(due) {
+            dispute.asked_at = now;
+            let contender = Stamp { origin, incarnation, sequence: 0 };
+            self.tell_all(&Routing::Dispute { contender, node }, Some(link));
         }
     }
 

@@ -1,6 +1,6 @@
 //! Announcements: told to every neighbour until it confirms them, compared, outdone.
 
-use super::{Known, LinkNumber, Router, RouterOutput};
+use super::{Known, LinkNumber, Router, RouterOutput, Trouble};
 use crate::net::advertisement::{
     Advertisement, Edge, HAVE_HEADER, NEIGHBOURS_MAX, Routing, STAMP, Stamp,
 };
@@ -333,11 +333,13 @@ impl Router {
         let fresh = self.now - since > FORGED_PERIOD;
         self.forged = if fresh { (self.now, 1) } else { (since, times.saturating_add(1)) };
         let times = self.forged.1;
+        self.go_on(Trouble::Forged);
         if times == FORGED_MANY
             && let Some(adjacent) = self.links.get(&link)
         {
             let neighbour = adjacent.neighbour.node.clone();
             self.outputs.push_back(RouterOutput::Forged { neighbour, times });
+            self.begin_trouble(Trouble::Forged);
         }
     }
 
@@ -385,8 +387,10 @@ impl Router {
         self.refusals.unexpected += 1;
         let Some(node) = node else { return };
         let pair = Some((node.clone(), refused.clone()));
+        self.go_on(Trouble::NameTaken);
         if self.told != pair {
             self.told = pair;
+            self.begin_trouble(Trouble::NameTaken);
             self.outputs.push_back(RouterOutput::NumberTaken { node, refused });
         }
     }

@@ -498,6 +498,23 @@ fn what_was_said_in_our_name_under_the_highest_number_is_withdrawn_and_counting_
 }
 
 #[test]
+fn lies_in_our_name_are_over_when_a_minute_has_passed_without_one() {
+    let mut router = between_two();
+    let over = RouterOutput::Over(Trouble::Forged);
+    for second in 0..100 {
+        let lie = advertisement("own", 1000 + 10 * second, &[("nowhere", 1)]);
+        tell(&mut router, FIRST, lie, 2000 + 1000 * u64::from(second));
+        assert!(!outputs(&mut router, 2000 + 1000 * u64::from(second)).contains(&over));
+    }
+    assert!(router.troubles().eq([Trouble::Forged]));
+
+    assert!(!outputs(&mut router, 160_900).contains(&over));
+    assert!(router.poll_timeout().is_some_and(|due| due <= at(161_000)));
+    assert!(outputs(&mut router, 161_000).contains(&over));
+    assert_eq!(router.troubles().count(), 0);
+}
+
+#[test]
 fn a_router_that_has_counted_to_the_end_withdraws_its_last_word_first() {
     let mut router = between_two();
     router.own.stamp.sequence = u32::MAX;

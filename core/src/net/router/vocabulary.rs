@@ -74,6 +74,15 @@ pub enum Health {
     Down,
 }
 
+/// What a router tells of that goes on until somebody acts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Trouble {
+    /// Somebody announces links in this node's name.
+    Forged,
+    /// Two nodes have one name, or one number.
+    NameTaken,
+}
+
 /// What a router wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RouterOutput {
@@ -142,6 +151,8 @@ pub enum RouterOutput {
         /// How often within ten seconds.
         times: u32,
     },
+    /// Of this nothing was heard for a minute.
+    Over(Trouble),
     /// Two names give one node number. The second is ignored; give it another name.
     NumberTaken {
         /// Who has it.

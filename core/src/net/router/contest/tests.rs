@@ -92,6 +92,9 @@ impl Net {
                 RouterOutput::NameTaken { incarnation, first } => {
                     self.told.push(format!("{who:?} taken by {incarnation}, first: {first}"));
                 }
+                RouterOutput::Over(trouble) => {
+                    self.told.push(format!("{who:?} is rid of {trouble:?}"));
+                }
                 _ => {}
             }
         }
@@ -222,6 +225,30 @@ fn where_two_halves_meet_that_have_each_a_node_of_a_name_the_older_stays_everywh
     let both = ["(\"a\", 1) taken by #2, first: true", "(\"a\", 2) taken by #1, first: false"];
     assert_eq!(told[..2], both);
     assert!(told[2..].iter().all(|told| !told.contains("reaches a")), "{told:?}");
+}
+
+#[test]
+fn that_a_name_is_taken_is_over_a_minute_after_the_second_node_has_gone_and_not_before() {
+    let mut net = Net::new(&[(A, B), (B, C)]);
+    net.plug(C, LATER);
+    net.run(75_000);
+    assert!(!net.told().iter().any(|told| told.contains("rid")), "{:?}", net.told());
+
+    net.kill(LATER);
+    net.run(75_000);
+    assert_eq!(net.told().iter().filter(|told| told.contains("rid")).count(), 1);
+    net.plug(C, LATER);
+    net.run(1_000);
+    let again = "(\"a\", 1) taken by #2, first: true";
+    let told = net.told();
+    assert!(told.iter().any(|told| told == again), "{told:?}");
+
+    // The older one ends instead.
+    net.kill(A);
+    net.run(75_000);
+    let mut told = net.told();
+    told.retain(|told| told.contains("rid"));
+    assert_eq!(told, ["(\"a\", 2) is rid of NameTaken"]);
 }
 
 #[test]
