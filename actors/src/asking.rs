@@ -2,6 +2,7 @@
 
 use crate::platform;
 use crate::sender::{Inlet, RequestError, next_id};
+use blastema_core::retry::Attempt;
 use blastema_core::{Contract, Instant, MessageId, RetryRule, Why, codec};
 use std::time::Duration;
 
@@ -44,7 +45,8 @@ async fn pursue<M: Contract>(
             Err(error) => error,
         };
         asked += 1;
-        let wait = rule.again(asked, &why, M::IDEMPOTENT, until.as_nanos());
+        let attempt = Attempt { asked, why: &why, idempotent: M::IDEMPOTENT };
+        let wait = rule.again(attempt, until.as_nanos());
         let wait = wait.filter(|wait| concerns(&why) && platform::now() + *wait < until);
         let Some(wait) = wait else { return Err(RequestError { why, message: back }) };
         let kept = || codec::decode::<M>(&copy).ok().filter(|_| copied);

@@ -9,6 +9,7 @@ use crate::registry::{Doorway, Postmark, ReplyTo, encoded_reply};
 use crate::reply::{Answer, Reply};
 use crate::sender::{Inlet, RequestError, SendError};
 use blastema_core::{Contract, FaultKind, MessageId, Why, codec};
+use bytes::Bytes;
 use std::future::{self, Future};
 use std::pin::Pin;
 use std::sync::Arc;
@@ -62,11 +63,11 @@ impl<M: Contract> Inlet<M> for Desk<M> {
 impl<M: Contract> Doorway for Desk<M> {
     fn deliver(
         &self,
-        message: &[u8],
+        message: &Bytes,
         Postmark { until, .. }: Postmark,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), Why> {
-        let decoded = codec::decode::<M>(message)
+        let decoded = codec::decode_shared::<M>(message)
             .map_err(|error| Why::Undecodable { reason: error.to_string() });
         match (decoded, reply_to) {
             (Ok(message), reply_to) => {

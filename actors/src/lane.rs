@@ -365,9 +365,9 @@ mod tests {
         let lane = lane(2, WhenFull::Refuse);
         push(&lane, 1).unwrap();
 
-        assert_eq!(lane.stop_by(LIFE.next()), []);
+        assert_eq!(lane.stop_by(LIFE.next()), [0; 0]);
         assert_eq!(lane.stop_by(LIFE), [1]);
-        assert_eq!(lane.stop(), []);
+        assert_eq!(lane.stop(), [0; 0]);
         assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));
         lane.give_to(None);
         assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));

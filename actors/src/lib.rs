@@ -115,7 +115,7 @@ compile_error!(
 );
 
 // Messages, and what they are made of.
-pub use blastema_core::{Contract, Described, Event, Request, Variable};
+pub use blastema_core::{Blob, Contract, Described, Event, Request, Variable};
 pub use blastema_macros::{Event, Request, Structure, Variable};
 pub use serde;
 
@@ -124,18 +124,20 @@ pub use component::{Component, Failure, Handle};
 pub use context::{Context, LongOperation};
 pub use host::life::TimerId;
 pub use host::spec::{ChildSpec, SpecError};
+pub use host::threads::{ThreadKind, ThreadRow, ThreadState};
 pub use lane::WhenFull;
 pub use platform::sleep;
 pub use ports::{ListenPort, Ports};
 
 // Sending, and what becomes of messages.
 pub use blastema_core::dead_letters::DeadReason;
+pub use blastema_core::lease::{CommanderId, LeaseStanding};
 pub use blastema_core::{
     Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, RetryRule, Why,
 };
 pub use death_watch::{Down, Ending};
 pub use host::office::DeadLetterOffice;
-pub use lease::{ActuatorSpec, Commander};
+pub use lease::{ActuatorRow, ActuatorSpec, Commander};
 pub use reference::ActorRef;
 pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
 pub use service::{OnPartition, Role, ServiceRef, ServiceSpec, StandbyKind, Stateful};
@@ -155,13 +157,13 @@ pub use blastema_contract::link::LinkRow;
 pub use blastema_contract::naming::NodeRow;
 pub use blastema_contract::session::SessionRow;
 pub use blastema_contract::supervisor::Branch;
-pub use blastema_core::net::LinkState;
-pub use blastema_core::net::Route;
+pub use blastema_core::net::session::{SessionCounters, SessionState, Standing};
+pub use blastema_core::net::{LinkState, Route};
 pub use blastema_macros::main;
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 pub use node::{
     Cable, Direction, FaultEvents, Impairment, Link, MemoryMedium, Network, Node, NodeBuilder,
-    NodeState, StartError, SupervisorSpec,
+    NodeState, Picture, RestartError, StartError, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.

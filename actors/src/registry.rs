@@ -62,7 +62,7 @@ pub(crate) trait Doorway: Send + Sync {
     /// tried again, or [buried](Self::bury).
     fn deliver(
         &self,
-        message: &[u8],
+        message: &Bytes,
         postmark: Postmark,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), Why>;
@@ -213,12 +213,12 @@ fn encoding(error: codec::EncodeError, limit: usize) -> Why {
 impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
     fn deliver(
         &self,
-        message: &[u8],
+        message: &Bytes,
         postmark: Postmark,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), Why> {
         let read = match &self.former {
-            None => codec::decode::<M>(message),
+            None => codec::decode_shared::<M>(message),
             Some(former) => former.read(message),
         };
         match read {
@@ -308,7 +308,7 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
         let id = id.or_else(|| M::IDEMPOTENT.then(crate::sender::next_id));
         let reply_to = move |result: Result<Bytes, Why>| {
             let decoded = result.and_then(|bytes| {
-                codec::decode_reply::<M>(&bytes)
+                codec::decode_shared_reply::<M>(&bytes)
                     .map_err(|error| Why::Undecodable { reason: error.to_string() })
             });
             match decoded {

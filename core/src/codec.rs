@@ -9,11 +9,13 @@
 //! followed to a depth of [`DEPTH_LIMIT`](crate::field::DEPTH_LIMIT).
 
 use crate::Contract;
+use crate::blob::sharing;
 use crate::layout::{Described, LayoutOf};
 use bincode::config::{self, Config};
 use bincode::enc::EncoderImpl;
 use bincode::enc::write::{SliceWriter, Writer};
 use bincode::error::{DecodeError as Malformed, EncodeError as Refusal};
+use bytes::Bytes;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -131,6 +133,14 @@ pub fn decode<M: Contract>(bytes: &[u8]) -> Result<M, DecodeError> {
     decode_within::<M, MessageLimit<M>>(bytes)
 }
 
+/// As [`decode`], and every [`Blob`](crate::Blob) in the message is a part of these bytes.
+///
+/// # Errors
+/// As [`decode`].
+pub fn decode_shared<M: Contract>(bytes: &Bytes) -> Result<M, DecodeError> {
+    sharing(bytes, || decode(bytes))
+}
+
 /// Decodes a reply to `M` of at most [`Contract::MAX_SIZE`] bytes.
 ///
 /// # Errors
@@ -139,6 +149,14 @@ pub fn decode_reply<M: Contract>(bytes: &[u8]) -> Result<M::Reply, DecodeError> 
     // As for fields: what cannot be decoded within bounds is refused when this is compiled.
     let _: LayoutOf = M::Reply::layout;
     decode_within::<M::Reply, MessageLimit<M>>(bytes)
+}
+
+/// As [`decode_reply`], and every [`Blob`](crate::Blob) in the reply is a part of these bytes.
+///
+/// # Errors
+/// As [`decode_reply`].
+pub fn decode_shared_reply<M: Contract>(bytes: &Bytes) -> Result<M::Reply, DecodeError> {
+    sharing(bytes, || decode_reply::<M>(bytes))
 }
 
 /// Decodes any value of at most `LIMIT` bytes.
@@ -199,12 +217,13 @@ fn decode_within<T: DeserializeOwned, L: Limit>(bytes: &[u8]) -> Result<T, Decod
 }
 
 fn read<T: DeserializeOwned>(bytes: &[u8], config: impl Config) -> Result<T, DecodeError> {
-    let (value, taken) =
-        bincode::serde::decode_from_slice(bytes, config).map_err(|malformed| match malformed {
+    let (value, taken) = bincode::serde::borrow_decode_from_slice(bytes, config).map_err(
+        |malformed| match malformed {
             Malformed::UnexpectedEnd { .. } | Malformed::LimitExceeded => DecodeError::Truncated,
             Malformed::OtherString(reason) => DecodeError::Malformed { reason },
             other => DecodeError::Malformed { reason: other.to_string() },
-        })?;
+        },
+    )?;
     match bytes.len() - taken {
         0 => Ok(value),
         count => Err(DecodeError::Trailing { count }),

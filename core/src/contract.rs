@@ -3,7 +3,7 @@
 use crate::codec::{self, DecodeError};
 use crate::difference::{Difference, Half, compare};
 use crate::layout::{Described, LayoutOf};
-use crate::{Delivery, Former, LayoutDescription, ObjectName};
+use crate::{Delivery, Former, LayoutDescription, ObjectName, hash};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::any::TypeId;
 use std::collections::BTreeMap;
@@ -282,12 +282,7 @@ fn contract_name<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error>
 /// It is taken over the bytes of both descriptions, which golden tests hold still: it is the same in
 /// every build and on every platform.
 pub fn fingerprint(message: LayoutOf, reply: LayoutOf) -> u64 {
-    // The offset basis and the prime of FNV-1a for 64 bits, as published by its authors.
-    const BASIS: u64 = 0xcbf2_9ce4_8422_2325;
-    const PRIME: u64 = 0x0000_0100_0000_01b3;
-
-    let bytes = codec::encode_unbounded(&PeerStructure::of(message, reply));
-    bytes.iter().fold(BASIS, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(PRIME))
+    hash::of(codec::encode_unbounded(&PeerStructure::of(message, reply)))
 }
 
 /// The fingerprint of the contract `id`, computed when first asked for.

@@ -14,8 +14,8 @@ pub enum Delivery {
     /// Each at most once, and none after a newer one; what is lost on the way is not repeated. For
     /// readings of which only the newest counts.
     Newest,
-    /// Each once and in order, and a copy over every way that there is: while one of them carries,
-    /// nothing is late. For what must not wait until a failed cable has been noticed.
+    /// Each once and in order, and copies over ways that share as little as can be: while one of them
+    /// carries, nothing is late. For what must not wait until a failed cable has been noticed.
     Redundant,
 }
 
@@ -39,7 +39,8 @@ pub enum Why {
     /// The receiver is between two lives. Try again shortly.
     #[error("the receiver is restarting")]
     Restarting,
-    /// The receiver was stopped, or has ended for good.
+    /// The receiver was stopped, or has ended for good. Where its whole node is at safe rest, the fault list
+    /// says so.
     #[error("the receiver is stopped")]
     Stopped,
     /// The answer did not come in time. Whether the request took effect is not known.

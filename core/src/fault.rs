@@ -45,6 +45,8 @@ pub enum FaultKind {
     NameTaken,
     /// Whoever commanded an actuator went without giving it back, and nobody has claimed it since.
     CommanderGone,
+    /// A whole node has come to safe rest: its safe outputs were applied, and nothing of it serves.
+    NodeAtRest,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -62,7 +64,7 @@ pub enum Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 17] = [
+    pub const BUILT_IN: [FaultKind; 18] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -80,9 +82,10 @@ impl FaultKind {
         FaultKind::NodeFaulty,
         FaultKind::NameTaken,
         FaultKind::CommanderGone,
+        FaultKind::NodeAtRest,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B17`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B18`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -103,6 +106,7 @@ impl FaultKind {
             FaultKind::NodeFaulty => "B15",
             FaultKind::NameTaken => "B16",
             FaultKind::CommanderGone => "B17",
+            FaultKind::NodeAtRest => "B18",
             FaultKind::Custom(code) => code,
         }
     }
@@ -127,6 +131,7 @@ impl FaultKind {
             FaultKind::NodeFaulty => "node faulty",
             FaultKind::NameTaken => "name taken",
             FaultKind::CommanderGone => "commander gone",
+            FaultKind::NodeAtRest => "node at rest",
             FaultKind::Custom(code) => code,
         }
     }
@@ -141,7 +146,8 @@ impl FaultKind {
             FaultKind::Fatal
             | FaultKind::NodeLost
             | FaultKind::RestartStorm
-            | FaultKind::NodeFaulty => Severity::Critical,
+            | FaultKind::NodeFaulty
+            | FaultKind::NodeAtRest => Severity::Critical,
             _ => Severity::Error,
         }
     }

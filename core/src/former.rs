@@ -10,9 +10,10 @@
 
 use crate::codec::{self, DecodeError, EncodeError};
 use crate::{Contract, ContractIdentity};
+use bytes::Bytes;
 use std::fmt;
 
-type Read<M> = Box<dyn Fn(&[u8]) -> Result<M, DecodeError> + Send + Sync>;
+type Read<M> = Box<dyn Fn(&Bytes) -> Result<M, DecodeError> + Send + Sync>;
 type Answer<M> =
     Box<dyn Fn(<M as Contract>::Reply, &mut Vec<u8>) -> Result<(), EncodeError> + Send + Sync>;
 
@@ -43,7 +44,7 @@ impl<M: Contract> Former<M> {
         }
         let before = Former::<M> {
             identity: ContractIdentity::of::<P>(),
-            read: Box::new(|bytes| codec::decode::<P>(bytes).map(M::from)),
+            read: Box::new(|bytes| codec::decode_shared::<P>(bytes).map(M::from)),
             answer: Box::new(|reply, to| codec::encode_reply::<P>(&P::Reply::from(reply), to)),
         };
         let earlier =
@@ -64,7 +65,7 @@ impl<M: Contract> Former<M> {
     ///
     /// # Errors
     /// [`DecodeError`] if the bytes are not exactly one such message.
-    pub fn read(&self, bytes: &[u8]) -> Result<M, DecodeError> {
+    pub fn read(&self, bytes: &Bytes) -> Result<M, DecodeError> {
         (self.read)(bytes)
     }
 

@@ -46,6 +46,27 @@ pub enum LeaseEnd {
     Released,
 }
 
+/// How a lease stands, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum LeaseStanding {
+    /// Nobody commands; the outputs are at rest.
+    Free,
+    /// Somebody commands.
+    Held {
+        /// Who.
+        commander: CommanderId,
+        /// Under which epoch.
+        epoch: u64,
+        /// How long the lease still holds unless it is renewed.
+        left: Duration,
+    },
+    /// The safe outputs are being applied.
+    Settling {
+        /// Who commanded until then.
+        commander: CommanderId,
+    },
+}
+
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LeaseOutput {
@@ -90,6 +111,21 @@ impl Lease {
         match &self.state {
             State::Held { commander, .. } => Some((commander, self.last_epoch)),
             State::Free | State::Settling { .. } => None,
+        }
+    }
+
+    /// How it stands at `now`.
+    pub fn standing(&self, now: Instant) -> LeaseStanding {
+        match &self.state {
+            State::Free => LeaseStanding::Free,
+            State::Held { commander, due } => LeaseStanding::Held {
+                commander: commander.clone(),
+                epoch: self.last_epoch,
+                left: *due - now,
+            },
+            State::Settling { commander, .. } => {
+                LeaseStanding::Settling { commander: commander.clone() }
+            }
         }
     }
 
@@ -218,6 +254,19 @@ mod tests {
     fn applied(lease: &mut Lease) -> Option<(LeaseEnd, bool)> {
         let LeaseOutput::ApplySafeOutputs { end, again, .. } = lease.poll_output()?;
         Some((end, again))
+    }
+
+    #[test]
+    fn every_state_is_shown() {
+        let (mut lease, epoch) = held();
+        let commander = who("planner", 1);
+        let (now, left) = (ms(40), SPAN - Duration::from_millis(40));
+        let held = LeaseStanding::Held { commander: commander.clone(), epoch, left };
+        assert_eq!(lease.standing(now), held);
+        lease.handle_timeout(ms(100));
+        assert_eq!(lease.standing(ms(100)), LeaseStanding::Settling { commander });
+        lease.handle_applied(true, ms(101));
+        assert_eq!(lease.standing(ms(102)), LeaseStanding::Free);
     }
 
     #[test]

@@ -3,17 +3,20 @@
 //! Nothing here performs IO, reads a clock or knows an actor. Time, randomness and identity are
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
+pub mod blob;
 pub mod can;
 pub mod codec;
 pub mod contract;
 pub mod dead_letters;
 pub mod delivery;
+pub mod dependencies;
 pub mod description;
 pub mod detection;
 pub mod difference;
 pub mod fault;
 pub mod field;
 pub mod former;
+mod hash;
 pub mod identity;
 pub mod impairment;
 pub mod layout;
@@ -22,6 +25,7 @@ pub mod lifecycle;
 pub mod machine;
 pub mod name;
 pub mod net;
+pub mod occupancy;
 pub mod quarantine;
 pub mod random;
 pub mod recovery;
@@ -32,6 +36,7 @@ pub mod spelling;
 pub mod time;
 pub mod variables;
 
+pub use blob::Blob;
 pub use codec::{DecodeError, EncodeError};
 pub use contract::{
     Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,

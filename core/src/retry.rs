@@ -11,15 +11,17 @@ use std::time::Duration;
 /// lost), it is asked again only if its contract is declared `idempotent`.
 ///
 /// ```
-/// use blastema_core::Why;
-/// use blastema_core::RetryRule;
+/// use blastema_core::retry::Attempt;
+/// use blastema_core::{RetryRule, Why};
 ///
 /// let rule = RetryRule { attempts: 2, ..RetryRule::default() };
-/// assert!(rule.again(1, &Why::Full, false, 7).is_some());
-/// assert!(rule.again(2, &Why::Full, false, 7).is_none());
+/// let full = Attempt { asked: 1, why: &Why::Full, idempotent: false };
+/// assert!(rule.again(full, 7).is_some());
+/// assert!(rule.again(Attempt { asked: 2, ..full }, 7).is_none());
 /// let unknown = Why::OutcomeUnknown { reason: "the cable was cut".into() };
-/// assert!(rule.again(1, &unknown, false, 7).is_none());
-/// assert!(rule.again(1, &unknown, true, 7).is_some());
+/// let unknown = Attempt { why: &unknown, ..full };
+/// assert!(rule.again(unknown, 7).is_none());
+/// assert!(rule.again(Attempt { idempotent: true, ..unknown }, 7).is_some());
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RetryRule {
@@ -42,10 +44,22 @@ impl Default for RetryRule {
     }
 }
 
+/// An attempt that was in vain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Attempt<'a> {
+    /// The how manyth it was, from 1.
+    pub asked: u32,
+    /// What stood in the way.
+    pub why: &'a Why,
+    /// The request's contract is declared so: it may take effect twice.
+    pub idempotent: bool,
+}
+
 impl RetryRule {
-    /// How long to wait before it is asked again, after it has been asked so often, the last time in vain
-    /// because of `why`; `None` if that would do harm, or not help. The same `seed` gives the same jitter.
-    pub fn again(&self, asked: u32, why: &Why, idempotent: bool, seed: u64) -> Option<Duration> {
+    /// How long to wait before it is asked again after this attempt; `None` if that would do harm, or not
+    /// help. The same `seed` gives the same jitter.
+    pub fn again(&self, attempt: Attempt<'_>, seed: u64) -> Option<Duration> {
+        let Attempt { asked, why, idempotent } = attempt;
         let helps = match why {
             Why::Full
             | Why::Restarting
@@ -67,7 +81,8 @@ mod tests {
     #[test]
     fn what_may_have_taken_effect_is_asked_again_only_if_that_does_no_harm() {
         let rule = RetryRule::default();
-        let again = |why: &Why, idempotent| rule.again(1, why, idempotent, 1).is_some();
+        let again =
+            |why: &Why, idempotent| rule.again(Attempt { asked: 1, why, idempotent }, 1).is_some();
 
         for why in [Why::Full, Why::Restarting, Why::Unreachable { node: "far".into() }] {
             assert!(again(&why, false) && again(&why, true), "{why}");
@@ -87,9 +102,9 @@ mod tests {
             backoff: Backoff { jitter_percent: 0, ..RetryRule::default().backoff },
             ..RetryRule::default()
         };
-        let waits: Vec<_> = (1..6)
-            .map(|asked| rule.again(asked, &Why::Full, false, 1).map(|wait| wait.as_millis()))
-            .collect();
+        let full = |asked| Attempt { asked, why: &Why::Full, idempotent: false };
+        let wait = |asked| rule.again(full(asked), 1).map(|wait| wait.as_millis());
+        let waits: Vec<_> = (1..6).map(wait).collect();
         assert_eq!(waits, [Some(10), Some(20), Some(40), None, None]);
     }
 }

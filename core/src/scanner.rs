@@ -8,6 +8,7 @@
 //! A culprit is not condemned by what the scanner itself missed: when it was not scheduled for a
 //! while, everything seen before is void.
 
+use crate::occupancy::Occupancy;
 use crate::{Incarnation, Instant, Machine, ObjectName};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -155,6 +156,15 @@ pub enum Sighting {
     },
 }
 
+/// What is known of an arbiter, for people.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArbiterSeen {
+    /// The share of the latest looks that found a component on its thread; `None` before the first.
+    pub busy: Option<f32>,
+    /// Whose handler keeps it for longer than it may, and since when, at least.
+    pub hangs: Option<(ObjectName, Instant)>,
+}
+
 #[derive(Debug)]
 struct Arbiter {
     beat: u64,
@@ -164,6 +174,7 @@ struct Arbiter {
     since: Instant,
     /// When this beat was first seen.
     beat_since: Instant,
+    occupancy: Occupancy,
     hang: Option<Hang>,
     fenced_since: Option<Instant>,
     lost: bool,
@@ -267,10 +278,12 @@ impl Scanner {
             turn: reading.turn,
             since: now,
             beat_since: now,
+            occupancy: Occupancy::default(),
             hang: None,
             fenced_since: None,
             lost: false,
         });
+        arbiter.occupancy.note(reading.running.is_some());
         let beats = arbiter.beat != reading.beat;
         if beats {
             arbiter.beat_since = now;
@@ -350,6 +363,14 @@ impl Scanner {
         let others = others.filter_map(|(_, component)| component.as_ref());
         let here = others.filter(|component| component.judged.arbiter == arbiter);
         here.map(|component| component.judged.object.clone()).collect()
+    }
+
+    /// What is known of every arbiter.
+    pub fn arbiters(&self) -> impl Iterator<Item = (ArbiterId, ArbiterSeen)> + '_ {
+        self.arbiters.iter().map(|(id, arbiter)| {
+            let hangs = arbiter.hang.as_ref().map(|hang| (hang.culprit.clone(), arbiter.since));
+            (*id, ArbiterSeen { busy: arbiter.occupancy.share(), hangs })
+        })
     }
 
     /// Which components have something in service, which turn it is, and since when at least; by slot.

@@ -23,7 +23,7 @@ fn frame(segment: &Segment) -> usize {
 
 /// The overhead of one message alone in its part, without and with an acknowledgement on board.
 fn reliable(message: &Message, stream: Stream, sequence: u64) -> [usize; 2] {
-    let message = message.encode();
+    let message = message.encode().into_bytes();
     let mut payload = BytesMut::new();
     payload.put_u8(u8::try_from(message.len()).unwrap());
     payload.put_slice(&message);
@@ -81,7 +81,7 @@ fn a_small_reading_of_which_the_newest_counts_has_the_overhead_that_is_stated() 
     let payload = Bytes::from_static(PAYLOAD);
     let overhead = TIMES.map(|(sequence, stamp_us)| {
         let message = Message::Event { subscription: 5, stamp_us, payload: payload.clone() };
-        let payload = message.encode();
+        let payload = message.encode().into_bytes();
         frame(&Segment::Datagram(Datagram { tag: 7, channel: 10, sequence, piece: None, payload }))
     });
     assert_eq!(overhead, [22, 27]);

@@ -70,6 +70,14 @@ fn genuine() -> Vec<Bytes> {
         source: NodeId::of(&name("peer")),
         payload: Payload::Segment(segment.clone()),
     };
+    let copy = Packet {
+        payload: Payload::Copy {
+            copy: 1,
+            relays: vec![NodeId(3), NodeId(4)],
+            segment: segment.clone(),
+        },
+        ..packet.clone()
+    };
     let names = Message::Names { stamp_us: 0, complete: true, added: vec![], removed: vec![] };
     let datagram =
         Datagram { tag: 1, channel: 1, sequence: 1, piece: None, payload: payload.clone() };
@@ -80,6 +88,8 @@ fn genuine() -> Vec<Bytes> {
         announce.encode(),
         have.encode(),
         packet.encode(),
+        copy.encode(),
+        Frame::Data(copy.encode()).encode(),
         segment,
         Segment::Open(open).encode(),
         Segment::Datagram(datagram).encode(),
@@ -93,9 +103,10 @@ fn genuine() -> Vec<Bytes> {
             id: None,
             payload: payload.clone(),
         }
-        .encode(),
-        Message::Event { subscription: 1, stamp_us: 5, payload }.encode(),
-        names.encode(),
+        .encode()
+        .into_bytes(),
+        Message::Event { subscription: 1, stamp_us: 5, payload }.encode().into_bytes(),
+        names.encode().into_bytes(),
     ]
 }
 
@@ -168,7 +179,7 @@ proptest! {
             prop_assert_eq!(Segment::decode(segment.encode()), Ok(segment));
         }
         if let Ok(message) = Message::decode(bytes) {
-            prop_assert_eq!(Message::decode(message.encode()), Ok(message));
+            prop_assert_eq!(Message::decode(message.encode().into_bytes()), Ok(message));
         }
     }
 

@@ -101,7 +101,9 @@ fn a_second_node_of_a_name_is_a_fault_of_both_and_the_first_ones_traffic_is_unha
         assert_eq!(places, ["arm:net/router", "arm:net/router"]);
         assert!(of_first.detail.contains("kept out; end it"), "{}", of_first.detail);
         assert!(of_second.detail.contains("give it another name"), "{}", of_second.detail);
-        assert!(second.sessions().await.iter().all(|session| session.incarnation.is_none()));
+        assert!(
+            second.sessions().await.iter().all(|session| session.standing.incarnation.is_none())
+        );
 
         // When the first has gone, the second is the arm.
         drop(first);

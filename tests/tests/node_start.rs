@@ -30,7 +30,14 @@ fn a_node_that_cannot_start_says_why_and_leaves_no_thread() {
         assert!(matches!(error, StartError::Dependency { .. }), "{error}");
         let narcissus = ChildSpec::new("lamp", || Lamp).depends_on(["m:lamp"]);
         let error = Node::builder("m").child(narcissus).start().await.expect_err("itself");
-        assert!(error.to_string().contains("no other object"), "{error}");
+        assert!(error.to_string().contains("lamp -> lamp"), "{error}");
+        let needs = |name, other| ChildSpec::new(name, || Lamp).depends_on([other]);
+        let ring = Node::builder("m")
+            .child(needs("a", "b"))
+            .supervisor(SupervisorSpec::new("s", Strategy::OneForOne).child(needs("b", "m:c")))
+            .child(needs("c", "a"));
+        let error = ring.start().await.expect_err("each waits for the next");
+        assert!(error.to_string().contains("a -> b -> c -> a"), "{error}");
         let twice = Node::builder("m")
             .child(ChildSpec::new("lamp", || Lamp))
             .child(ChildSpec::new("lamp", || Lamp));

@@ -15,6 +15,11 @@ Exit status:
   1  something stayed unrecovered, or a promise was broken; the table says which
   2  the command line was wrong, or the demonstration could not be run to its end";
 
+const MONITOR_STATUS: &str = "\
+Exit status:
+  0  every node was shown
+  2  the command line was wrong, or a node could not be shown";
+
 /// The whole command line.
 #[derive(Debug, Parser)]
 #[command(
@@ -53,6 +58,14 @@ pub(crate) enum Job {
     /// lines; at the end a table. It takes less than 30 seconds. Ctrl-C ends all processes.
     #[command(after_help = EXIT_STATUS)]
     Demo(DemoOptions),
+    /// Show what a running node knows of itself
+    ///
+    /// Its objects with what the monitor thinks of each, the threads that components live on, links,
+    /// sessions with other nodes, claimed names, actuators and who commands them, and faults, as they are now. A node is shown where its
+    /// program gave it a window, by `NodeBuilder::shown_at`, to the user who runs it. What is not known is a
+    /// dash. To go on looking: `watch -n 1 blastema monitor PATH`.
+    #[command(after_help = MONITOR_STATUS)]
+    Monitor(MonitorOptions),
     /// Run one module of the demonstration's robot; the demonstration starts these by itself
     #[command(hide = true)]
     Module(ModuleOptions),
@@ -74,6 +87,17 @@ pub(crate) struct DemoOptions {
     /// Inject random faults until the time is up instead of telling the story
     #[arg(long)]
     pub(crate) chaos: bool,
+}
+
+/// Which nodes are to be shown, and how.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct MonitorOptions {
+    /// The path of a node's window, a Unix socket; several are shown one after the other
+    #[arg(required = true, value_name = "PATH")]
+    pub(crate) windows: Vec<PathBuf>,
+    /// Print one JSON document for each node, each on one line, instead of tables
+    #[arg(long)]
+    pub(crate) json: bool,
 }
 
 /// How the demonstration starts one module.
@@ -201,5 +225,14 @@ mod tests {
             }
         });
         assert!(demo.is_some());
+    }
+
+    #[test]
+    fn the_monitor_takes_the_paths_of_windows() {
+        let windows = ["/run/a", "/run/b"].map(PathBuf::from).to_vec();
+        let wanted = MonitorOptions { windows, json: true };
+        assert_eq!(parse("blastema monitor --json /run/a /run/b"), Ok(Job::Monitor(wanted)));
+        let refusal = parse("blastema monitor").expect_err("no node is named");
+        assert!(refusal.contains("<PATH>"), "{refusal}");
     }
 }

@@ -2,12 +2,14 @@
 //!
 //! `blastema` without arguments runs the main job: a robot of three processes that is killed, hung and
 //! unplugged, and grows back. Exit status: 0 all promises kept, 1 a promise broken, 2 not run.
+//! `blastema monitor` shows what a running node knows of itself.
 
 mod args;
 mod demo;
 #[cfg(test)]
 mod golden;
 mod module;
+mod monitor;
 
 use args::{Arguments, Job};
 use clap::Parser;
@@ -22,6 +24,9 @@ const PROMISE_BROKEN: u8 = 1;
 fn main() -> ExitCode {
     let outcome = match Arguments::parse().into_job() {
         Job::Demo(options) => demo::run(&options).map_err(|error| error.to_string()),
+        Job::Monitor(options) => {
+            monitor::run(&options).map(|()| true).map_err(|error| error.to_string())
+        }
         Job::Module(options) => {
             module::run(&options).map(|()| true).map_err(|error| error.to_string())
         }

@@ -8,7 +8,7 @@ use actix::fut::wrap_future;
 use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::detector::FaultOutcome;
-use blastema_contract::recoverer::{Recover, StandDown};
+use blastema_contract::recoverer::{NodeRests, Recover, StandDown};
 use blastema_contract::strategy::CarryOut;
 use blastema_core::detection::Outcome;
 use blastema_core::recovery::{self, Done, Failed, Measure, Order, RecovererAction, Settled};
@@ -159,6 +159,15 @@ impl Handler<StandDown> for Recoverer {
         self.machine.handle_stand_down(id, &place, platform::now());
         self.drive(context);
         Confirmed
+    }
+}
+
+impl Handler<NodeRests> for Recoverer {
+    type Result = ();
+
+    fn handle(&mut self, message: NodeRests, context: &mut Context<Self>) {
+        self.machine.handle_rest(message.reason.is_some(), platform::now());
+        self.drive(context);
     }
 }
 

@@ -411,7 +411,7 @@ impl Handler<RestartChild> for Supervisor {
 
     fn handle(&mut self, message: RestartChild, context: &mut Context<Self>) -> Self::Result {
         let RestartChild { object, fault } = message;
-        let cause = fault.as_ref().map_or(Cause::Faulty, Cause::of);
+        let cause = fault.as_ref().map_or(Cause::Asked, Cause::of);
         let struck = fault.map(|fault| fault.incarnation);
         self.ask(context, object, |machine, object, ticket, now| {
             machine.handle_restart(object, ticket, cause, struck, now);
@@ -456,7 +456,7 @@ impl Handler<SafeStop> for Supervisor {
 fn cause_of_rest(fault: &Fault) -> Cause {
     match Cause::of(fault) {
         stuck @ (Cause::Stuck | Cause::Behind) => stuck,
-        Cause::Died | Cause::Faulty => Cause::Faulty,
+        Cause::Died | Cause::Faulty | Cause::Asked => Cause::Faulty,
     }
 }
 

@@ -4,7 +4,9 @@
 //! are counted: too many, and the process itself has to be begun anew.
 
 use super::pulse::Pulse;
+use super::threads::ThreadKind;
 use actix_rt::{Arbiter, ArbiterHandle, System};
+use blastema_core::ObjectName;
 use std::fmt;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -25,6 +27,13 @@ impl Seat {
     /// Another life of the same component can begin here.
     pub(crate) fn is_usable(&self) -> bool {
         !self.own_thread && !self.pulse.is_fenced() && self.handle.alive()
+    }
+
+    fn kind(&self) -> ThreadKind {
+        match self.own_thread {
+            true => ThreadKind::Own,
+            false => ThreadKind::Shared,
+        }
     }
 
     /// The component that lived here has ended.
@@ -63,8 +72,24 @@ struct Pool {
     next: usize,
     /// Threads that components have for themselves, to be ended with the node.
     own: Vec<Seat>,
+    /// Those that were given up and have not come back, and whose handler keeps them.
+    lost: Vec<(Seat, ObjectName)>,
     /// The node has ended: a life that begins anew because its arbiter went finds no place.
     stopped: bool,
+}
+
+/// A thread, for people: who may live there, its pulse, and to whose handler it was lost.
+pub(crate) type Thread = (ThreadKind, Arc<Pulse>, Option<ObjectName>);
+
+impl Pool {
+    /// At [`ABANDONED_LIMIT`] the process is begun anew; threads that came back are forgotten.
+    fn note_lost(&mut self, pulse: &Pulse, culprit: &ObjectName) {
+        self.lost.retain(|(seat, _)| seat.handle.alive());
+        for seats in [&mut self.seats, &mut self.own] {
+            let gone = seats.extract_if(.., |seat| seat.pulse.id() == pulse.id());
+            self.lost.extend(gone.map(|seat| (seat, culprit.clone())));
+        }
+    }
 }
 
 /// Lives as long as an arbiter's event loop turns. Dropped after the arbiter was lost, it says that
@@ -164,15 +189,30 @@ impl Arbiters {
     }
 
     /// The grace time of this arbiter is over. Says whether it is really lost, or has just come back.
-    pub(crate) fn lose(&self, pulse: &Pulse) -> bool {
+    pub(crate) fn lose(&self, pulse: &Pulse, culprit: &ObjectName) -> bool {
         if !pulse.lose() {
             return false;
         }
+        self.pool_of().note_lost(pulse, culprit);
         let count = self.0.abandoned.fetch_add(1, Relaxed) + 1;
         if let Some(tell) = &*self.0.on_abandoned.lock().unwrap_or_else(PoisonError::into_inner) {
             tell(count);
         }
         true
+    }
+
+    /// Everything lives on the arbiter that started it.
+    pub(crate) fn are_here(&self) -> bool {
+        self.0.shared == 0
+    }
+
+    /// All threads that were begun here and have not ended.
+    pub(crate) fn threads(&self) -> Vec<Thread> {
+        let pool = self.pool_of();
+        let usable = pool.seats.iter().chain(&pool.own).map(|seat| (seat, None));
+        let lost = pool.lost.iter().map(|(seat, culprit)| (seat, Some(culprit.clone())));
+        let there = usable.chain(lost).filter(|(seat, _)| seat.handle.alive());
+        there.map(|(seat, lost_to)| (seat.kind(), seat.pulse.clone(), lost_to)).collect()
     }
 
     /// How many threads are given up now and have not come back.

@@ -33,6 +33,7 @@ pub(crate) mod pulse;
 pub(crate) mod pump;
 pub(crate) mod spec;
 pub(crate) mod stamp;
+pub(crate) mod threads;
 pub(crate) mod watch;
 
 #[cfg(test)]

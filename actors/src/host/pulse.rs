@@ -153,6 +153,14 @@ impl Pulse {
         self.beat.load(Relaxed)
     }
 
+    /// When it last beat; `None` where none beats.
+    pub(crate) fn last_beat(&self) -> Option<Instant> {
+        match self.time.load(Relaxed) {
+            0 => None,
+            nanos => Some(Instant::from_nanos(nanos)),
+        }
+    }
+
     /// The slot of the component that its thread is running.
     pub(crate) fn running(&self) -> Option<u32> {
         self.running.load(Relaxed).checked_sub(1)

@@ -11,6 +11,7 @@ use crate::reference::ActorRef;
 use crate::registry::NameTaken;
 use crate::service::{Stateful, stateful_ports};
 use blastema_contract::child::Child;
+use blastema_core::dependencies::DependencyError;
 use blastema_core::detection::Watch;
 use blastema_core::net::claims::Wanted;
 use blastema_core::{NameError, ObjectName, Why};
@@ -52,6 +53,10 @@ pub enum SpecError {
         /// What is wrong.
         why: Why,
     },
+    /// It was added to a node that runs, and depends on what does not exist there, or on itself, perhaps by
+    /// way of others.
+    #[error(transparent)]
+    Dependency(#[from] DependencyError),
     /// The root supervisor did not take it: it is ending, or has ended.
     #[error("the root supervisor does not take {name} now: it is ending, or has ended")]
     Refused {
@@ -204,7 +209,8 @@ impl<C: Component> ChildSpec<C> {
     }
 
     /// The objects, here or elsewhere, without which it cannot work: what it suffers while one of
-    /// them is down is taken for a symptom.
+    /// them is down is taken for a symptom. Those of this node must be there, and none of them may
+    /// depend on this one.
     pub fn depends_on<'a>(mut self, names: impl IntoIterator<Item = &'a str>) -> Self {
         self.depends_on.extend(names.into_iter().map(str::to_owned));
         self

@@ -13,7 +13,7 @@ use actix::Recipient;
 use blastema_contract::reports::{Alive, Sighted};
 use blastema_core::detection::{Current, QueueSeen, Row, Watch};
 use blastema_core::scanner::{
-    Judged, MaxSilence, PulseReading, Scanner, ScannerConfig, Sighting, StampReading,
+    ArbiterSeen, Judged, MaxSilence, PulseReading, Scanner, ScannerConfig, Sighting, StampReading,
 };
 use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName, Place};
 use std::collections::{BTreeMap, BTreeSet};
@@ -83,6 +83,23 @@ struct Entries {
     version: AtomicU64,
     /// What was in service at the last look: slot, turn, and since when.
     busy: Mutex<Vec<(u32, u64, Instant)>>,
+    /// What the last look found of the arbiters.
+    arbiters: Mutex<BTreeMap<u64, ArbiterSeen>>,
+}
+
+/// Who lives on an arbiter.
+pub(crate) struct Residents {
+    pub(crate) pulse: Arc<Pulse>,
+    /// Who is on the thread right now.
+    pub(crate) running: Option<ObjectName>,
+    /// Each with the number of messages that wait for it.
+    pub(crate) components: Vec<(ObjectName, usize)>,
+}
+
+impl Residents {
+    pub(crate) fn none(pulse: &Arc<Pulse>) -> Self {
+        Residents { pulse: pulse.clone(), running: None, components: Vec::new() }
+    }
 }
 
 impl WatchList {
@@ -111,6 +128,26 @@ impl WatchList {
             Some((watched.object.clone(), Glance { alive, current }))
         };
         self.lock().iter().filter_map(glance).collect()
+    }
+
+    /// Who lives on which arbiter now.
+    pub(crate) fn residents(&self) -> BTreeMap<u64, Residents> {
+        let mut residents = BTreeMap::new();
+        for (slot, watched) in self.lock().iter() {
+            let Some(inside) = watched.inside.upgrade() else { continue };
+            let pulse = &watched.pulse;
+            let on = residents.entry(pulse.id()).or_insert_with(|| Residents::none(pulse));
+            if pulse.running() == Some(*slot) {
+                on.running = Some(watched.object.clone());
+            }
+            on.components.push((watched.object.clone(), inside.glimpse().queued));
+        }
+        residents
+    }
+
+    /// What the last look found of the arbiters.
+    pub(crate) fn seen(&self) -> BTreeMap<u64, ArbiterSeen> {
+        self.0.arbiters.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Completes the rows of this node's components by what they are doing now, also if they are stuck.
@@ -281,6 +318,8 @@ impl Eyes {
             self.scanner.handle_stamps(now, |slot| read(stamps.get(slot)));
             let busy = self.scanner.busy().collect();
             *self.list.0.busy.lock().unwrap_or_else(PoisonError::into_inner) = busy;
+            let seen = self.scanner.arbiters().collect();
+            *self.list.0.arbiters.lock().unwrap_or_else(PoisonError::into_inner) = seen;
         }
         self.looks += 1;
         while let Some(sighting) = self.scanner.poll_output() {
@@ -350,7 +389,7 @@ impl Eyes {
             Sighting::Resumed { objects } => Sighted::Resumed { objects: objects.into() },
             Sighting::Lost { arbiter, culprit, victims } => {
                 // It may have come back just now; then nobody has to move.
-                if !self.arbiters.lose(self.pulses.get(&arbiter)?) {
+                if !self.arbiters.lose(self.pulses.get(&arbiter)?, &culprit) {
                     return None;
                 }
                 Sighted::Lost { culprit, victims: victims.into() }

@@ -8,6 +8,7 @@
 mod order;
 mod yard;
 
+pub use yard::ActuatorRow;
 pub(crate) use yard::{Declared, Yard};
 
 use crate::platform;

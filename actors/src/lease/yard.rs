@@ -12,7 +12,7 @@ use crate::registry::{Doorway, Port, Postmark, ReplyTo};
 use crate::reply::Answer;
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
-use blastema_core::lease::{CommanderId, Lease, LeaseEnd, LeaseOutput};
+use blastema_core::lease::{CommanderId, Lease, LeaseEnd, LeaseOutput, LeaseStanding};
 use blastema_core::{
     ContractIdentity, FaultKind, Incarnation, Instant, Machine, ObjectName, PeerIdentity, Why,
 };
@@ -34,6 +34,17 @@ pub(crate) struct Declared {
     /// The command that brings it to rest, encoded.
     pub(crate) safe: Result<Bytes, Why>,
     pub(crate) cut_off: Option<CutOff>,
+}
+
+/// An actuator and who commands it, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ActuatorRow {
+    /// The component.
+    pub object: ObjectName,
+    /// The contract of its commands.
+    pub contract: &'static str,
+    /// Who commands, under which epoch, and for how long unless the lease is renewed.
+    pub standing: LeaseStanding,
 }
 
 /// One actuator: one contract of commands to one component.
@@ -117,6 +128,18 @@ impl Yard {
         drop(gone);
     }
 
+    /// All of them, and who commands each.
+    pub(crate) fn rows(&self) -> Vec<ActuatorRow> {
+        let now = platform::now();
+        let row = |actuator: &Arc<Actuator>| ActuatorRow {
+            object: actuator.object.clone(),
+            contract: actuator.identity.name,
+            standing: lock(&actuator.lease).standing(now),
+        };
+        let actuators: Vec<_> = lock(&self.actuators).values().cloned().collect();
+        actuators.iter().map(row).collect()
+    }
+
     fn find(&self, object: &ObjectName, theirs: &PeerIdentity) -> Option<Arc<Actuator>> {
         let actuators = lock(&self.actuators);
         let mut own =
@@ -161,7 +184,7 @@ impl Yard {
             Wish::Command { epoch, message } => match lease.handle_renewal(epoch, now) {
                 Ok(()) => {
                     drop(lease);
-                    return actuator.command(&message, answer);
+                    return actuator.command(message, answer);
                 }
                 Err(why) => Err(why),
             },
@@ -250,7 +273,7 @@ impl Actuator {
 
     /// Hands a command over. One at a time: what waits behind a component that is stuck would be
     /// carried out after its lease has ended.
-    fn command(&self, message: &[u8], answer: Answer<Order>) {
+    fn command(&self, message: Vec<u8>, answer: Answer<Order>) {
         if self.busy.swap(true, Relaxed) {
             return answer.give(Ordered::refused(&Why::Full));
         }
@@ -263,7 +286,7 @@ impl Actuator {
             });
         });
         // What came of it is told to the closure in every case.
-        let _ = self.doorway.deliver(message, Postmark::default(), Some(reply_to));
+        let _ = self.doorway.deliver(&message.into(), Postmark::default(), Some(reply_to));
     }
 }
 

@@ -14,7 +14,8 @@
 //! | [commanding] | actuators that come to rest by themselves when their commander goes |
 //! | [services] | services that a standby on another node takes over |
 //! | [supervision] | who is restarted with whom, how often, and what follows then |
-//! | [faults] | the list of faults, the monitor's table, roots and symptoms |
+//! | [faults] | the list of faults, roots and symptoms |
+//! | [monitoring] | what a node knows of itself: objects, threads, sessions; `blastema monitor` |
 //! | [recovery] | which measure answers which fault; strategies of one's own |
 //! | [placement] | threads, handlers that hang, and what cannot be recovered |
 //! | [networks] | several nodes: links, routes, sessions, and cables that are cut |
@@ -55,6 +56,9 @@ pub mod supervision {}
 
 #[doc = include_str!("faults.md")]
 pub mod faults {}
+
+#[doc = include_str!("monitoring.md")]
+pub mod monitoring {}
 
 #[doc = include_str!("recovery.md")]
 pub mod recovery {}

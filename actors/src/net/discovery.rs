@@ -199,7 +199,7 @@ fn begin(wiring: &Wiring) -> Discovery {
     let mut machine = Discovery::new(DiscoveryConfig::new(wiring.node.clone(), grounds), now);
     for (ground, field) in wiring.fields.iter().enumerate() {
         for (node, address) in &field.described {
-            machine.handle_link(ground, node.clone(), address.to_string(), false, now);
+            machine.handle_down(ground, node.clone(), address.to_string(), now);
         }
     }
     machine
@@ -347,7 +347,11 @@ impl Handler<Seen> for DiscoveryBody {
     fn handle(&mut self, seen: Seen, context: &mut Context<Self>) {
         match seen {
             Seen::Neighbour { ground, node, remote, up } => {
-                self.machine.handle_link(ground, node, remote.to_string(), up, platform::now());
+                let (address, now) = (remote.to_string(), platform::now());
+                match up {
+                    true => self.machine.handle_up(ground, node, address, now),
+                    false => self.machine.handle_down(ground, node, address, now),
+                }
                 self.drive(context);
             }
             Seen::Open { ground, port } => {

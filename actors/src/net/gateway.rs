@@ -2,6 +2,7 @@
 
 mod errand;
 mod inputs;
+mod peer;
 mod serving;
 
 pub(super) use errand::{Notify, Ship};
@@ -27,13 +28,14 @@ use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::isolation::Isolation;
 use blastema_core::net::naming::Naming;
+use blastema_core::net::parcel::Parcel;
 use blastema_core::net::segment::Stream;
 use blastema_core::{
-    ContractIdentity, Delivery, FaultKind, Incarnation, NodeName, ObjectName, PeerIdentity, Place,
-    Why,
+    ContractIdentity, Delivery, FaultKind, NodeName, ObjectName, PeerIdentity, Place, Why,
 };
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
+use peer::Peer;
 use serving::{Bound, LOOK, Queues};
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
@@ -95,17 +97,6 @@ pub(super) struct Gateway {
     leaving: bool,
     /// As of which revision of the registry the peers know our names.
     revision: Option<u64>,
-}
-
-struct Peer {
-    node: NodeName,
-    gate: Arc<Gate>,
-    /// The number of the session that was opened last.
-    session: u32,
-    /// The life that it is with, or was.
-    incarnation: Incarnation,
-    /// That life has ended in order.
-    left: bool,
 }
 
 struct Forwarded {
@@ -211,13 +202,13 @@ impl Gateway {
         }
     }
 
-    fn say(&mut self, peer: NodeId, stream: Stream, message: Bytes) {
+    fn say(&mut self, peer: NodeId, stream: Stream, message: Parcel) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
         let credit = self.credit.take();
         self.wiring.sessions.say.do_send(Say { peer, session, stream, message, credit });
     }
 
-    fn say_newest(&mut self, peer: NodeId, channel: u32, message: Bytes) {
+    fn say_newest(&mut self, peer: NodeId, channel: u32, message: Parcel) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
         let credit = self.credit.take();
         let say = SayNewest { peer, session, channel, message, credit };
@@ -366,7 +357,10 @@ impl Gateway {
 
     /// Two nodes do not mean the same: whoever wrote to one of them wants to know, and so does whoever
     /// looks after the robot.
-    fn differs(&self, peer: NodeId, difference: &str) {
+    fn differs(&mut self, peer: NodeId, difference: &str) {
+        if let Some(peer) = self.peers.get_mut(&peer) {
+            peer.differs(difference);
+        }
         let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
         error!(node, "a contract differs: {difference}");
         self.declare(FaultKind::ContractMismatch, format!("with node {node}: {difference}"));
@@ -395,7 +389,7 @@ impl Gateway {
         peer: NodeId,
         epoch: Epoch,
         number: u64,
-        payload: &[u8],
+        payload: &Bytes,
         context: &mut Context<Self>,
     ) {
         let fault = match notice::decode(payload, platform::now()) {
@@ -464,13 +458,7 @@ impl Gateway {
     fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<Gate>) {
         let peer = NodeId::of(node);
         let gate = self.wiring.doors.gate(node);
-        let known = Peer {
-            node: node.clone(),
-            gate: gate.clone(),
-            session: 0,
-            incarnation: Incarnation::default(),
-            left: false,
-        };
+        let known = Peer::new(node.clone(), gate.clone());
         self.peers.entry(peer).or_insert(known);
         (peer, gate)
     }

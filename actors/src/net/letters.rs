@@ -95,7 +95,7 @@ pub(crate) fn read_by_nobody(place: ObjectName, registry: &Registry) {
 struct Nobody;
 
 impl Doorway for Nobody {
-    fn deliver(&self, _: &[u8], _: Postmark, reply_to: Option<ReplyTo>) -> Result<(), Why> {
+    fn deliver(&self, _: &Bytes, _: Postmark, reply_to: Option<ReplyTo>) -> Result<(), Why> {
         if let Some(reply_to) = reply_to {
             reply_to(Err(Why::Stopped));
         }
@@ -110,7 +110,7 @@ impl Doorway for Nobody {
 impl Doorway for Slot {
     fn deliver(
         &self,
-        message: &[u8],
+        message: &Bytes,
         postmark: Postmark,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), Why> {

@@ -10,7 +10,7 @@ use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::link::{
-    Arrived, CarrierChanged, Carry, LinkChanged, LinkRow, Load, ReadLinks, ReportLinks,
+    Arrived, CarrierChanged, Carry, GivenUp, LinkChanged, LinkRow, Load, ReadLinks, ReportLinks,
 };
 use blastema_contract::monitor::LinkReported;
 use blastema_contract::reports::FaultDeclared;
@@ -130,6 +130,9 @@ impl Links {
 
     /// What a link costs at present.
     fn cost(&self, number: LinkNumber, link: &Link) -> u16 {
+        if link.is_given_up() {
+            return u16::MAX;
+        }
         let of_medium = self.bytes_per_second.map_or(USUAL_COST, |rate| {
             (USUAL_COST * 1_000_000 / rate.max(1)).clamp(USUAL_COST, SLOW_COST)
         });
@@ -446,6 +449,17 @@ impl Handler<Carry> for Links {
             Load::Packet(bytes) => link.handle_packet(bytes),
         }
         self.drive_soon(context);
+    }
+}
+
+impl Handler<GivenUp> for Links {
+    type Result = ();
+
+    fn handle(&mut self, message: GivenUp, context: &mut Context<Self>) {
+        if let Some(link) = self.bundle.get_mut(message.link) {
+            link.handle_given_up(platform::now());
+        }
+        self.drive(context);
     }
 }
 

@@ -24,6 +24,7 @@ mod gateway;
 mod letters;
 mod links;
 mod notice;
+pub(crate) mod rest;
 mod router;
 mod sessions;
 #[cfg(test)]
@@ -41,7 +42,7 @@ use actix::prelude::*;
 use actix_rt::ArbiterHandle;
 use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
-use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
+use blastema_contract::naming::{FindObject, NodeRow, ReadDifferences, ReadNames};
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::{AreYouAlive, FaultDeclared};
 use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
@@ -49,7 +50,7 @@ use blastema_contract::session::{AddGateway, Leave, PeerSeen, ReadSessions, Sess
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::LEARNED_MAX;
-use blastema_core::net::isolation::Judges;
+use blastema_core::net::isolation::{Decision, Judges};
 use blastema_core::net::{LinkNumber, NodeId};
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use discovery::{AddFields, DiscoveryBody, Field, FieldLinks};
@@ -257,7 +258,8 @@ pub(crate) fn start(
             watched.push(carrier::Watched { interface, told: address.clone().recipient() });
         }
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
-        router.do_send(AddLinks { links: numbers, carry, report });
+        let given_up = address.clone().recipient();
+        router.do_send(AddLinks { links: numbers, carry, given_up, report });
         (name, address)
     });
     let networks = networks.collect();
@@ -358,7 +360,12 @@ impl NetHandle {
 
     /// All sessions.
     pub(crate) async fn read_sessions(&self) -> Vec<SessionRow> {
-        self.sessions.send(ReadSessions).await.unwrap_or_default()
+        let mut rows = self.sessions.send(ReadSessions).await.unwrap_or_default();
+        let mut differences = self.gateway.send(ReadDifferences).await.unwrap_or_default();
+        for row in &mut rows {
+            row.differences = differences.remove(&row.node).unwrap_or_default();
+        }
+        rows
     }
 
     /// Every node that a session is open with, and its objects.
@@ -367,9 +374,9 @@ impl NetHandle {
     }
 
     /// Keeps a node out everywhere, or lets it in again.
-    pub(crate) fn isolate(&self, node: &NodeName, isolated: bool) {
+    pub(crate) fn decide(&self, decision: Decision<'_>) {
         if let Some(wardens) = self.wardens.get() {
-            wardens.decide(node, isolated, "the application says so");
+            wardens.decide(decision);
         }
     }
 

@@ -4,7 +4,7 @@ use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
-use blastema_contract::link::{AddLinks, Arrived, Carry, LinkChanged, Load, ReportLinks};
+use blastema_contract::link::{AddLinks, Arrived, Carry, GivenUp, LinkChanged, Load, ReportLinks};
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::{
@@ -25,7 +25,7 @@ pub(super) struct Router {
     config: RouterConfig,
     machine: net::Router,
     wake: Wake,
-    links: BTreeMap<LinkNumber, Recipient<Carry>>,
+    links: BTreeMap<LinkNumber, (Recipient<Carry>, Recipient<GivenUp>)>,
     networks: Vec<Recipient<ReportLinks>>,
     sessions: Option<AddSessions>,
     monitor: Option<Recipient<NodeReported>>,
@@ -158,13 +158,18 @@ impl Body for Router {
 
     fn carry_out(&mut self, output: RouterOutput, _: &mut Context<Self>) {
         let carry = |link, load| {
-            if let Some(links) = self.links.get(&link) {
+            if let Some((links, _)) = self.links.get(&link) {
                 links.do_send(Carry { link, load });
             }
         };
         match output {
             RouterOutput::Routing { link, bytes } => carry(link, Load::Routing(bytes)),
             RouterOutput::Packet { link, packet } => carry(link, Load::Packet(packet)),
+            RouterOutput::GivenUp { link } => {
+                if let Some((_, links)) = self.links.get(&link) {
+                    links.do_send(GivenUp { link });
+                }
+            }
             RouterOutput::Segment { source, segment, direct } => {
                 if let Some(sessions) = &self.sessions {
                     sessions.segments.do_send(SegmentArrived { source, segment, direct });
@@ -215,8 +220,9 @@ impl Handler<AddLinks> for Router {
     type Result = ();
 
     fn handle(&mut self, message: AddLinks, _: &mut Context<Self>) {
-        let AddLinks { links, carry, report } = message;
-        self.links.extend(links.into_iter().map(|link| (link, carry.clone())));
+        let AddLinks { links, carry, given_up, report } = message;
+        let known = links.into_iter().map(|link| (link, (carry.clone(), given_up.clone())));
+        self.links.extend(known);
         report.do_send(ReportLinks);
         self.networks.push(report);
     }

@@ -346,7 +346,7 @@ impl Handler<Say> for Sessions {
         drop(credit);
         let sent = match self.present(peer, session) {
             Some(session) => session.handle_send(stream, message, platform::now()),
-            None => Err((self.unreachable(peer), message)),
+            None => Err((self.unreachable(peer), message.into_bytes())),
         };
         self.give_back(peer, sent);
         self.drive_soon(context);
@@ -361,7 +361,7 @@ impl Handler<SayNewest> for Sessions {
         drop(credit);
         let sent = match self.present(peer, session) {
             Some(session) => session.handle_send_newest(channel, message, platform::now()),
-            None => Err((self.unreachable(peer), message)),
+            None => Err((self.unreachable(peer), message.into_bytes())),
         };
         self.give_back(peer, sent);
         self.drive_soon(context);
@@ -404,10 +404,9 @@ impl Handler<ReadSessions> for Sessions {
         let row = |(id, session): (NodeId, &Session)| {
             Some(SessionRow {
                 node: self.peers.get(&id)?.node.clone(),
-                incarnation: session.peer(),
-                round_trip: session.round_trip(),
-                counters: session.counters(),
-                refusals: session.refusals(),
+                standing: session.standing(),
+                // The gateway knows.
+                differences: Vec::new(),
             })
         };
         MessageResult(self.crowd.iter().filter_map(row).collect())

@@ -8,9 +8,10 @@ use blastema_contract::monitor::NodeReported;
 use blastema_contract::router::KeepOut;
 use blastema_core::codec;
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::isolation::{Isolation, IsolationOutput};
+use blastema_core::net::isolation::{Decision, Isolation, IsolationOutput};
 use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName, Why};
 use blastema_macros::Event;
+use bytes::Bytes;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tracing::warn;
 
@@ -64,16 +65,16 @@ impl Wardens {
     }
 
     /// This node decides.
-    pub(crate) fn decide(&self, node: &NodeName, isolated: bool, cause: &str) {
+    pub(crate) fn decide(&self, decision: Decision<'_>) {
         let mut machine = self.lock();
-        machine.handle_decision(node, isolated, cause);
+        machine.handle_decision(decision);
         self.carry_out(machine);
     }
 
     /// A strategy decides. What the others have decided already it does not make its own.
-    pub(super) fn carry_decision_out(&self, node: &NodeName, isolated: bool, cause: &str) {
-        if self.lock().is_isolated(node) != isolated {
-            self.decide(node, isolated, cause);
+    pub(super) fn carry_decision_out(&self, decision: Decision<'_>) {
+        if self.lock().is_isolated(decision.node) != decision.isolated {
+            self.decide(decision);
         }
     }
 
@@ -137,7 +138,7 @@ struct BallotBox(Wardens);
 impl Doorway for BallotBox {
     fn deliver(
         &self,
-        message: &[u8],
+        message: &Bytes,
         Postmark { from: peer, .. }: Postmark,
         _: Option<ReplyTo>,
     ) -> Result<(), Why> {

@@ -1,24 +1,26 @@
 //! How a node is put together: the one place that knows all actors.
 
 use super::builder::{NodeBuilder, Placement, StartError};
-use super::checks::{check_dependencies, check_networks, check_service, check_service_order};
+use super::checks::{check_networks, check_service, check_service_order, dependencies};
 use super::keeper::NodeState;
-use super::keeper::{Keeper, StartRoot};
+use super::keeper::{Keeper, KeeperSetup, StartRoot, TellRest};
 use super::network::{Cable, Network};
 use super::tree::{Ground, Harvest, Planted};
+use super::window::{Show, Window};
 use super::{Node, Root, Shared};
 use crate::chain::detector::Detector;
 use crate::chain::directory::Directory;
 use crate::chain::monitor::Monitor;
 use crate::chain::notifier::Notifier;
 use crate::chain::recoverer::{Recoverer, RecovererSetup};
-use crate::chain::strategy::{ToolBox, Tools};
+use crate::chain::strategy::{SafeOutputs, ToolBox, Tools};
 use crate::guardian::Guardian;
 use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
 use crate::host::environment::{HostEnvironment, KEPT_VARIABLES, Reports};
 use crate::host::spec::SpecError;
 use crate::host::watch::{self as lookout, WatchGuard};
 use crate::net::claims::{ClaimsBody, ClaimsSetup};
+use crate::net::rest::{RestBody, RestSetup};
 use crate::net::{self, NetEnvironment, NetHandle};
 use crate::registry::Registry;
 use crate::service::ReplicaBody;
@@ -156,7 +158,10 @@ fn own_arbiter() -> std::io::Result<ArbiterHandle> {
 }
 
 /// Makes the fault chain; it has nothing to watch yet.
-fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartError> {
+fn make_chain(
+    builder: &NodeBuilder,
+    (node, incarnation): (&NodeName, Incarnation),
+) -> Result<Parts, StartError> {
     let arbiter = match builder.placement {
         Placement::Here => None,
         Placement::Threads { .. } | Placement::ComponentsHere => Some(own_arbiter()?),
@@ -179,11 +184,17 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
     });
     guardian.report_to(monitor.clone().recipient());
 
-    let (told, state) = (builder.state.clone(), builder.state.subscribe());
-    let (of, outputs) = (node.clone(), builder.safe_outputs.clone());
-    let keeper = guardian.start(named("keeper"), place, move |_: &mut Context<Keeper>| {
-        Keeper::new(of, told, outputs)
-    });
+    let state = builder.state.subscribe();
+    let safe_outputs = SafeOutputs::new(builder.safe_outputs.clone());
+    let setup = KeeperSetup {
+        node: node.clone(),
+        incarnation,
+        state: builder.state.clone(),
+        safe_outputs: safe_outputs.clone(),
+        nodes: monitor.clone().recipient(),
+    };
+    let keeper =
+        guardian.start(named("keeper"), place, move |_: &mut Context<Keeper>| Keeper::new(setup));
 
     let (directory, registry) = (Directory::default(), Registry::default());
     let router = Arc::<OnceLock<_>>::default();
@@ -192,7 +203,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         directory: directory.clone(),
         registry: registry.clone(),
         router: router.clone(),
-        safe_outputs: builder.safe_outputs.clone(),
+        safe_outputs,
         rest_node: keeper.clone().recipient(),
     });
     let seed = platform::random_seed();
@@ -208,6 +219,7 @@ fn make_chain(builder: &NodeBuilder, node: &NodeName) -> Result<Parts, StartErro
         guardian.start(named("chain/recoverer"), place, move |_: &mut Context<Recoverer>| {
             Recoverer::new(setup)
         });
+    keeper.do_send(TellRest(recoverer.clone().recipient()));
     notifier.do_send(AddPort {
         port: Port::Local,
         recover: recoverer.clone().recipient(),
@@ -256,7 +268,13 @@ impl Networks {
     pub(super) async fn leave(&self) {
         self.handle.leave();
         let gone = async {
-            while self.handle.read_sessions().await.iter().any(|row| row.incarnation.is_some()) {
+            while self
+                .handle
+                .read_sessions()
+                .await
+                .iter()
+                .any(|row| row.standing.incarnation.is_some())
+            {
                 tokio::time::sleep(FAREWELL_LOOK).await;
             }
         };
@@ -325,7 +343,13 @@ fn make_networks(
     };
     let claims = ClaimsBody::start(setup, guardian, arbiter.as_ref());
     enrolments.push(middleware(named("net/claims"), Some(claims.inquiries)));
-    let net_environment = NetEnvironment { envoys: vec![claims.peers], ..net_environment };
+    let setup =
+        RestSetup { registry: environment.registry.clone(), nodes: monitor.clone().recipient() };
+    let rest = RestBody::start(setup, guardian, arbiter.as_ref());
+    parts.keeper.do_send(TellRest(rest.own));
+    enrolments.push(middleware(named("net/rest"), Some(rest.inquiries)));
+    let envoys = vec![claims.peers, rest.peers];
+    let net_environment = NetEnvironment { envoys, ..net_environment };
     let handle = net::start(net_environment, specs)
         .map_err(|error| StartError::Network(error.to_string()))?;
     let own = handle.inquiries().into_iter();
@@ -418,7 +442,7 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     let judges = judges(&builder.wardens)
         .map_err(StartError::name_of("the name of a node that isolates others"))?;
     check_networks(&builder.networks, &node)?;
-    let parts = make_chain(&builder, &node)?;
+    let parts = make_chain(&builder, (&node, incarnation))?;
     for listener in builder.listeners {
         listener.listen(&parts.chain.subscribe);
     }
@@ -459,6 +483,7 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
         (Some(networks), enrolments)
     };
     let Parts { guardian, chain, monitor, keeper, state, directory, .. } = parts;
+    let kept_by = directory.clone();
 
     let ground = Ground {
         environment: &environment,
@@ -472,7 +497,8 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     let root = builder.root.plant(&ground, &mut harvest)?;
     let names: Vec<&ObjectName> = harvest.components.iter().map(|facts| &facts.name).collect();
     plan.check(names, &builder.own_kinds, builder.strategies.names())?;
-    check_dependencies(&node, &harvest)?;
+    let dependencies = dependencies(&node, &harvest);
+    dependencies.check()?;
 
     let mut enrolments: Vec<Enrol> = Vec::new();
     if let Some(networks) = &networks {
@@ -498,6 +524,13 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     for (name, inquiries) in chain.inquiries.iter().cloned() {
         enrolments.push(middleware(name, Some(inquiries)));
     }
+    let window = builder.shown_at.map(|path| {
+        let (name, place) = (named("window"), chain.arbiter.as_ref());
+        let window = Window::new(path, state.clone());
+        let window = guardian.start(name.clone(), place, |_: &mut Context<Window>| window);
+        enrolments.push(middleware(name, Some(window.clone().recipient())));
+        window
+    });
     enrolments.extend(network_enrolments);
     for (name, inquiries) in harvest.supervisors {
         enrolments.push(middleware(name, Some(inquiries)));
@@ -533,14 +566,22 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
         networks,
         root: Root::of(&root),
         shutdown: keeper.clone().recipient(),
+        restart: keeper.clone().recipient(),
+        directory: kept_by,
         state,
         actors: Mutex::new(actors),
+        dependencies: Mutex::new(dependencies),
         plan,
     };
     let node = Node(Arc::new(shared));
     node.0.environment.declare_complaints();
     // From here on the node ends its threads itself.
     undone.kept = true;
+    if let Some(window) = window {
+        // The fault chain's mailboxes close only when the node has ended.
+        let shown = window.send(Show::node(&node)).await.unwrap_or(Ok(()));
+        shown.map_err(StartError::Shown)?;
+    }
     match keeper.send(StartRoot(root)).await {
         Ok(Ok(())) => Ok(node),
         Ok(Err(reason)) => Err(StartError::GaveUp { reason }),

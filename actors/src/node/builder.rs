@@ -5,10 +5,11 @@ use super::faults::{FaultEvents, Listener};
 use super::keeper::NodeState;
 use super::network::Network;
 use super::tree::SupervisorSpec;
-use crate::chain::strategy::{RecoveryStrategy, SafeOutputs, StrategyTable};
+use crate::chain::strategy::{Apply, RecoveryStrategy, StrategyTable};
 use crate::component::Component;
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::service::{Carried, ServiceSpec, Stateful};
+use blastema_core::dependencies::DependencyError;
 use blastema_core::detection::EnrolError;
 use blastema_core::recovery::{Plan, PlanError, Restart, Strategy};
 use blastema_core::{Fault, FaultKind, NameError, ObjectName};
@@ -41,16 +42,9 @@ pub enum StartError {
     /// An object cannot be watched as its spec says.
     #[error(transparent)]
     Watch(#[from] EnrolError),
-    /// A component depends on what does not exist, or on itself.
-    #[error(
-        "{name} depends on {needed:?}, which is no other object of this node: mend the name, or add it"
-    )]
-    Dependency {
-        /// The component.
-        name: ObjectName,
-        /// What it is said to depend on.
-        needed: String,
-    },
+    /// A component depends on what does not exist, or on itself, perhaps by way of others.
+    #[error(transparent)]
+    Dependency(#[from] DependencyError),
     /// The text of a network's endpoint, or of a neighbour's address there, is wrong.
     #[error("network {network}: {error}")]
     Endpoint {
@@ -78,6 +72,9 @@ pub enum StartError {
         /// What stands in the way.
         reason: String,
     },
+    /// Nobody can look at the node where it was to be shown.
+    #[error("the node cannot be shown: {0}")]
+    Shown(String),
     /// The operating system has no thread left.
     #[error("a thread could not be started: {0}")]
     Thread(#[from] io::Error),
@@ -108,7 +105,7 @@ pub struct NodeBuilder {
     pub(super) plan: Plan,
     pub(super) own_kinds: Vec<FaultKind>,
     pub(super) strategies: StrategyTable,
-    pub(super) safe_outputs: Option<SafeOutputs>,
+    pub(super) safe_outputs: Option<Apply>,
     pub(super) placement: Placement,
     pub(super) grace: Duration,
     pub(super) networks: Vec<Network>,
@@ -117,6 +114,7 @@ pub struct NodeBuilder {
     pub(super) listeners: Vec<Listener>,
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
+    pub(super) shown_at: Option<PathBuf>,
 }
 
 impl StartError {
@@ -152,6 +150,7 @@ impl NodeBuilder {
             listeners: Vec::new(),
             state: watch::channel(NodeState::Starting).0,
             kept_in: None,
+            shown_at: None,
         }
     }
 
@@ -204,6 +203,14 @@ impl NodeBuilder {
     /// A file that is damaged is set aside and becomes a fault. Two nodes never share one.
     pub fn keep_variables(mut self, file: impl Into<PathBuf>) -> Self {
         self.kept_in = Some(file.into());
+        self
+    }
+
+    /// Shows the node to `blastema monitor`, and to whatever else connects to a Unix socket at this path: its
+    /// [`picture`](Node::picture) as JSON, and the end. Only processes of the same user may look, and
+    /// nothing can be changed from there. It can be seen from the start on, and at safe rest.
+    pub fn shown_at(mut self, path: impl Into<PathBuf>) -> Self {
+        self.shown_at = Some(path.into());
         self
     }
 

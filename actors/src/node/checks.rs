@@ -4,29 +4,18 @@ use super::builder::StartError;
 use super::network::Network;
 use super::tree::Harvest;
 use crate::service::Carried;
-use blastema_core::{NodeName, ObjectName};
+use blastema_core::NodeName;
+use blastema_core::dependencies::{Dependencies, DependencyError, circle};
 use std::collections::BTreeSet;
 
-/// Every object of this node that a component depends on must be one, and another one.
-pub(super) fn check_dependencies(node: &NodeName, harvest: &Harvest) -> Result<(), StartError> {
-    let components = harvest.components.iter().map(|facts| &facts.name);
-    let supervisors = harvest.supervisors.iter().map(|(name, _)| name);
-    let known: BTreeSet<&str> = components.chain(supervisors).map(ObjectName::as_str).collect();
+/// Who needs whom of the objects of this node.
+pub(super) fn dependencies(node: &NodeName, harvest: &Harvest) -> Dependencies {
+    let mut objects = Dependencies::of(node.clone());
+    harvest.supervisors.iter().for_each(|(name, _)| objects.enter(name.clone(), &[]));
     for facts in &harvest.components {
-        for needed in &facts.depends_on {
-            let own = match needed.split_once(':') {
-                Some((of, object)) if of == node.as_str() => object,
-                // What other nodes hold is not known here.
-                Some(_) => continue,
-                None => needed,
-            };
-            if own == facts.name.as_str() || !known.contains(own) {
-                let (name, needed) = (facts.name.clone(), needed.clone());
-                return Err(StartError::Dependency { name, needed });
-            }
-        }
+        objects.enter(facts.name.clone(), &facts.depends_on);
     }
-    Ok(())
+    objects
 }
 
 /// The nodes of a service are others than each other, and this is one of them.
@@ -59,20 +48,12 @@ pub(super) fn check_networks(networks: &[Network], node: &NodeName) -> Result<()
     Ok(())
 }
 
-/// Of services that wait for each other, none would ever serve.
+/// Of services that wait for each other, none would ever serve. What the services of other nodes wait
+/// for is not known here.
 pub(super) fn check_service_order(carried: &[Carried]) -> Result<(), StartError> {
-    let mut open: Vec<_> = carried.iter().collect();
-    loop {
-        let waits =
-            |service: &&Carried| open.iter().any(|other| service.depends_on.contains(&other.name));
-        let left: Vec<_> = open.iter().copied().filter(|service| waits(service)).collect();
-        match left.first() {
-            None => return Ok(()),
-            Some(Carried { name, .. }) if left.len() == open.len() => {
-                let reason = "it depends on itself, perhaps by way of others: leave out one of the dependencies";
-                return Err(StartError::Service { name: name.clone(), reason: reason.to_owned() });
-            }
-            Some(_) => open = left,
-        }
-    }
+    let needs = carried.iter();
+    let needs = needs.map(|service| (&service.name, service.depends_on.iter().collect()));
+    let Some(way) = circle(&needs.collect()) else { return Ok(()) };
+    let (name, reason) = (way[0].clone(), DependencyError::Circle { way }.to_string());
+    Err(StartError::Service { name, reason })
 }

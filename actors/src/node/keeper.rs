@@ -1,15 +1,21 @@
-//! The keeper: it starts the root supervisor, ends it, and brings the whole node to safe rest.
+//! The keeper: it starts the root supervisor, ends it, brings the whole node to safe rest, and back.
+//!
+//! ```text
+//!  Down ─ start ─► Up ─ stop, rest ─► Ending ─► Down ─ restart, from rest only ─► Up
+//!                   └─ the root has given up ────►┘
+//! ```
 
 use crate::chain::strategy::SafeOutputs;
 use crate::chain::supervisor::SupervisorChild;
 use crate::guardian::answers_the_monitor;
-use crate::panics;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildReport};
+use blastema_contract::monitor::NodeReported;
+use blastema_contract::recoverer::NodeRests;
 use blastema_contract::strategy::RestNode;
+use blastema_core::detection::NodeCondition;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use tokio::sync::{oneshot, watch};
 use tracing::{error, info};
 
@@ -21,12 +27,12 @@ pub enum NodeState {
     /// All components have been started.
     Running,
     /// Something could not be contained, or was restarted more often than the root allows: the safe
-    /// outputs were applied and everything was stopped.
+    /// outputs were applied and everything was stopped. [`Node::restart`](crate::Node::restart) brings it back.
     AtRest {
         /// Why.
         reason: String,
     },
-    /// It was told to stop, and has.
+    /// It was told to stop, and has, from work or from rest.
     Stopped,
 }
 
@@ -35,70 +41,169 @@ pub enum NodeState {
 #[rtype(result = "Result<(), String>")]
 pub(super) struct StartRoot(pub(super) SupervisorChild);
 
+/// From the node: start the root once more, from safe rest. Answered likewise.
+#[derive(Message)]
+#[rtype(result = "Result<(), RestartRefused>")]
+pub(super) struct RestartRoot;
+
+/// Why the root was not started once more.
+pub(super) enum RestartRefused {
+    /// The node is not at rest, but so.
+    NotAtRest(NodeState),
+    /// It was told to stop while it waited for the last ones to end.
+    ShutDown,
+    /// It came to rest again, for this reason.
+    GaveUp(String),
+}
+
 /// From the node: stop everything in order. Answered when that is done.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(super) struct Shutdown;
 
+/// Tells this one too when the node comes to rest, and when it goes to work again. As many as the node has parts
+/// that want to know.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct TellRest(pub(super) Recipient<NodeRests>);
+
+/// What the keeper is made of.
+pub(super) struct KeeperSetup {
+    pub(super) node: NodeName,
+    /// The node's own.
+    pub(super) incarnation: Incarnation,
+    pub(super) state: watch::Sender<NodeState>,
+    pub(super) safe_outputs: SafeOutputs,
+    /// Is told of this node as of others.
+    pub(super) nodes: Recipient<NodeReported>,
+}
+
 pub(super) struct Keeper {
-    node: NodeName,
+    setup: KeeperSetup,
     root: Option<SupervisorChild>,
-    state: watch::Sender<NodeState>,
-    started: Option<oneshot::Sender<Result<(), String>>>,
+    /// The root's.
+    life: Incarnation,
+    phase: Phase,
+    /// The node is at rest, and is to begin anew as soon as all have ended.
+    again: bool,
+    /// It was told to stop for good.
+    closed: bool,
+    /// Who waits for the start; as many as have asked for it.
+    started: Vec<oneshot::Sender<Result<(), String>>>,
     /// Who waits for the end; as many as have called `shutdown`.
     ended: Vec<oneshot::Sender<()>>,
-    /// The root's children are being stopped.
-    ending: bool,
-    safe_outputs: Option<SafeOutputs>,
+    told: Vec<Recipient<NodeRests>>,
+}
+
+/// What the root's children do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// None lives.
+    Down,
+    /// They are started, or at work.
+    Up,
+    /// They are being stopped.
+    Ending,
 }
 
 impl Keeper {
-    pub(super) fn new(
-        node: NodeName,
-        state: watch::Sender<NodeState>,
-        safe_outputs: Option<SafeOutputs>,
-    ) -> Self {
-        let (root, started, ended) = (None, None, Vec::new());
-        Keeper { node, root, state, started, ended, ending: false, safe_outputs }
+    pub(super) fn new(setup: KeeperSetup) -> Self {
+        Keeper {
+            setup,
+            root: None,
+            life: Incarnation::default(),
+            phase: Phase::Down,
+            again: false,
+            closed: false,
+            started: Vec::new(),
+            ended: Vec::new(),
+            told: Vec::new(),
+        }
+    }
+
+    fn state(&self) -> NodeState {
+        self.setup.state.borrow().clone()
+    }
+
+    fn rests(&self) -> bool {
+        matches!(self.state(), NodeState::AtRest { .. })
+    }
+
+    fn begin(&mut self, context: &mut Context<Self>) {
+        let Some(root) = &mut self.root else { return };
+        self.life = self.life.next();
+        self.phase = Phase::Up;
+        root.start(self.life, context.address().recipient());
+    }
+
+    fn begin_again(&mut self, context: &mut Context<Self>) {
+        info!("the node goes to work again");
+        self.again = false;
+        self.setup.safe_outputs.resume();
+        self.setup.state.send_replace(NodeState::Starting);
+        self.tell_rest(None);
+        self.begin(context);
     }
 
     fn end(&mut self) {
-        if !std::mem::replace(&mut self.ending, true)
+        if self.phase == Phase::Up
             && let Some(root) = &mut self.root
         {
+            self.phase = Phase::Ending;
             root.stop();
+        }
+    }
+
+    /// All children have ended.
+    fn handle_down(&mut self, context: &mut Context<Self>) {
+        self.phase = Phase::Down;
+        if self.closed || !self.rests() {
+            self.setup.state.send_replace(NodeState::Stopped);
+        }
+        // Who waited may have gone.
+        for ended in self.ended.drain(..) {
+            let _ = ended.send(());
+        }
+        if self.again {
+            self.begin_again(context);
         }
     }
 
     /// The fault of a root that has given up: the detector has the particulars of each restart.
     fn storm(&self, reason: &str) -> Fault {
-        let kind = FaultKind::RestartStorm;
-        Fault::of_node(self.node.clone(), kind, reason.to_owned(), platform::now())
+        let (node, kind) = (self.setup.node.clone(), FaultKind::RestartStorm);
+        Fault::of_node(node, kind, reason.to_owned(), platform::now())
     }
 
-    fn tell_ended(&mut self) {
-        for ended in self.ended.drain(..) {
-            // Who waited may have gone.
-            let _ = ended.send(());
+    fn tell_started(&mut self, outcome: &Result<(), String>) {
+        for started in self.started.drain(..) {
+            let _ = started.send(outcome.clone());
         }
+    }
+
+    fn tell_rest(&self, reason: Option<&str>) {
+        let reason = reason.map(str::to_owned);
+        let rests = NodeRests { reason: reason.clone() };
+        self.told.iter().for_each(|told| told.do_send(rests.clone()));
+        let KeeperSetup { node, incarnation, nodes, .. } = &self.setup;
+        let (node, incarnation) = (node.clone(), *incarnation);
+        let condition = match reason {
+            Some(reason) => NodeCondition::AtRest { reason },
+            None => NodeCondition::AtWork,
+        };
+        nodes.do_send(NodeReported { node, incarnation, condition });
     }
 
     fn rest(&mut self, fault: &Fault, reason: String) {
-        if matches!(*self.state.borrow(), NodeState::AtRest { .. } | NodeState::Stopped) {
+        if self.rests() || self.state() == NodeState::Stopped {
             return;
         }
         error!(reason, "the node comes to safe rest");
-        if let Some(apply) = &self.safe_outputs {
-            let _guarded = panics::Guarded::enter();
-            if catch_unwind(AssertUnwindSafe(|| apply(fault))).is_err() {
-                error!("the safe outputs panicked");
-            }
-        }
-        if let Some(started) = self.started.take() {
-            let _ = started.send(Err(reason.clone()));
-        }
+        self.setup.safe_outputs.rest(fault);
+        self.tell_started(&Err(reason.clone()));
+        self.tell_rest(Some(&reason));
         // Listeners see the reason before the last component has stopped.
-        self.state.send_replace(NodeState::AtRest { reason });
+        self.setup.state.send_replace(NodeState::AtRest { reason });
         self.end();
     }
 }
@@ -111,17 +216,54 @@ impl Actor for Keeper {
 
 impl Supervised for Keeper {}
 
+impl Handler<TellRest> for Keeper {
+    type Result = ();
+
+    fn handle(&mut self, TellRest(told): TellRest, _: &mut Context<Self>) {
+        self.told.push(told);
+    }
+}
+
 impl Handler<StartRoot> for Keeper {
     type Result = ResponseFuture<Result<(), String>>;
 
     fn handle(&mut self, message: StartRoot, context: &mut Context<Self>) -> Self::Result {
-        let StartRoot(mut root) = message;
+        let StartRoot(root) = message;
         let (answer, started) = oneshot::channel();
-        self.started = Some(answer);
-        root.start(Incarnation::FIRST, context.address().recipient());
+        self.started.push(answer);
         self.root = Some(root);
+        match self.state() {
+            // Something could not be contained before anything had begun.
+            NodeState::AtRest { reason } => self.tell_started(&Err(reason)),
+            _ => self.begin(context),
+        }
         Box::pin(async move {
             started.await.unwrap_or_else(|_| Err("the node was ended before it had started".into()))
+        })
+    }
+}
+
+impl Handler<RestartRoot> for Keeper {
+    type Result = ResponseFuture<Result<(), RestartRefused>>;
+
+    fn handle(&mut self, _: RestartRoot, context: &mut Context<Self>) -> Self::Result {
+        let refused = match self.state() {
+            NodeState::AtRest { .. } => None,
+            state => Some(RestartRefused::NotAtRest(state)),
+        };
+        if let Some(refused) = refused {
+            return Box::pin(std::future::ready(Err(refused)));
+        }
+        let (answer, started) = oneshot::channel();
+        self.started.push(answer);
+        match self.phase {
+            // Who is still being stopped has its time for that.
+            Phase::Up | Phase::Ending => self.again = true,
+            Phase::Down => self.begin_again(context),
+        }
+        Box::pin(async move {
+            let started = started.await.map_err(|_| RestartRefused::ShutDown)?;
+            started.map_err(RestartRefused::GaveUp)
         })
     }
 }
@@ -129,30 +271,25 @@ impl Handler<StartRoot> for Keeper {
 impl Handler<ChildReport> for Keeper {
     type Result = ();
 
-    fn handle(&mut self, report: ChildReport, _: &mut Context<Self>) {
+    fn handle(&mut self, report: ChildReport, context: &mut Context<Self>) {
+        if report.incarnation != self.life {
+            return;
+        }
         match report.event {
             ChildEvent::Started => {
-                if matches!(*self.state.borrow(), NodeState::Starting) {
+                if self.state() == NodeState::Starting {
                     info!("the node runs");
-                    self.state.send_replace(NodeState::Running);
+                    self.setup.state.send_replace(NodeState::Running);
                 }
-                if let Some(started) = self.started.take() {
-                    let _ = started.send(Ok(()));
-                }
+                self.tell_started(&Ok(()));
             }
             ChildEvent::StartFailed { reason } | ChildEvent::Escalated { reason } => {
                 // The root has ended its children by itself.
-                (self.ending, self.root) = (true, None);
+                self.phase = Phase::Down;
                 self.rest(&self.storm(&reason), reason);
-                self.tell_ended();
+                self.handle_down(context);
             }
-            ChildEvent::Stopped => {
-                if !matches!(*self.state.borrow(), NodeState::AtRest { .. }) {
-                    self.state.send_replace(NodeState::Stopped);
-                }
-                self.root = None;
-                self.tell_ended();
-            }
+            ChildEvent::Stopped => self.handle_down(context),
             ChildEvent::Reset | ChildEvent::ResetFailed { .. } | ChildEvent::Died { .. } => {}
         }
     }
@@ -172,8 +309,13 @@ impl Handler<Shutdown> for Keeper {
     type Result = ResponseFuture<()>;
 
     fn handle(&mut self, _: Shutdown, _: &mut Context<Self>) -> Self::Result {
-        let over = matches!(*self.state.borrow(), NodeState::Stopped) || self.root.is_none();
-        if over {
+        self.closed = true;
+        if std::mem::take(&mut self.again) {
+            // They see that they wait in vain.
+            self.started.clear();
+        }
+        if self.phase == Phase::Down {
+            self.setup.state.send_replace(NodeState::Stopped);
             return Box::pin(std::future::ready(()));
         }
         let (answer, ended) = oneshot::channel();

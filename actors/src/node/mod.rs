@@ -16,21 +16,28 @@ mod checks;
 mod faults;
 mod keeper;
 mod network;
+mod picture;
+mod restart;
 mod tree;
+mod window;
 
 pub use builder::{NodeBuilder, StartError};
 pub use faults::FaultEvents;
 pub use keeper::NodeState;
 pub use network::{Cable, Direction, Impairment, Link, MemoryMedium, Network};
+pub use picture::Picture;
+pub use restart::RestartError;
 pub use tree::SupervisorSpec;
 
+use crate::chain::directory::Directory;
 use crate::chain::supervisor::SupervisorChild;
 use crate::claim::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
 use crate::component::Component;
 use crate::host::environment::HostEnvironment;
 use crate::host::office::DeadLetterOffice;
 use crate::host::spec::{ChildSpec, SpecError};
-use crate::lease::{self, Commander};
+use crate::host::threads::{self, ThreadRow};
+use crate::lease::{self, ActuatorRow, Commander};
 use crate::reference::ActorRef;
 use crate::sender::Sender;
 use crate::service::{Role, ServiceRef};
@@ -45,22 +52,24 @@ use blastema_contract::naming::NodeRow;
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::SessionRow;
 use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
+use blastema_core::dependencies::Dependencies;
 use blastema_core::detection::{Record, Row};
 use blastema_core::net::Route;
 use blastema_core::net::claims::Wanted;
+use blastema_core::net::isolation::Decision;
 use blastema_core::{
     Contract, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable, Why,
 };
-use keeper::Shutdown;
+use keeper::{RestartRoot, Shutdown};
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 
 /// A running node. Clones refer to the same one; it runs until [`shutdown`](Node::shutdown), or until
-/// it comes to safe rest.
+/// it comes to safe rest, from where [`restart`](Node::restart) brings it back.
 ///
 /// ```
 /// use blastema::prelude::*;
@@ -87,8 +96,11 @@ struct Shared {
     networks: Option<Networks>,
     root: Root,
     shutdown: Recipient<Shutdown>,
+    restart: Recipient<RestartRoot>,
+    directory: Directory,
     state: watch::Receiver<NodeState>,
     actors: Mutex<BTreeMap<ObjectName, Box<dyn Any + Send>>>,
+    dependencies: Mutex<Dependencies>,
     plan: Arc<blastema_core::recovery::Plan>,
 }
 
@@ -191,7 +203,8 @@ impl Node {
     fn set_isolated(&self, node: &str, isolated: bool) -> Result<(), NameError> {
         let node = NodeName::new(node)?;
         if let Some(networks) = &self.0.networks {
-            networks.handle.isolate(&node, isolated);
+            let cause = "the application says so";
+            networks.handle.decide(Decision { node: &node, isolated, cause });
         }
         Ok(())
     }
@@ -253,6 +266,11 @@ impl Node {
     /// Whether this node serves, or stands by for, a service that it carries.
     pub fn service_role(&self, name: &str) -> Option<Role> {
         self.0.environment.services.role(&ObjectName::new(name).ok()?)
+    }
+
+    /// The actuators of this node, and who commands each.
+    pub fn actuators(&self) -> Vec<ActuatorRow> {
+        self.0.environment.actuators.rows()
     }
 
     /// Commands the actuator of this name, here or on another node, under the name `own`. The lease is
@@ -335,7 +353,8 @@ impl Node {
         }
     }
 
-    /// The sessions with other nodes.
+    /// The sessions with other nodes: whether they stand, how much is under way, and what was lost,
+    /// repeated, late or refused.
     pub async fn sessions(&self) -> Vec<SessionRow> {
         match &self.0.networks {
             Some(networks) => networks.handle.read_sessions().await,
@@ -373,10 +392,23 @@ impl Node {
         self.0.environment.arbiters.abandoned()
     }
 
+    /// Everything that the node knows of itself now: table, threads, links, sessions, claims, actuators, faults. It
+    /// can be read at any time; a part that does not come within a second is left out.
+    pub async fn picture(&self) -> Picture {
+        Picture::of(self).await
+    }
+
+    /// The threads that components live on: who keeps them, how busy they are, and how much waits there.
+    /// It can be read at any time, also while components are stuck.
+    pub fn threads(&self) -> Vec<ThreadRow> {
+        threads::rows(&self.0.environment.arbiters, &self.0.environment.watch_list)
+    }
+
     /// Adds a component under the root supervisor while the node runs, and starts it.
     ///
     /// # Errors
-    /// Its name is taken or does not parse, a setting makes no sense, or the root refuses it.
+    /// Its name is taken or does not parse, a setting makes no sense, what it depends on is not there or
+    /// depends on it, or the root refuses it.
     pub async fn add_child<C: Component>(
         &self,
         spec: ChildSpec<C>,
@@ -384,12 +416,15 @@ impl Node {
         let seed = tree::seed(spec);
         let planted = seed.plant(&self.0.environment)?;
         let name = planted.child.name().clone();
+        self.0.dependencies().add(name.clone(), &planted.depends_on)?;
         self.0.chain.enrol(&self.0.name, &planted).await;
         let rules = planted.rules(&self.0.plan);
         let actor = planted.actor.downcast_ref::<ActorRef<C>>().cloned();
         let actor = actor.expect("a spec of C makes an actor of C");
         let added = self.0.root.additions.send(AddChild { child: planted.child, rules }).await;
         if !matches!(added, Ok(Ok(()))) {
+            self.0.dependencies().remove(&name);
+            self.0.chain.dismiss(name.clone());
             return Err(SpecError::Refused { name });
         }
         let mut actors = self.0.actors.lock().unwrap_or_else(PoisonError::into_inner);
@@ -409,6 +444,7 @@ impl Node {
             return Err(unknown());
         }
         self.0.chain.dismiss(object.clone());
+        self.0.dependencies().remove(&object);
         self.0.actors.lock().unwrap_or_else(PoisonError::into_inner).remove(&object);
         Ok(())
     }
@@ -425,6 +461,10 @@ impl Node {
 }
 
 impl Shared {
+    fn dependencies(&self) -> MutexGuard<'_, Dependencies> {
+        self.dependencies.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn stop_threads(&self) {
         self.environment.arbiters.stop();
         if let Some(networks) = &self.networks {

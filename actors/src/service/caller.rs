@@ -1,12 +1,13 @@
 //! Whoever asks a service, and follows it from node to node.
 
-use super::finder::{Finder, Found, PROBE};
+use super::finder::{Finder, Found, Missing, PROBE};
 use super::read_why;
 use super::roster::Roster;
 use super::words::{Answered, AskService, Task};
 use crate::platform;
 use crate::registry::Registry;
 use crate::sender::{RequestError, next_id};
+use blastema_core::retry::Attempt;
 use blastema_core::{
     ContractIdentity, Instant, MessageId, NameError, NodeName, ObjectName, Request, RetryRule, Why,
     codec,
@@ -60,6 +61,14 @@ impl Open {
 impl Drop for Open {
     fn drop(&mut self) {
         open().remove(&self.0);
+    }
+}
+
+/// Why a service that its nodes were told different things of does not serve.
+fn disputed(difference: String, asked: bool) -> Why {
+    match asked {
+        true => Why::OutcomeUnknown { reason: difference },
+        false => Why::ContractDiffers { difference },
     }
 }
 
@@ -140,7 +149,8 @@ impl<M: Request> ServiceRef<M> {
                 }
                 Err(why) => why,
             };
-            match rule.again(asked, &why, M::IDEMPOTENT, until.as_nanos()) {
+            let attempt = Attempt { asked, why: &why, idempotent: M::IDEMPOTENT };
+            match rule.again(attempt, until.as_nanos()) {
                 Some(wait) if platform::now() + wait < until => tokio::time::sleep(wait).await,
                 _ => return Err(failed(why)),
             }
@@ -153,15 +163,18 @@ impl<M: Request> ServiceRef<M> {
         let mut primary = self.primary();
         // Who has not answered, and what became of the request there if that is not known.
         let (mut failed, mut uncertain) = (None, None);
+        // One that was asked may have begun it, and does not say.
+        let mut asked = false;
         loop {
             let node = match primary.take() {
                 Some(node) => node,
                 None => match self.finder.find(failed.take().as_ref()).await {
-                    Some(Found { keeps: false, .. }) if uncertain.is_some() && !M::IDEMPOTENT => {
+                    Ok(Found { keeps: false, .. }) if uncertain.is_some() && !M::IDEMPOTENT => {
                         return Err(Why::OutcomeUnknown { reason: uncertain.unwrap_or_default() });
                     }
-                    Some(Found { primary, .. }) => primary,
-                    None => {
+                    Ok(Found { primary, .. }) => primary,
+                    Err(Missing::Disputed(difference)) => return Err(disputed(difference, asked)),
+                    Err(Missing::Nobody) => {
                         tokio::time::sleep(PROBE).await;
                         continue;
                     }
@@ -178,9 +191,11 @@ impl<M: Request> ServiceRef<M> {
                         primary = Some(node);
                         tokio::time::sleep(PROBE).await;
                     }
+                    Why::ContractDiffers { difference } => return Err(disputed(difference, asked)),
                     why => return Err(why),
                 },
                 Turn::Answered(Answered::Elsewhere { primary: told }) => {
+                    asked = true;
                     primary = told.and_then(|told| NodeName::new(&told).ok());
                     if primary.is_none() || primary.as_ref() == Some(&node) {
                         tokio::time::sleep(PROBE).await;
@@ -191,8 +206,9 @@ impl<M: Request> ServiceRef<M> {
                     let reason = "the primary has changed, and its standbys are cold".into();
                     return Err(Why::OutcomeUnknown { reason });
                 }
-                Turn::Moved(found) => primary = Some(found.primary),
+                Turn::Moved(found) => (primary, asked) = (Some(found.primary), true),
                 Turn::Failed(why) => {
+                    asked = true;
                     // It was taken there, perhaps; those that follow may not know.
                     if matches!(why, Why::PeerDied { .. } | Why::OutcomeUnknown { .. }) {
                         uncertain = Some(why.to_string());
@@ -212,12 +228,8 @@ impl<M: Request> ServiceRef<M> {
         };
         let asking = sender.ask_within(ask.clone(), until - platform::now());
         let moved = async {
-            loop {
-                tokio::time::sleep(PROBE).await;
-                if let Some(found) = self.finder.find(Some(node)).await {
-                    return found;
-                }
-            }
+            tokio::time::sleep(PROBE).await;
+            self.finder.follow(Some(node)).await
         };
         tokio::select! {
             biased;

@@ -18,6 +18,25 @@ const HELD: Duration = Duration::from_millis(100);
 /// Whoever waits so long for a service waits for one that is not there, or has a wrong name.
 const STRANGE: Duration = Duration::from_secs(10);
 
+/// Why nobody was found who serves.
+pub(super) enum Missing {
+    /// Nobody does now.
+    Nobody,
+    /// Nobody will until this is mended.
+    Disputed(String),
+}
+
+impl Missing {
+    /// How long to wait before all are asked again.
+    fn pause(&self) -> Duration {
+        match self {
+            Missing::Nobody => PROBE,
+            // That is answered at once, and not held back until somebody serves.
+            Missing::Disputed(_) => HELD,
+        }
+    }
+}
+
 /// Finds out who serves a service. Clones share what was learnt.
 #[derive(Clone)]
 pub(super) struct Finder {
@@ -60,30 +79,52 @@ impl Finder {
     }
 
     /// Asks all who carry the service who serves; `besides` is no answer, and is not asked.
-    pub(super) async fn find(&self, besides: Option<&NodeName>) -> Option<Found> {
+    pub(super) async fn find(&self, besides: Option<&NodeName>) -> Result<Found, Missing> {
         let members = self.members().await;
         let others = members.iter().filter(|member| Some(*member) != besides);
         let mut told: FuturesUnordered<_> =
             others.map(|member| self.who_serves(member, besides)).collect();
+        let mut missing = Missing::Nobody;
         while let Some(found) = told.next().await {
-            if found.is_some() {
-                return found;
+            match found {
+                Ok(found) => return Ok(found),
+                Err(Missing::Nobody) => {}
+                Err(disputed) => missing = disputed,
             }
         }
-        None
+        Err(missing)
+    }
+
+    /// Finds somebody who serves now, however long that takes.
+    pub(super) async fn follow(&self, besides: Option<&NodeName>) -> Found {
+        loop {
+            match self.find(besides).await {
+                Ok(found) => return found,
+                Err(missing) => tokio::time::sleep(missing.pause()).await,
+            }
+        }
     }
 
     /// Who serves, as soon as that node knows of anybody.
-    async fn who_serves(&self, node: &NodeName, besides: Option<&NodeName>) -> Option<Found> {
-        let sender = self.registry.sender::<WhoServes>(&format!("{node}:{}", self.name)).ok()?;
+    async fn who_serves(
+        &self,
+        node: &NodeName,
+        besides: Option<&NodeName>,
+    ) -> Result<Found, Missing> {
+        let address = format!("{node}:{}", self.name);
+        let sender = self.registry.sender::<WhoServes>(&address).map_err(|_| Missing::Nobody)?;
         let question = WhoServes { besides: besides.map(NodeName::to_string) };
-        let serving = sender.ask_within(question, HELD).await.ok()?;
+        let serving = sender.ask_within(question, HELD).await.map_err(|_| Missing::Nobody)?;
         let members: Result<Vec<_>, _> = serving.members.iter().map(|n| NodeName::new(n)).collect();
         if let Ok(members) = members {
             self.lock().members = members;
         }
-        let primary = NodeName::new(&serving.primary?).ok()?;
-        (Some(&primary) != besides).then_some(Found { primary, keeps: serving.keeps })
+        let primary = serving.primary.and_then(|primary| NodeName::new(&primary).ok());
+        match (primary.filter(|primary| Some(primary) != besides), serving.disputed) {
+            (Some(primary), _) => Ok(Found { primary, keeps: serving.keeps }),
+            (None, Some(difference)) => Err(Missing::Disputed(difference)),
+            (None, None) => Err(Missing::Nobody),
+        }
     }
 
     /// Completes when somebody says of itself that it serves. What others say of it may be past: they
@@ -98,26 +139,28 @@ impl Finder {
         let found = async {
             let mut besides = None;
             loop {
-                let Some(Found { primary, .. }) = self.find(besides.as_ref()).await else {
-                    besides = None;
-                    tokio::time::sleep(PROBE).await;
-                    continue;
+                let primary = match self.find(besides.take().as_ref()).await {
+                    Ok(Found { primary, .. }) => primary,
+                    Err(missing) => {
+                        tokio::time::sleep(missing.pause()).await;
+                        continue;
+                    }
                 };
                 let own = self.who_serves(&primary, None);
                 let other = async {
                     match self.find(Some(&primary)).await {
-                        Some(found) => found,
-                        None => std::future::pending().await,
+                        Ok(found) => found,
+                        Err(_) => std::future::pending().await,
                     }
                 };
                 let told = tokio::select! {
                     own = own => own,
-                    found = other => Some(found),
+                    found = other => Ok(found),
                 };
                 match told {
-                    Some(told) if told.primary == primary => return,
-                    Some(_) => besides = Some(primary),
-                    None => besides = None,
+                    Ok(told) if told.primary == primary => return,
+                    Ok(_) => besides = Some(primary),
+                    Err(_) => {}
                 }
             }
         };

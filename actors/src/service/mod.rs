@@ -10,6 +10,7 @@
 //! Each node that carries a service has a replica (the machine's body, on the network's arbiter) under
 //! the service's name, and the component under `<name>/replica`.
 
+mod accord;
 mod caller;
 mod finder;
 mod replica;

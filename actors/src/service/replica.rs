@@ -9,7 +9,7 @@ use crate::death_watch::{Down, Ending, Mourner};
 use crate::desk::Desk;
 use crate::drive::{Body, Wake};
 use crate::guardian::{Guardian, answers_the_monitor};
-use crate::host::environment::HostEnvironment;
+use crate::host::environment::{HostEnvironment, Reports};
 use crate::host::life::LifeToken;
 use crate::platform;
 use crate::registry::{NameTaken, Port, Postmark, Registry, ReplyTo};
@@ -65,12 +65,12 @@ impl crate::death_watch::Mortal for Undying {
 
 /// The body.
 pub(crate) struct ReplicaBody {
-    carried: Carried,
-    machine: Replica,
+    pub(super) carried: Carried,
+    pub(super) machine: Replica,
     wake: Wake,
-    registry: Registry,
-    roster: Roster,
-    faults: Option<Recipient<FaultDeclared>>,
+    pub(super) registry: Registry,
+    pub(super) roster: Roster,
+    pub(super) reports: Reports,
     callers: BTreeMap<u64, Answer<AskService>>,
     /// Who wants to know who serves, while nobody does.
     wondering: VecDeque<Wondered>,
@@ -91,7 +91,7 @@ impl ReplicaBody {
     ) -> Result<Recipient<AreYouAlive>, NameTaken> {
         let HostEnvironment { registry, services: roster, .. } = environment;
         let (kept, known, names) = (carried.clone(), roster.clone(), registry.clone());
-        let faults = environment.reports.faults.clone();
+        let reports = environment.reports.clone();
         let make = move |_: &mut Context<Self>| {
             let (config, initial) = (kept.config.clone(), kept.initial.clone());
             ReplicaBody {
@@ -100,7 +100,7 @@ impl ReplicaBody {
                 wake: Wake::default(),
                 registry: names,
                 roster: known,
-                faults,
+                reports,
                 callers: BTreeMap::new(),
                 wondering: VecDeque::new(),
                 inquiry: None,
@@ -126,6 +126,8 @@ impl ReplicaBody {
         ports.insert(ReplicaSays::NAME, Port::of_desk(says));
         ports.insert(AskService::NAME, Port::of_desk(serve));
         ports.insert(WhoServes::NAME, Port::of_desk(who));
+        let (name, compare) = super::accord::port(body.clone().recipient());
+        ports.insert(name, compare);
         registry.claim(&carried.name, ports, Arc::new(Undying))?;
         let told = body.clone().recipient::<Died>();
         let tell = move |down: Down| {
@@ -142,7 +144,7 @@ impl ReplicaBody {
     /// Hands something to the component; the answer comes back to this body.
     fn hand_over(
         &self,
-        (contract, bytes): (&str, &[u8]),
+        (contract, message): (&str, Vec<u8>),
         then: impl FnOnce(Result<Bytes, Why>) -> Done + Send + 'static,
         context: &mut Context<Self>,
     ) {
@@ -151,7 +153,7 @@ impl ReplicaBody {
         match self.registry.doorway(&self.carried.component, contract) {
             // What came of it is told to the closure in every case.
             Ok((_, doorway)) => {
-                let _ = doorway.deliver(bytes, Postmark::default(), Some(reply_to));
+                let _ = doorway.deliver(&message.into(), Postmark::default(), Some(reply_to));
             }
             Err(why) => reply_to(Err(why)),
         }
@@ -175,7 +177,7 @@ impl ReplicaBody {
         match read {
             Ok((contract, payload)) => {
                 let then = move |result| Done::Executed { result, save };
-                self.hand_over((&contract, &payload), then, context);
+                self.hand_over((&contract, payload), then, context);
             }
             Err(why) => refused(why, context),
         }
@@ -200,7 +202,7 @@ impl ReplicaBody {
                 Err(_) => Done::LoadAgain { state },
             }
         };
-        self.hand_over((LoadState::NAME, &bytes), then, context);
+        self.hand_over((LoadState::NAME, bytes), then, context);
     }
 
     fn save(&mut self, after: Option<Result<Bytes, Why>>, context: &mut Context<Self>) {
@@ -218,13 +220,13 @@ impl ReplicaBody {
                 None => Done::Saved { state },
             }
         };
-        self.hand_over((SaveState::NAME, &bytes), then, context);
+        self.hand_over((SaveState::NAME, bytes), then, context);
     }
 
     fn tell(&mut self, to: &NodeName, message: Bytes) {
         if message.len() > MESSAGE_MAX {
             let detail = "a reply is too large to be kept for the standbys: let it be smaller";
-            return self.declare(detail.to_owned());
+            return self.declare(FaultKind::CheckFailed, detail);
         }
         if !self.others.contains_key(to) {
             let name = format!("{to}:{}", self.carried.name);
@@ -238,19 +240,15 @@ impl ReplicaBody {
         }
     }
 
-    /// The component is at fault.
-    fn declare(&self, detail: String) {
+    /// A fault of the service.
+    fn declare(&self, kind: FaultKind, detail: &str) {
         let name = &self.carried.name;
         warn!(service = %name, "{detail}");
-        if let Some(faults) = &self.faults {
+        if let Some(faults) = &self.reports.faults {
             let (object, incarnation) =
                 (self.carried.body.clone(), crate::guardian::alive().incarnation);
-            faults.do_send(FaultDeclared {
-                object,
-                incarnation,
-                kind: FaultKind::CheckFailed,
-                detail: format!("service {name}: {detail}"),
-            });
+            let detail = format!("service {name}: {detail}");
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
         }
     }
 
@@ -269,20 +267,25 @@ impl ReplicaBody {
         };
         let before = self.roster.role(name);
         self.roster.note(name, role.clone());
-        for question in std::mem::take(&mut self.wondering) {
-            self.tell_who_serves(question);
-        }
+        self.tell_all_who_serves();
         if matches!(before, Some(Role::Primary { .. })) || epoch.is_some() {
             self.tell_role(context);
         }
     }
 
-    /// Answers at once where somebody serves, else as soon as anybody does.
+    fn tell_all_who_serves(&mut self) {
+        for question in std::mem::take(&mut self.wondering) {
+            self.tell_who_serves(question);
+        }
+    }
+
+    /// Answers at once where somebody serves, or nobody may, else as soon as anybody does.
     fn tell_who_serves(&mut self, Wondered(question, answer): Wondered) {
         let config = &self.carried.config;
         let primary = self.roster.primary(&self.carried.name, &config.own);
         let primary = primary.map(|node| node.to_string());
-        let known = primary.is_some() && primary != question.besides;
+        let disputed = self.machine.dispute();
+        let known = disputed.is_some() || primary.is_some() && primary != question.besides;
         if !known && self.wondering.len() >= WONDERING_MAX {
             // Those whose deadline has passed.
             self.wondering.retain(|Wondered(_, answer)| answer.is_wanted());
@@ -292,7 +295,7 @@ impl ReplicaBody {
         }
         let keeps = config.kind != StandbyKind::Cold;
         let members = config.members.iter().map(NodeName::to_string).collect();
-        answer.give(Serving { primary, keeps, members });
+        answer.give(Serving { primary, keeps, members, disputed });
     }
 
     /// The component is to know whether it serves.
@@ -304,7 +307,7 @@ impl ReplicaBody {
         let mut bytes = Vec::new();
         // A number always fits.
         let _ = codec::encode(&RoleChanged { epoch }, &mut bytes);
-        self.hand_over((RoleChanged::NAME, &bytes), |told| Done::Told(told.map(drop)), context);
+        self.hand_over((RoleChanged::NAME, bytes), |told| Done::Told(told.map(drop)), context);
     }
 
     /// Asks in a while whether the component takes something again.
@@ -355,7 +358,13 @@ impl Body for ReplicaBody {
             ReplicaOutput::Execute { request, save } => self.execute(&request, save, context),
             ReplicaOutput::Save => self.save(None, context),
             ReplicaOutput::Load { state } => self.load(state, context),
-            ReplicaOutput::Fault { detail } => self.declare(detail),
+            ReplicaOutput::Fault { detail } => self.declare(FaultKind::CheckFailed, &detail),
+            ReplicaOutput::Disputed { detail } => {
+                self.declare(FaultKind::ContractMismatch, &detail);
+                self.tell_all_who_serves();
+            }
+            ReplicaOutput::Agreed => self.mend(),
+            ReplicaOutput::Compare { with } => self.compare(with, context),
             ReplicaOutput::Inquire => self.inquire(context),
             ReplicaOutput::Answer { caller, outcome } => {
                 if let Some(answer) = self.callers.remove(&caller) {
@@ -384,6 +393,7 @@ impl Actor for ReplicaBody {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
+        self.look_around(context);
         self.drive(context);
     }
 }
@@ -391,8 +401,7 @@ impl Actor for ReplicaBody {
 impl Supervised for ReplicaBody {
     /// It has forgotten what it knew, and comes into step like one whose process began anew.
     fn restarting(&mut self, context: &mut Context<Self>) {
-        let (config, initial) = (self.carried.config.clone(), self.carried.initial.clone());
-        self.machine = Replica::new(config, initial, platform::now());
+        self.machine = self.machine.begun_anew(platform::now());
         // The component lives on, but nobody knows any more what it has done.
         self.machine.handle_component_died(platform::now());
         self.looking = false;

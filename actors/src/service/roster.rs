@@ -63,6 +63,11 @@ impl Roster {
         if let Some(entry) = self.lock().get(name) {
             return entry.members.clone();
         }
+        self.carriers(name).await
+    }
+
+    /// The other nodes that have an object of the service's name, whatever was declared.
+    pub(crate) async fn carriers(&self, name: &ObjectName) -> Vec<NodeName> {
         let Some(finder) = self.finder.get() else { return Vec::new() };
         let found = finder.send(FindObject { object: name.clone() }).await.unwrap_or_default();
         found.into_iter().map(|address| address.node).collect()

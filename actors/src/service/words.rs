@@ -10,6 +10,15 @@ pub(crate) struct ReplicaSays {
     pub(crate) message: Vec<u8>,
 }
 
+/// A replica says what it was told of the service, and asks another what that one was. The bytes are the
+/// machine's.
+#[derive(Clone, Debug, Request)]
+#[contract(crate = "crate", name = "blastema/service-terms", version = 1, reply = Vec<u8>)]
+pub(crate) struct CompareTerms {
+    pub(crate) from: String,
+    pub(crate) terms: Vec<u8>,
+}
+
 /// A caller asks a replica for the service.
 #[derive(Clone, Debug, Request)]
 #[contract(
@@ -73,6 +82,8 @@ pub(crate) struct Serving {
     pub(crate) keeps: bool,
     /// All who carry the service.
     pub(crate) members: Vec<String>,
+    /// Why nobody serves as long as that is not mended.
+    pub(crate) disputed: Option<String>,
 }
 
 /// The component gives its state.

@@ -156,7 +156,7 @@ trait AnyTopic: Send + Sync {
     /// The present version and the earlier ones that listeners here understand.
     fn identities(&self) -> Vec<ContractIdentity>;
     fn forward_to(&self, forwards: Arc<[Forward]>);
-    fn inject(&self, form: usize, event: &[u8], age: Duration) -> Result<(), Why>;
+    fn inject(&self, form: usize, event: &Bytes, age: Duration) -> Result<(), Why>;
     fn has_listeners(&self) -> bool;
 }
 
@@ -175,10 +175,10 @@ impl<E: Event> AnyTopic for Topic<E> {
         *lock(&self.forwards) = forwards;
     }
 
-    fn inject(&self, form: usize, event: &[u8], age: Duration) -> Result<(), Why> {
+    fn inject(&self, form: usize, event: &Bytes, age: Duration) -> Result<(), Why> {
         let former = form.checked_sub(1).and_then(|place| self.former.get(place));
         let read = match former {
-            None => codec::decode::<E>(event),
+            None => codec::decode_shared::<E>(event),
             Some(former) => former.read(event),
         };
         match read {
@@ -289,7 +289,7 @@ impl Topics {
         &self,
         key: &TopicKey,
         form: usize,
-        event: &[u8],
+        event: &Bytes,
         age: Duration,
     ) -> Result<(), Why> {
         let topic = lock(&self.inner).topics.get(key).map(|known| known.erased.clone());

@@ -9,7 +9,7 @@
 //! policy says, and can be read while the owner hangs.
 
 mod access;
-mod file;
+mod kept_file;
 mod store;
 
 pub use blastema_core::variables::{RestorePolicy, ValueState};

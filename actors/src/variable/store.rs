@@ -1,7 +1,7 @@
 //! The node's variables: the body of the machine in the core.
 
 use super::access::{Access, Accessed, Wanted, Written};
-use super::file::{self, Keeper, Then};
+use super::kept_file::{self, KeptFile, Then};
 use crate::death_watch::{Ending, Mourner};
 use crate::desk::Desk;
 use crate::host::life::LifeToken;
@@ -82,7 +82,7 @@ struct Inner {
     next: u64,
     /// Values of an earlier process whose owner is not there yet, or not any more.
     kept: BTreeMap<VariableKey, KeptValue>,
-    keeper: Option<Keeper>,
+    file: Option<KeptFile>,
     /// What is wrong with values that were to be restored, until somebody can be told.
     complaints: Vec<String>,
 }
@@ -132,7 +132,7 @@ impl Default for Store {
             waiting: BTreeMap::new(),
             next: 0,
             kept: BTreeMap::new(),
-            keeper: None,
+            file: None,
             complaints: Vec::new(),
         })))
     }
@@ -150,13 +150,13 @@ impl Store {
         failed: impl Fn(String) + Send + 'static,
     ) -> io::Result<()> {
         let mut inner = self.lock();
-        match file::load(&path) {
+        match kept_file::load(&path) {
             Ok(values) => {
                 let values = values.into_iter().map(|kept| (kept.variable.clone(), kept));
                 inner.kept = values.collect();
             }
             Err(error) => {
-                let aside = file::set_aside(&path)?;
+                let aside = kept_file::set_aside(&path)?;
                 inner.complaints.push(format!(
                     "variables begin with their defaults, since {} is refused: {error}. It is set aside \
                      as {}: see what has damaged it",
@@ -165,7 +165,7 @@ impl Store {
                 ));
             }
         }
-        inner.keeper = Some(Keeper::start(path, failed)?);
+        inner.file = Some(KeptFile::start(path, failed)?);
         Ok(())
     }
 
@@ -217,7 +217,7 @@ impl Store {
     /// The object is gone.
     pub(crate) fn withdraw(&self, object: &ObjectName) {
         let mut inner = self.lock();
-        if inner.keeper.is_some() {
+        if inner.file.is_some() {
             // It may be there again in the next process.
             let left = inner.worth_keeping().into_iter().filter(|kept| kept.variable.0 == *object);
             let left: Vec<_> = left.map(|kept| (kept.variable.clone(), kept)).collect();
@@ -273,13 +273,13 @@ impl Store {
         answer: Answer<Access>,
     ) {
         let mut inner = self.lock();
-        if inner.keeper.as_ref().is_some_and(|keeper| !keeper.has_room()) {
+        if inner.file.as_ref().is_some_and(|file| !file.has_room()) {
             drop(inner);
             return answer.give(Accessed::refused(&Why::Full));
         }
         let changed = change(&mut inner.machine);
-        let told = match (changed, &inner.keeper) {
-            (Ok(revision), Some(keeper)) => {
+        let told = match (changed, &inner.file) {
+            (Ok(revision), Some(file)) => {
                 let then: Then = Box::new(move |kept| {
                     answer.give(match kept {
                         Ok(()) => Accessed::Revision(revision),
@@ -287,7 +287,7 @@ impl Store {
                     });
                 });
                 // Under the lock: a later file has all that an earlier one has.
-                keeper.keep(inner.worth_keeping(), then);
+                file.keep(inner.worth_keeping(), then);
                 None
             }
             (Ok(revision), None) => Some((answer, Accessed::Revision(revision))),

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! transport ──Received, TransportReport──► links ──LinkChanged, Arrived──► router
-//!           ◄─Transmit────────────────────       ◄─Carry, ReportLinks────
+//!           ◄─Transmit────────────────────       ◄─Carry, GivenUp, ReportLinks─
 //! ```
 
 use actix::{Message, Recipient};
@@ -56,6 +56,14 @@ pub struct LinkChanged {
 #[rtype(result = "()")]
 pub struct ReportLinks;
 
+/// A link's neighbour says by another way that it has given it up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct GivenUp {
+    /// Which.
+    pub link: LinkNumber,
+}
+
 /// The interface that a network uses has lost its carrier, or has it again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
@@ -72,6 +80,8 @@ pub struct AddLinks {
     pub links: Vec<LinkNumber>,
     /// Takes what they are to carry.
     pub carry: Recipient<Carry>,
+    /// Tells them what their neighbours say by other ways.
+    pub given_up: Recipient<GivenUp>,
     /// Asks them how they are.
     pub report: Recipient<ReportLinks>,
 }

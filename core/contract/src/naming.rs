@@ -2,6 +2,7 @@
 
 use actix::Message;
 use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName};
+use std::collections::BTreeMap;
 
 /// Where are objects of this name?
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
@@ -15,6 +16,11 @@ pub struct FindObject {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "Vec<NodeRow>")]
 pub struct ReadNames;
+
+/// Which contracts do nodes not mean alike?
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "BTreeMap<NodeName, Vec<String>>")]
+pub struct ReadDifferences;
 
 /// One node, for people.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -13,6 +13,14 @@ pub struct Recover {
     pub fault: Fault,
 }
 
+/// From the keeper: this node has come to safe rest, where nothing is treated, or goes to work again.
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct NodeRests {
+    /// Why it is at rest; `None` where it is not.
+    pub reason: Option<String>,
+}
+
 /// A fault has gone by itself: what is not yet under way for it need not begin.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Confirmed")]

@@ -20,7 +20,7 @@ pub struct SendSegment {
     pub class: Class,
     /// What.
     pub segment: Bytes,
-    /// A copy is to go over every way that there is.
+    /// A copy is to go over each of several ways that share as little as can be.
     pub everywhere: bool,
 }
 

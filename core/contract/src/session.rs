@@ -5,14 +5,14 @@
 //! ```
 
 use actix::{Message, Recipient};
+use blastema_core::net::NodeId;
+use blastema_core::net::parcel::Parcel;
 use blastema_core::net::segment::Stream;
-use blastema_core::net::session::SessionCounters;
-use blastema_core::net::{NodeId, Refusals};
+use blastema_core::net::session::Standing;
 use blastema_core::{Incarnation, NodeName, Why};
 use bytes::Bytes;
 use std::fmt;
 use std::sync::Arc;
-use std::time::Duration;
 
 /// Whoever lets only so much be under way.
 pub trait Lender: Send + Sync {
@@ -59,7 +59,7 @@ pub struct Say {
     /// In which stream.
     pub stream: Stream,
     /// What.
-    pub message: Bytes,
+    pub message: Parcel,
     /// Room that it takes with whoever sent it.
     pub credit: Option<Credit>,
 }
@@ -75,7 +75,7 @@ pub struct SayNewest {
     /// On which channel.
     pub channel: u32,
     /// What.
-    pub message: Bytes,
+    pub message: Parcel,
     /// Room that it takes with whoever sent it.
     pub credit: Option<Credit>,
 }
@@ -171,14 +171,11 @@ pub struct ReadSessions;
 pub struct SessionRow {
     /// With whom.
     pub node: NodeName,
-    /// In which of its lives; `None` while there is none open.
-    pub incarnation: Option<Incarnation>,
-    /// The smoothed round trip.
-    pub round_trip: Option<Duration>,
-    /// What it did so far.
-    pub counters: SessionCounters,
-    /// What was refused so far.
-    pub refusals: Refusals,
+    /// How it stands.
+    pub standing: Standing,
+    /// Contracts that the two nodes do not mean alike: which, and what differs. Those found since the
+    /// session began, sixteen at most.
+    pub differences: Vec<String>,
 }
 
 /// How another node stands, for those of the middleware that talk to each other across nodes.

@@ -35,6 +35,8 @@ struct NodeSeen {
     restarts: u32,
     /// Who has isolated it, and why.
     isolated: Option<String>,
+    /// Why it is at safe rest, as it says itself.
+    rest: Option<String>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -44,6 +46,20 @@ enum Standing {
     Lost(String),
     /// It ended in order.
     Left,
+}
+
+impl NodeSeen {
+    /// A node of which something is said before it was met.
+    fn unmet() -> Self {
+        NodeSeen {
+            incarnation: Incarnation::default(),
+            standing: Standing::Lost("it was not met yet".to_owned()),
+            last_sign: None,
+            restarts: 0,
+            isolated: None,
+            rest: None,
+        }
+    }
 }
 
 impl Neighbourhood {
@@ -103,9 +119,12 @@ impl Neighbourhood {
         condition: NodeCondition,
         now: Instant,
     ) -> Result<Option<News>, Incarnation> {
-        use NodeCondition::{Admitted, Isolated, Offends};
+        use NodeCondition::{Admitted, AtRest, AtWork, Isolated, Offends};
         if let Offends { .. } | Isolated { .. } | Admitted = condition {
             return Ok(self.handle_conduct(node, condition));
+        }
+        if let AtRest { .. } | AtWork = condition {
+            return Ok(self.handle_rest(node, incarnation, condition, now));
         }
         let before = self.nodes.get(&node);
         // Which life is there, those say who can reach it, whatever its number: the clock that numbers
@@ -148,7 +167,11 @@ impl Neighbourhood {
         let here = standing == Standing::Here;
         let last_sign = if here { Some(now) } else { before.and_then(|b| b.last_sign) };
         let restarts = before.map_or(0, |seen| seen.restarts) + u32::from(restarted);
-        let seen = NodeSeen { incarnation, standing, last_sign, restarts, isolated };
+        // Another life is at work, until it says otherwise.
+        let same = before.is_some_and(|seen| seen.incarnation == incarnation);
+        let rest = before.filter(|_| same && !matches!(standing, Standing::Left));
+        let rest = rest.and_then(|seen| seen.rest.clone());
+        let seen = NodeSeen { incarnation, standing, last_sign, restarts, isolated, rest };
         self.nodes.insert(node.clone(), seen);
         let finding = Finding::Node(condition);
         Ok(is_news.then_some(News { place: Place::Node(node), incarnation, finding }))
@@ -156,13 +179,7 @@ impl Neighbourhood {
 
     /// What others think of a node, or what it has done: whatever life of it is known.
     fn handle_conduct(&mut self, node: NodeName, condition: NodeCondition) -> Option<News> {
-        let seen = self.nodes.entry(node.clone()).or_insert_with(|| NodeSeen {
-            incarnation: Incarnation::default(),
-            standing: Standing::Lost("it was not met yet".to_owned()),
-            last_sign: None,
-            restarts: 0,
-            isolated: None,
-        });
+        let seen = self.nodes.entry(node.clone()).or_insert_with(NodeSeen::unmet);
         let isolated = match &condition {
             NodeCondition::Isolated { reason } => Some(reason.clone()),
             NodeCondition::Admitted => None,
@@ -172,6 +189,31 @@ impl Neighbourhood {
         seen.isolated = isolated;
         let is_news = changed || matches!(condition, NodeCondition::Offends { .. });
         let (incarnation, finding) = (seen.incarnation, Finding::Node(condition));
+        is_news.then_some(News { place: Place::Node(node), incarnation, finding })
+    }
+
+    /// What a node says of itself: another one, or this.
+    fn handle_rest(
+        &mut self,
+        node: NodeName,
+        incarnation: Incarnation,
+        condition: NodeCondition,
+        now: Instant,
+    ) -> Option<News> {
+        let rest = match &condition {
+            NodeCondition::AtRest { reason } => Some(reason.clone()),
+            _ => None,
+        };
+        // Who says so is here.
+        let seen = self.nodes.entry(node.clone()).or_insert_with(|| NodeSeen {
+            incarnation,
+            standing: Standing::Here,
+            last_sign: Some(now),
+            ..NodeSeen::unmet()
+        });
+        let is_news = rest.is_some() != seen.rest.is_some();
+        seen.rest = rest;
+        let finding = Finding::Node(condition);
         is_news.then_some(News { place: Place::Node(node), incarnation, finding })
     }
 
@@ -200,6 +242,12 @@ impl Neighbourhood {
                 Standing::Lost(reason) => (Opinion::Failed, Some(reason.clone())),
                 // Nobody watches it any more.
                 Standing::Left => (Opinion::AtRest, Some("it has left in order".to_owned())),
+            };
+            let (opinion, note) = match (&seen.standing, &seen.rest) {
+                (Standing::Here, Some(reason)) => {
+                    (Opinion::AtRest, Some(format!("at safe rest: {reason}")))
+                }
+                _ => (opinion, note),
             };
             let isolated = seen.isolated.as_ref().map(|reason| format!("isolated {reason}"));
             let opinion = if isolated.is_some() { Opinion::Failed } else { opinion };
@@ -340,6 +388,32 @@ mod tests {
         assert!(!told(&Lost { reason: "no path".into() }) && told(&offends));
         assert!(told(&Admitted) && !told(&Admitted));
         assert!(told(&Reachable));
+    }
+
+    #[test]
+    fn a_node_is_at_rest_from_when_it_says_so_until_it_says_otherwise_or_another_life_is_there() {
+        use NodeCondition::{AtRest, AtWork, Left, Lost, Reachable};
+        let mut around = Neighbourhood::default();
+        let mut told = |life: u64, condition: NodeCondition| {
+            let news = around.handle_node(node("b"), Incarnation(life), condition, at(1));
+            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
+            (news.expect("no life is over").is_some(), rests)
+        };
+        let rest = || AtRest { reason: "it panics".into() };
+        let lost = || Lost { reason: "no path".into() };
+
+        assert_eq!(told(5, Reachable), (true, false));
+        assert_eq!(told(5, AtWork), (false, false));
+        assert_eq!(told(5, rest()), (true, true));
+        assert_eq!(told(5, rest()), (false, true));
+        assert_eq!(told(5, lost()), (true, false), "which is worse");
+        assert_eq!(told(5, Reachable), (true, true));
+        assert_eq!(told(5, AtWork), (true, false));
+        assert_eq!(told(5, rest()), (true, true));
+        assert_eq!(told(6, Reachable), (true, false), "another life");
+        assert_eq!(told(6, rest()), (true, true));
+        assert_eq!(told(6, Left), (true, true), "it has left");
+        assert_eq!(told(7, Reachable), (true, false));
     }
 
     #[test]

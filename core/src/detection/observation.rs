@@ -190,6 +190,13 @@ pub enum NodeCondition {
     },
     /// It is isolated no longer.
     Admitted,
+    /// It says that it has come to safe rest: it can be reached, and nothing of it serves.
+    AtRest {
+        /// Why.
+        reason: String,
+    },
+    /// It says that it is at work again.
+    AtWork,
     /// It said that it ends in order: that it is silent from now on is no fault, and its return is an
     /// ordinary one.
     Left,

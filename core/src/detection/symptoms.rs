@@ -145,6 +145,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::LinkDown
         | FaultKind::NodeLost
         | FaultKind::NodeFaulty
+        | FaultKind::NodeAtRest
         | FaultKind::RestartStorm => true,
         FaultKind::CheckFailed
         | FaultKind::Overload

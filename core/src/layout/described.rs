@@ -236,6 +236,6 @@ describe! {
     enum FaultKind {
         Panic, UnexpectedExit, Hang, Silence, ErrorState, InitializationFailed, Fatal, CheckFailed,
         Overload, ContractMismatch, LinkDown, LinkDegraded, NodeLost, RestartStorm,
-        NodeFaulty, Custom(Arc<str>),
+        NodeFaulty, NameTaken, CommanderGone, NodeAtRest, Custom(Arc<str>),
     }
 }

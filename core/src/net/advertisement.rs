@@ -5,6 +5,8 @@
 //! have:      1 │ range 0 or 1 │ first 4 │ last 4 │ stamp … to the frame's end
 //! dispute:   2 │ stamp 16 │ n 1 │ name n
 //! defend:    3 │ incarnation 8 │ advertisement
+//! numbered:  4 │ link 2
+//! gave up:   5 │ link 2
 //!
 //! advertisement: stamp 16 │ n 1 │ name n │ count 1 │ count × (neighbour 4, life 1, cost 2, mtu 2)
 //! stamp:         origin 4 │ incarnation 8 │ sequence 4
@@ -19,6 +21,7 @@
 //! numbers, so that what is missing in it is known to be missing.
 
 use super::node_id::NodeId;
+use super::router::LinkNumber;
 use super::wire::{Reader, WireError, Write};
 use crate::{Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
@@ -35,6 +38,8 @@ const HAVE: u8 = 1;
 const WITHDRAWN: u8 = 128;
 const DISPUTE: u8 = 2;
 const DEFEND: u8 = 3;
+const NUMBERED: u8 = 4;
+const GAVE_UP: u8 = 5;
 
 /// Which advertisement: of two of one origin, the greater is the newer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -100,6 +105,10 @@ pub enum Routing {
         /// The older one's newest.
         advertisement: Advertisement,
     },
+    /// I call this link so.
+    Numbered(LinkNumber),
+    /// Another link between us, which you call so, carries no more at this end.
+    GaveUp(LinkNumber),
 }
 
 impl Edge {
@@ -211,6 +220,11 @@ impl Routing {
                 bytes.put_u64(against.0);
                 advertisement.put(&mut bytes);
             }
+            Routing::Numbered(link) | Routing::GaveUp(link) => {
+                let gave_up = matches!(self, Routing::GaveUp(_));
+                bytes.put_u8(if gave_up { GAVE_UP } else { NUMBERED });
+                bytes.put_u16(link.0);
+            }
         }
         bytes.freeze()
     }
@@ -255,6 +269,11 @@ impl Routing {
                 let advertisement = Advertisement::read(&mut reader)?;
                 Ok(Routing::Defend { against, advertisement })
             }
+            kind @ (NUMBERED | GAVE_UP) => {
+                let link = LinkNumber(reader.u16()?);
+                reader.end("a link's number")?;
+                Ok(if kind == GAVE_UP { Routing::GaveUp(link) } else { Routing::Numbered(link) })
+            }
             _ => Err(WireError::Malformed { what: "a routing message's kind" }),
         }
     }
@@ -297,6 +316,14 @@ mod tests {
         let against = Incarnation(9);
         let defend = Routing::Defend { against, advertisement: advertisement() };
         assert_eq!(Routing::decode(defend.encode()), Ok(defend));
+        for (said, bytes) in [
+            (Routing::Numbered(LinkNumber(0x0102)), b"\x04\x01\x02"),
+            (Routing::GaveUp(LinkNumber(0x0102)), b"\x05\x01\x02"),
+        ] {
+            assert_eq!(&said.encode()[..], bytes);
+            assert_eq!(Routing::decode(said.encode()), Ok(said));
+            assert!(Routing::decode([&bytes[..], b"\0"].concat().into()).is_err());
+        }
         let one = Routing::Announce(vec![advertisement()]).encode();
         assert_eq!(one.len(), 1 + advertisement().length());
         for cut in 2..one.len() {

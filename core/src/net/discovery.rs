@@ -202,21 +202,21 @@ impl Discovery {
         told.chain([(None, self.beacons)])
     }
 
-    /// A link to a neighbour came up, or is up no more.
-    pub fn handle_link(
-        &mut self,
-        ground: usize,
-        node: NodeName,
-        address: String,
-        up: bool,
-        now: Instant,
-    ) {
-        if up {
-            self.tellers.entry(node.clone()).or_default();
-        }
+    /// A link to a neighbour is up.
+    pub fn handle_up(&mut self, ground: usize, node: NodeName, address: String, now: Instant) {
+        self.tellers.entry(node.clone()).or_default();
+        self.note((ground, node), address, true, now);
+    }
+
+    /// A link to a neighbour is not up: it was described, or has gone down.
+    pub fn handle_down(&mut self, ground: usize, node: NodeName, address: String, now: Instant) {
+        self.note((ground, node), address, false, now);
+    }
+
+    fn note(&mut self, link: (usize, NodeName), address: String, up: bool, now: Instant) {
         let origin = Origin::Described;
         let fresh = Neighbour { address, up: false, since: now, origin };
-        let known = self.neighbours.entry((ground, node)).or_insert(fresh);
+        let known = self.neighbours.entry(link).or_insert(fresh);
         if known.up != up {
             (known.up, known.since) = (up, now);
             if known.origin == Origin::Tried {

@@ -26,7 +26,7 @@
 //! A frame ends where the transport says that it ends; integrity is the transport's business.
 
 use super::greeting::Greeting;
-use super::packet::Class;
+use super::packet;
 use super::wire::{Reader, WireError, Write};
 use crate::{Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
@@ -184,7 +184,7 @@ pub fn is_hello(frame: &[u8]) -> bool {
 /// each other, and packets of the class [`Control`](super::Class::Control), such as acknowledgements.
 pub fn is_urgent(frame: &[u8]) -> bool {
     match frame {
-        [_, DATA, packet, ..] => packet >> 6 == Class::Control as u8,
+        [_, DATA, packet @ ..] => packet::is_control(packet),
         [_, kind, ..] => *kind != DATA,
         _ => false,
     }
@@ -247,7 +247,7 @@ impl Hello {
 mod tests {
     use super::*;
     use crate::net::node_id::NodeId;
-    use crate::net::packet::{Packet, Payload};
+    use crate::net::packet::{Class, Packet, Payload};
 
     fn hello() -> Hello {
         Hello {
@@ -299,14 +299,12 @@ mod tests {
         for (class, expected) in
             [(Class::Control, true), (Class::Data, false), (Class::Bulk, false)]
         {
-            let packet = Packet {
-                class,
-                hops: 1,
-                destination: NodeId(1),
-                source: NodeId(2),
-                payload: Payload::Segment(Bytes::new()),
-            };
-            check(Frame::Data(packet.encode()), expected);
+            let copy = Payload::Copy { copy: 1, relays: vec![NodeId(3)], segment: Bytes::new() };
+            for payload in [Payload::Segment(Bytes::new()), copy] {
+                let (destination, source) = (NodeId(1), NodeId(2));
+                let packet = Packet { class, hops: 1, destination, source, payload };
+                check(Frame::Data(packet.encode()), expected);
+            }
         }
         assert!(!is_urgent(b""));
     }

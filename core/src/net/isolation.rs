@@ -42,6 +42,17 @@ pub enum Judges {
     Wardens(BTreeSet<NodeName>),
 }
 
+/// What this node thinks of another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Decision<'a> {
+    /// Of which.
+    pub node: &'a NodeName,
+    /// It is to be kept out, or to be let in again.
+    pub isolated: bool,
+    /// Why.
+    pub cause: &'a str,
+}
+
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum IsolationOutput {
@@ -139,7 +150,7 @@ impl Isolation {
     }
 
     /// This node decides. On itself it has no say.
-    pub fn handle_decision(&mut self, node: &NodeName, isolated: bool, cause: &str) {
+    pub fn handle_decision(&mut self, Decision { node, isolated, cause }: Decision<'_>) {
         let about = self.votes.get(node);
         let own = about.and_then(|votes| votes.get(&self.own));
         let known = own.is_some_and(|vote| vote.isolated && isolated) && self.is_isolated(node);
@@ -331,7 +342,8 @@ mod tests {
 
         fn decides(&mut self, by: &str, about: &str, isolated: bool) -> Vec<String> {
             let by = self.nodes.get_mut(&node(by)).unwrap();
-            by.handle_decision(&node(about), isolated, "it floods");
+            let (node, cause) = (&node(about), "it floods");
+            by.handle_decision(Decision { node, isolated, cause });
             self.carry();
             std::mem::take(&mut self.told)
         }

@@ -18,6 +18,7 @@
 //! A link does not queue, repeat or order anything: that is the session's business, end to end.
 
 mod acquaintance;
+mod given_up;
 mod greeted;
 mod parts;
 mod quality;
@@ -27,6 +28,7 @@ pub use self::quality::Quality;
 pub use self::vocabulary::{LinkConfig, LinkOutput, LinkRefusal, LinkState, Neighbour};
 
 use self::acquaintance::Claimant;
+use self::given_up::GivenUp;
 use self::parts::Parts;
 use self::quality::{Gauge, Limits};
 
@@ -60,6 +62,9 @@ pub struct Link {
     calm: u32,
     /// It is suspect for what was, and not for what is.
     proving: bool,
+    given_up: GivenUp,
+    /// It is up because the neighbour uses it: the next hello may still be from before that.
+    overtaken: bool,
     /// It is one of a bus: others say its hellos, of which this one is due.
     on_bus: bool,
     greeting: Option<u32>,
@@ -132,6 +137,8 @@ impl Link {
             last_suspicion: Instant::ORIGIN,
             calm: 0,
             proving: false,
+            given_up: GivenUp::default(),
+            overtaken: false,
             on_bus: false,
             greeting: None,
             mtu: 0,
@@ -193,6 +200,7 @@ impl Link {
     /// that says so has come or not.
     fn takes(&mut self) -> bool {
         if !self.carries() && self.has_proved() {
+            self.overtaken = true;
             self.change(LinkState::Up, "the neighbour uses it");
         }
         self.carries()
@@ -297,8 +305,10 @@ impl Link {
         let Arrival::New { missed } = self.meet(&hello, interval, now) else { return };
         self.calm = after(self.calm, missed);
         self.listen(&hello, missed, now);
+        self.hear_out(hello.stance, now);
         self.judge_quality(now);
-        if self.carries() && hello.stance == Stance::Down {
+        let overtaken = std::mem::take(&mut self.overtaken);
+        if self.carries() && hello.stance == Stance::Down && !overtaken {
             self.go_down("the neighbour has given it up", now);
         }
         self.rise(now);
@@ -347,7 +357,8 @@ impl Link {
         match self.state {
             LinkState::Up => {}
             LinkState::Suspect => {
-                if self.due(self.config.suspect_after_percent).is_some_and(|due| due <= now) {
+                let late = self.due(self.config.suspect_after_percent);
+                if self.is_given_up() || late.is_some_and(|due| due <= now) {
                     return;
                 }
                 // Twice as many for each time: traffic must not come and go with every lost hello.
@@ -419,6 +430,9 @@ impl Link {
             heard.arrivals.forget_loss();
         }
         self.state = state;
+        if state != LinkState::Suspect {
+            self.given_up.since = None;
+        }
         self.proving &= state == LinkState::Suspect;
         let neighbour = self.neighbour().cloned();
         self.outputs.push_back(LinkOutput::Changed { state, neighbour, reason });

@@ -19,6 +19,7 @@
 //!      │ ◄─────────────────────────── room 1      │
 //! ```
 
+use super::parcel::Parcel;
 use super::wire::{Reader, WireError, Write};
 use crate::{MessageId, ObjectName, Why, codec};
 use bytes::{BufMut, Bytes, BytesMut};
@@ -184,64 +185,82 @@ const FULL: u8 = 15;
 const ROOM: u8 = 16;
 
 impl Message {
-    /// The message's bytes.
-    pub fn encode(&self) -> Bytes {
-        let mut bytes = BytesMut::with_capacity(24 + self.payload_length());
+    /// The message's bytes. A large payload is not copied.
+    pub fn encode(&self) -> Parcel {
+        let nothing = Bytes::new();
+        let payload = self.payload().unwrap_or(&nothing);
+        let (behind, apart) =
+            if payload.len() < Parcel::APART { (payload, &nothing) } else { (&nothing, payload) };
+        let mut bytes = BytesMut::with_capacity(24 + behind.len());
+        self.put_head(&mut bytes);
+        bytes.put_slice(behind);
+        Parcel::apart(bytes.freeze(), apart.clone())
+    }
+
+    /// What it ends with, as it is.
+    fn payload(&self) -> Option<&Bytes> {
+        match self {
+            Message::Request { payload, .. }
+            | Message::Reply { result: Ok(payload), .. }
+            | Message::Tell { payload, .. }
+            | Message::Event { payload, .. }
+            | Message::Notice { payload, .. } => Some(payload),
+            _ => None,
+        }
+    }
+
+    /// Writes all that stands before the payload.
+    fn put_head(&self, bytes: &mut BytesMut) {
         match self {
             Message::Bind { binding, object, identity } => {
-                numbered(&mut bytes, BIND, *binding);
+                numbered(bytes, BIND, *binding);
                 bytes.sized(object.as_str().as_bytes());
                 bytes.put_slice(identity);
             }
-            Message::Bound { binding } => numbered(&mut bytes, BOUND, *binding),
+            Message::Bound { binding } => numbered(bytes, BOUND, *binding),
             Message::BindRefused { binding, why, identity } => {
-                numbered(&mut bytes, BIND_REFUSED, *binding);
+                numbered(bytes, BIND_REFUSED, *binding);
                 bytes.sized(&encode_why(why));
                 bytes.put_slice(identity);
             }
-            Message::Request { binding, call, stamp, within, id, payload } => {
-                numbered(&mut bytes, REQUEST, *binding);
+            Message::Request { binding, call, stamp, within, id, payload: _ } => {
+                numbered(bytes, REQUEST, *binding);
                 [call, stamp, within].into_iter().for_each(|number| bytes.varint(*number));
-                put_id(&mut bytes, *id);
-                bytes.put_slice(payload);
+                put_id(bytes, *id);
             }
-            Message::Reply { call, result: Ok(payload) } => {
+            Message::Reply { call, result: Ok(_) } => {
                 bytes.put_u8(REPLY);
                 bytes.varint(*call);
-                bytes.put_slice(payload);
             }
             Message::Reply { call, result: Err(why) } => {
                 bytes.put_u8(REPLY_FAILED);
                 bytes.varint(*call);
                 bytes.sized(&encode_why(why));
             }
-            Message::Tell { binding, stamp_us, id, payload } => {
-                numbered(&mut bytes, TELL, *binding);
+            Message::Tell { binding, stamp_us, id, payload: _ } => {
+                numbered(bytes, TELL, *binding);
                 bytes.varint(*stamp_us);
-                put_id(&mut bytes, *id);
-                bytes.put_slice(payload);
+                put_id(bytes, *id);
             }
             Message::Subscribe { subscription, topic, identities } => {
-                numbered(&mut bytes, SUBSCRIBE, *subscription);
+                numbered(bytes, SUBSCRIBE, *subscription);
                 bytes.sized(topic.as_bytes());
                 identities.iter().for_each(|identity| bytes.sized(identity));
             }
             Message::SubscribeRefused { subscription, why } => {
-                numbered(&mut bytes, SUBSCRIBE_REFUSED, *subscription);
+                numbered(bytes, SUBSCRIBE_REFUSED, *subscription);
                 bytes.sized(&encode_why(why));
             }
             Message::Unsubscribe { subscription } => {
-                numbered(&mut bytes, UNSUBSCRIBE, *subscription);
+                numbered(bytes, UNSUBSCRIBE, *subscription);
             }
-            Message::Event { subscription, stamp_us, payload } => {
-                numbered(&mut bytes, EVENT, *subscription);
+            Message::Event { subscription, stamp_us, payload: _ } => {
+                numbered(bytes, EVENT, *subscription);
                 bytes.varint(*stamp_us);
-                bytes.put_slice(payload);
             }
-            Message::Notice { number, payload } => {
+            Message::Notice { number, payload: _ } => {
                 bytes.put_u8(NOTICE);
                 bytes.varint(*number);
-                bytes.put_slice(payload);
             }
             Message::Confirmed { number } => {
                 bytes.put_u8(CONFIRMED);
@@ -257,24 +276,8 @@ impl Message {
                 }
             }
             Message::Bye => bytes.put_u8(BYE),
-            Message::Full { binding } => numbered(&mut bytes, FULL, *binding),
-            Message::Room { binding } => numbered(&mut bytes, ROOM, *binding),
-        }
-        bytes.freeze()
-    }
-
-    fn payload_length(&self) -> usize {
-        match self {
-            Message::Bind { identity, .. } => identity.len(),
-            Message::Subscribe { identities, .. } => {
-                identities.iter().map(|identity| identity.len() + 3).sum()
-            }
-            Message::Request { payload, .. }
-            | Message::Reply { result: Ok(payload), .. }
-            | Message::Tell { payload, .. }
-            | Message::Event { payload, .. }
-            | Message::Notice { payload, .. } => payload.len(),
-            _ => 0,
+            Message::Full { binding } => numbered(bytes, FULL, *binding),
+            Message::Room { binding } => numbered(bytes, ROOM, *binding),
         }
     }
 
@@ -527,7 +530,7 @@ mod tests {
     #[test]
     fn the_bytes_of_messages_are_these_for_ever_and_come_back() {
         for (message, golden) in examples() {
-            assert_eq!(&message.encode()[..], golden, "{message:?}");
+            assert_eq!(message.encode().into_bytes(), golden, "{message:?}");
             assert_eq!(Message::decode(Bytes::from_static(golden)), Ok(message));
         }
     }
@@ -553,7 +556,8 @@ mod tests {
     fn an_error_too_long_to_send_is_sent_short() {
         let why = Why::ContractDiffers { difference: "x".repeat(100_000) };
         let message = Message::Reply { call: 1, result: Err(why) };
-        let Ok(Message::Reply { result: Err(short), .. }) = Message::decode(message.encode())
+        let Ok(Message::Reply { result: Err(short), .. }) =
+            Message::decode(message.encode().into_bytes())
         else {
             panic!("it did not come back");
         };

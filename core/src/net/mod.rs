@@ -52,6 +52,7 @@ pub mod message;
 pub mod naming;
 pub mod node_id;
 pub mod packet;
+pub mod parcel;
 pub mod router;
 pub mod segment;
 pub mod session;

@@ -5,12 +5,17 @@
 //! ┌──────────┬───────────────┬───────────────┬──────────────────────┐
 //! │ cc k hops│ destination   │ source        │ segment, or a return │
 //! └──────────┴───────────────┴───────────────┴──────────────────────┘
-//!   cc   class: 0 control, 1 data, 2 bulk
+//!   cc   class: 0 control, 1 data, 2 bulk; 3 for a copy, which says its class itself
 //!   k    0 a segment for the destination's session, 1 a packet's return to its source
 //!   hops how many more nodes may pass it on, 0 to 31
 //!
 //! return: the destination that was not reached (4), the reason (1)
+//! copy:   cc 2 bits, which copy 2 bits, n 4 bits │ n × relay 4 │ segment
 //! ```
+//!
+//! A copy's relays are those that still follow after whoever receives it. Each takes the first off the list
+//! and passes the copy on to that one, the last to the destination: the list only becomes shorter, and no
+//! node may stand on it twice, so that a copy cannot go in a circle whatever the nodes know of each other.
 
 use super::node_id::NodeId;
 use super::wire::{Reader, WireError};
@@ -22,7 +27,15 @@ pub const PACKET_HEADER: usize = 9;
 /// The most nodes that may pass a packet on: five bits.
 pub const HOPS_MAX: u8 = 31;
 
+/// How many copies of one segment may be told apart: two bits.
+pub const COPIES_MAX: usize = 4;
+/// The most relays that a copy can name: four bits. The one that it is given to first is not named.
+pub const RELAYS_MAX: usize = 15;
+/// The most bytes that a copy's way takes before its segment.
+pub(crate) const WAY_MAX: usize = 1 + 4 * RELAYS_MAX;
+
 const RETURN: u8 = 0x20;
+const COPY: u8 = 0xc0;
 
 /// How urgent a packet is. A queue that is not empty lets the more urgent go first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -55,6 +68,15 @@ pub struct Packet {
 pub enum Payload {
     /// For the destination's session with the source.
     Segment(Bytes),
+    /// The same, one of several that go different ways, and by no other than its own.
+    Copy {
+        /// Which, below [`COPIES_MAX`].
+        copy: u8,
+        /// The nodes that it is still to pass after the one that has it, at most [`RELAYS_MAX`].
+        relays: Vec<NodeId>,
+        /// The segment.
+        segment: Bytes,
+    },
     /// A packet of the receiver's could not be delivered.
     Return {
         /// Where it should have gone.
@@ -101,16 +123,24 @@ impl fmt::Display for Undelivered {
 impl Packet {
     /// The packet's bytes.
     pub fn encode(&self) -> Bytes {
+        let class = (self.class as u8) << 6;
         let (kind, length) = match &self.payload {
-            Payload::Segment(segment) => (0, segment.len()),
-            Payload::Return { .. } => (RETURN, 5),
+            Payload::Segment(segment) => (class, segment.len()),
+            Payload::Copy { segment, .. } => (COPY, WAY_MAX + segment.len()),
+            Payload::Return { .. } => (class | RETURN, 5),
         };
         let mut bytes = BytesMut::with_capacity(PACKET_HEADER + length);
-        bytes.put_u8((self.class as u8) << 6 | kind | self.hops.min(HOPS_MAX));
+        bytes.put_u8(kind | self.hops.min(HOPS_MAX));
         bytes.put_u32(self.destination.0);
         bytes.put_u32(self.source.0);
         match &self.payload {
             Payload::Segment(segment) => bytes.put_slice(segment),
+            Payload::Copy { copy, relays, segment } => {
+                debug_assert!(usize::from(*copy) < COPIES_MAX && relays.len() <= RELAYS_MAX);
+                bytes.put_u8(class | copy << 4 | relays.len() as u8);
+                relays.iter().for_each(|relay| bytes.put_u32(relay.0));
+                bytes.put_slice(segment);
+            }
             Payload::Return { destination, reason } => {
                 bytes.put_u32(destination.0);
                 bytes.put_u8(*reason as u8);
@@ -126,15 +156,17 @@ impl Packet {
     pub fn decode(bytes: Bytes) -> Result<Packet, WireError> {
         let mut reader = Reader::new(bytes);
         let first = reader.u8()?;
-        let class = match first >> 6 {
-            0 => Class::Control,
-            1 => Class::Data,
-            2 => Class::Bulk,
-            _ => return Err(WireError::Malformed { what: "a packet's class" }),
-        };
         let hops = first & HOPS_MAX;
         let destination = NodeId(reader.u32()?);
         let source = NodeId(reader.u32()?);
+        if first & COPY == COPY {
+            if first & RETURN != 0 {
+                return Err(WireError::Malformed { what: "a packet's kind" });
+            }
+            let (class, payload) = read_copy(reader, destination, source)?;
+            return Ok(Packet { class, hops, destination, source, payload });
+        }
+        let class = read_class(first)?;
         let payload = if first & RETURN == 0 {
             Payload::Segment(reader.rest())
         } else {
@@ -152,6 +184,43 @@ impl Packet {
     }
 }
 
+/// Whether the bytes of a packet say that it is of the class [`Control`](Class::Control).
+pub(crate) fn is_control(packet: &[u8]) -> bool {
+    let class = match packet.first() {
+        Some(first) if first & COPY == COPY => packet.get(PACKET_HEADER),
+        first => first,
+    };
+    class.is_some_and(|class| class >> 6 == Class::Control as u8)
+}
+
+fn read_class(first: u8) -> Result<Class, WireError> {
+    match first >> 6 {
+        0 => Ok(Class::Control),
+        1 => Ok(Class::Data),
+        2 => Ok(Class::Bulk),
+        _ => Err(WireError::Malformed { what: "a packet's class" }),
+    }
+}
+
+fn read_copy(
+    mut reader: Reader,
+    destination: NodeId,
+    source: NodeId,
+) -> Result<(Class, Payload), WireError> {
+    let way = reader.u8()?;
+    let class = read_class(way)?;
+    let copy = way >> 4 & (COPIES_MAX as u8 - 1);
+    let mut relays = Vec::with_capacity(RELAYS_MAX);
+    for _ in 0..way & RELAYS_MAX as u8 {
+        let relay = NodeId(reader.u32()?);
+        if relay == destination || relay == source || relays.contains(&relay) {
+            return Err(WireError::Malformed { what: "a copy's way, which goes in a circle," });
+        }
+        relays.push(relay);
+    }
+    Ok((class, Payload::Copy { copy, relays, segment: reader.rest() }))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -166,12 +235,19 @@ mod tests {
         }
     }
 
+    fn copy_over(relays: &[u32]) -> Payload {
+        let relays = relays.iter().map(|relay| NodeId(*relay)).collect();
+        Payload::Copy { copy: 1, relays, segment: Bytes::from_static(b"hi") }
+    }
+
     #[test]
     fn the_bytes_of_a_packet_are_these_for_ever() {
         let segment = packet(Payload::Segment(Bytes::from_static(b"hi")));
         assert_eq!(&segment.encode()[..], b"\x48\x01\x02\x03\x04\0\0\0\x05hi");
         let returned = Payload::Return { destination: NodeId(7), reason: Undelivered::TooManyHops };
         assert_eq!(&packet(returned).encode()[..], b"\x68\x01\x02\x03\x04\0\0\0\x05\0\0\0\x07\x01");
+        let bytes = b"\xc8\x01\x02\x03\x04\0\0\0\x05\x52\0\0\0\x07\0\0\0\x08hi";
+        assert_eq!(&packet(copy_over(&[7, 8])).encode()[..], bytes);
     }
 
     #[test]
@@ -184,10 +260,30 @@ mod tests {
                 assert_eq!(Packet::decode(packet.encode().slice(..cut)), Err(WireError::Truncated));
             }
         }
-        let no_class = Packet::decode(Bytes::from_static(&[0xc0; 9]));
+        let relays: Vec<_> = (10..10 + RELAYS_MAX as u32).collect();
+        for relays in [&[][..], &[7], &relays] {
+            let packet = packet(copy_over(relays));
+            assert_eq!(Packet::decode(packet.encode()), Ok(packet.clone()));
+            let way = packet.encode().len() - 2;
+            assert!(way <= PACKET_HEADER + WAY_MAX);
+            for cut in 0..way {
+                assert_eq!(Packet::decode(packet.encode().slice(..cut)), Err(WireError::Truncated));
+            }
+        }
+        let no_class = Packet::decode(Bytes::from_static(&[0xc0; 10]));
         assert!(matches!(no_class, Err(WireError::Malformed { .. })));
         let no_reason =
             Packet::decode(Bytes::from_static(&[0x20, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 9]));
         assert!(matches!(no_reason, Err(WireError::Malformed { .. })));
+    }
+    #[test]
+    fn a_way_that_goes_in_a_circle_is_refused() {
+        // Over a node twice, back to where it is from, or on from where it should end.
+        for relays in [&[7, 8, 7][..], &[7, 5], &[0x01020304, 7]] {
+            let refused = Packet::decode(packet(copy_over(relays)).encode());
+            assert!(matches!(refused, Err(WireError::Malformed { .. })), "{relays:?}");
+        }
+        let returned = Packet::decode(Bytes::from_static(&[0xe0; 10]));
+        assert!(matches!(returned, Err(WireError::Malformed { .. })));
     }
 }

@@ -11,6 +11,7 @@
 mod contest;
 mod flooding;
 mod forwarding;
+mod given_up;
 mod vocabulary;
 
 pub use self::vocabulary::{Health, LinkStatus, RouterConfig, RouterOutput};
@@ -18,7 +19,7 @@ pub use self::vocabulary::{Health, LinkStatus, RouterConfig, RouterOutput};
 use self::contest::Dispute;
 use super::advertisement::{Advertisement, Routing, Stamp};
 use super::node_id::NodeId;
-use super::topology::{self, Adjacent, Route, Topology};
+use super::topology::{self, Adjacent, Route, Topology, Way};
 use super::wire::Refusals;
 use crate::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;
@@ -42,6 +43,8 @@ pub struct Router {
     known: BTreeMap<NodeId, Known>,
     own: Advertisement,
     routes: BTreeMap<NodeId, Route>,
+    /// The ways of copies, computed when the first goes to a node after a change: as many as routes.
+    ways: BTreeMap<NodeId, Vec<Way>>,
     /// The paths must be computed anew, then.
     compute_at: Option<Instant>,
     computed_at: Instant,
@@ -114,6 +117,7 @@ impl Router {
             known: BTreeMap::new(),
             own,
             routes: BTreeMap::new(),
+            ways: BTreeMap::new(),
             compute_at: None,
             computed_at: Instant::ORIGIN,
             refresh_at,
@@ -210,8 +214,9 @@ impl Router {
             return;
         }
         if health == Health::Down || mtu < MTU_MIN {
-            if self.links.remove(&link).is_some() {
+            if let Some(lost) = self.links.remove(&link) {
                 self.choose_anew();
+                self.say_given_up(&lost);
                 self.announce_links();
             }
             return;
@@ -221,17 +226,26 @@ impl Router {
             Some(adjacent) if adjacent.neighbour == neighbour => {
                 let same = adjacent.cost == cost && adjacent.mtu == mtu;
                 (adjacent.cost, adjacent.mtu, adjacent.health) = (cost, mtu, health);
-                if same {
-                    self.choose_anew();
-                } else {
+                self.choose_anew();
+                if !same {
                     self.announce_links();
                 }
             }
             _ => {
                 let pending = BTreeMap::new();
-                let adjacent =
-                    Adjacent { neighbour, id, cost, mtu, health, pending, compare_at: now };
-                self.links.insert(link, adjacent);
+                self.links.insert(
+                    link,
+                    Adjacent {
+                        neighbour,
+                        id,
+                        cost,
+                        mtu,
+                        health,
+                        number_there: None,
+                        pending,
+                        compare_at: now,
+                    },
+                );
                 self.announce_links();
                 self.compare(link);
             }
@@ -292,6 +306,8 @@ impl Router {
             Ok(Routing::Defend { against, advertisement }) => {
                 self.handle_defence(link, against, advertisement);
             }
+            Ok(Routing::Numbered(number)) => self.handle_numbered(link, number),
+            Ok(Routing::GaveUp(lost)) => self.handle_given_up(link, lost),
             Err(error) => self.refusals.count(&error),
         }
     }
@@ -302,14 +318,20 @@ impl Router {
         self.compute_at.get_or_insert(self.now.max(self.computed_at + TOGETHER));
     }
 
+    /// The network as far as it is used.
+    fn topology(&self) -> Topology<'_> {
+        let known = self.known.iter().filter(|(id, _)| !self.kept_out.contains(id));
+        let known = known.filter_map(|(id, known)| Some((*id, known.effective()?)));
+        Topology::new(self.id, &self.links, known)
+    }
+
     /// Computes the paths anew and tells what has changed.
     fn compute(&mut self) {
         self.compute_at = None;
         self.computed_at = self.now;
-        let known = self.known.iter().filter(|(id, _)| !self.kept_out.contains(id));
-        let known = known.filter_map(|(id, known)| Some((*id, known.effective()?)));
-        let topology = Topology::new(self.id, &self.links, known);
-        let mut before = std::mem::replace(&mut self.routes, topology.routes());
+        let routes = self.topology().routes();
+        self.ways.clear();
+        let mut before = std::mem::replace(&mut self.routes, routes);
         for (id, route) in &self.routes {
             let (mtu, incarnation) = (topology::segment_limit(route.mtu), route.incarnation);
             let output = match before.remove(id) {

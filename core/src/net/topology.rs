@@ -1,5 +1,9 @@
 //! The shortest paths through a network, and the alternates to them.
 
+mod ways;
+
+pub(crate) use self::ways::Way;
+
 use super::NARROW;
 use super::advertisement::{Advertisement, Edge};
 use super::frame::FRAME_HEADER;
@@ -9,7 +13,7 @@ use super::packet::PACKET_HEADER;
 use super::router::{Health, LinkNumber, MTU_MIN};
 use crate::{Incarnation, Instant, NodeName};
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::collections::{BTreeMap, BinaryHeap};
 use std::time::Duration;
 
 /// The way to one node.
@@ -25,8 +29,6 @@ pub struct Route {
     pub next: LinkNumber,
     /// The link to take when that one fails: its path does not lead back through this node.
     pub alternate: Option<LinkNumber>,
-    /// Every link from which a path leads there without this node, for copies.
-    pub ways: Vec<LinkNumber>,
     /// The link that is taken now; `None` when none carries.
     pub chosen: Option<LinkNumber>,
     /// The largest frame that both paths carry, in bytes.
@@ -41,6 +43,8 @@ pub(crate) struct Adjacent {
     pub(crate) cost: u16,
     pub(crate) mtu: u16,
     pub(crate) health: Health,
+    /// What the neighbour calls it, as far as it has said.
+    pub(crate) number_there: Option<LinkNumber>,
     /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
     pub(crate) pending: BTreeMap<NodeId, Instant>,
     pub(crate) compare_at: Instant,
@@ -113,32 +117,11 @@ impl<'a> Topology<'a> {
             .map(|a| (a.id, ()))
             .map(|(id, ())| (id, self.distances(id)))
             .collect();
-        let beyond: BTreeMap<_, _> =
-            self.links.values().map(|link| (link.id, self.beyond(link.id))).collect();
-        let ways_to = |id| {
-            let leading = self.links.iter().filter(|(_, link)| beyond[&link.id].contains(&id));
-            leading.map(|(number, _)| *number).collect()
-        };
         from_here
             .iter()
             .filter(|(id, _)| **id != self.here)
             .filter_map(|(id, distance)| Some((*id, self.route(*id, *distance, &from_neighbours)?)))
-            .map(|(id, route)| (id, Route { ways: ways_to(id), ..route }))
             .collect()
-    }
-
-    /// Every node that `from` reaches without this one.
-    fn beyond(&self, from: NodeId) -> BTreeSet<NodeId> {
-        let mut found = BTreeSet::from([from]);
-        let mut edge_of_search = vec![from];
-        while let Some(id) = edge_of_search.pop() {
-            for (to, ..) in self.edges(id) {
-                if to != self.here && self.back(to, id).is_some() && found.insert(to) {
-                    edge_of_search.push(to);
-                }
-            }
-        }
-        found
     }
 
     fn route(
@@ -166,8 +149,7 @@ impl<'a> Topology<'a> {
         let mtu = alternate.map_or(mtu, |alternate| alternate.3.min(mtu));
         let alternate = alternate.map(|(_, number, ..)| *number);
         let (node, incarnation) = self.identity(to)?;
-        let mut route =
-            Route { node, incarnation, cost, next, alternate, ways: vec![], chosen: None, mtu };
+        let mut route = Route { node, incarnation, cost, next, alternate, chosen: None, mtu };
         route.chosen = route.choose(self.links, None);
         Some(route)
     }
@@ -196,15 +178,20 @@ impl<'a> Topology<'a> {
                 if found.contains_key(&to) {
                     continue;
                 }
-                let Some((back, limit_back)) = self.back(to, id) else { continue };
-                // The dearer and the narrower word counts: nobody draws traffic by boasting alone.
-                let (step, limit) = (step.max(back), limit.min(limit_back));
+                let Some((step, limit)) = self.agreed(id, to, step, limit) else { continue };
                 let cost: u32 = cost;
                 let reached = (cost.saturating_add(step.into()), to, Reverse(mtu.min(limit)));
                 edge_of_search.push(Reverse(reached));
             }
         }
         found
+    }
+
+    /// What an edge costs and carries that both its ends announce. The dearer and the narrower word counts:
+    /// nobody draws traffic by boasting alone.
+    fn agreed(&self, from: NodeId, to: NodeId, cost: u16, mtu: u16) -> Option<(u16, u16)> {
+        let (back, mtu_back) = self.back(to, from)?;
+        Some((cost.max(back), mtu.min(mtu_back)))
     }
 
     fn edges(&self, id: NodeId) -> Vec<(NodeId, u16, u16)> {

@@ -55,6 +55,8 @@ pub struct Refusals {
     pub stale: u64,
     /// Understood, but nobody was there to take it.
     pub unexpected: u64,
+    /// Copies whose next relay is no neighbour, or not at present. Another copy goes another way.
+    pub astray: u64,
     /// Understood, but from a node that is isolated, or by its way.
     pub isolated: u64,
     /// Said in this node's own name, and not by it.
@@ -84,6 +86,7 @@ impl Refusals {
             malformed: since(self.malformed, before.malformed),
             stale: since(self.stale, before.stale),
             unexpected: since(self.unexpected, before.unexpected),
+            astray: since(self.astray, before.astray),
             isolated: since(self.isolated, before.isolated),
             forged: since(self.forged, before.forged),
         }
@@ -98,6 +101,7 @@ impl Refusals {
             + self.malformed
             + self.stale
             + self.unexpected
+            + self.astray
             + self.isolated
             + self.forged
     }
@@ -113,6 +117,7 @@ impl fmt::Display for Refusals {
             (self.malformed, "malformed"),
             (self.stale, "stale"),
             (self.unexpected, "unexpected"),
+            (self.astray, "astray"),
             (self.isolated, "of isolated nodes"),
             (self.forged, "forged"),
         ];

@@ -122,6 +122,8 @@ impl Default for Plan {
             FaultKind::NameTaken => observe.clone(),
             // The actuator's node has applied the safe outputs already.
             FaultKind::CommanderGone => observe.clone(),
+            // Whoever brings it back is a person, or the application.
+            FaultKind::NodeAtRest => observe.clone(),
             // Without an alternative nothing helps but the link's, or the node's, return.
             FaultKind::LinkDown | FaultKind::LinkDegraded | FaultKind::NodeLost => reroute.clone(),
             _ => restart.clone(),

@@ -14,6 +14,7 @@ use crate::{Fault, FaultId, FaultKind, Incarnation, Instant, Machine, NodeName, 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
+mod rest;
 #[cfg(test)]
 mod tests;
 
@@ -217,6 +218,8 @@ pub struct Recoverer {
     memories: BTreeMap<(Place, FaultKind), Memory>,
     open: BTreeMap<u64, (Place, Measure)>,
     engaged: BTreeMap<Measure, Engaged>,
+    /// Its node is at safe rest.
+    resting: bool,
     outputs: VecDeque<RecovererAction>,
 }
 
@@ -234,6 +237,7 @@ impl Recoverer {
             memories: BTreeMap::new(),
             open: BTreeMap::new(),
             engaged: BTreeMap::new(),
+            resting: false,
             outputs: VecDeque::new(),
         }
     }
@@ -243,7 +247,7 @@ impl Recoverer {
     pub fn begun_anew(&self, now: Instant) -> Self {
         let seed = self.seed.wrapping_add(1);
         let mut next = Recoverer::new(self.node.clone(), self.plan.clone(), self.limits, seed);
-        next.orders = self.orders;
+        (next.orders, next.resting) = (self.orders, self.resting);
         let noted = self.cases.values().flat_map(|case| &case.faults).map(|noted| &noted.fault);
         for fault in noted.chain(self.symptoms.values().map(|symptom| &symptom.fault)) {
             next.handle_fault(fault.clone(), now);
@@ -317,6 +321,9 @@ impl Recoverer {
         let ladder = self.plan.answer(&self.node, &fault.kind, &fault.place);
         if ladder.steps()[0].measure == Measure::Observe {
             return self.tell(&fault, Settled::Observed);
+        }
+        if self.resting && matches!(fault.place, Place::Object(_)) {
+            return self.tell_rest(&fault);
         }
         let place = fault.place.clone();
         if let Some(case) = self.cases.get_mut(&place) {

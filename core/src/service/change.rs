@@ -1,5 +1,6 @@
 //! What has changed of a state, for standbys that have what it was before.
 
+use crate::hash;
 use serde::{Deserialize, Serialize};
 
 /// From one state to the next.
@@ -55,11 +56,9 @@ impl Change {
     }
 }
 
-/// FNV-1a, 64 bits: against a standby whose state is not what the primary takes it for.
-fn sum(state: &[u8]) -> u64 {
-    const BASIS: u64 = 0xcbf2_9ce4_8422_2325;
-    const PRIME: u64 = 0x100_0000_01b3;
-    state.iter().fold(BASIS, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(PRIME))
+/// Against a standby whose state, or terms, are not what they are taken for.
+pub(super) fn sum(state: &[u8]) -> u64 {
+    hash::of(state.iter().copied())
 }
 
 #[cfg(test)]

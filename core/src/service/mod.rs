@@ -23,6 +23,9 @@
 //! election before it was sent the state, or has waited for twenty leases in vain. So does one whose
 //! component takes nothing any more, whatever the standbys do.
 //!
+//! All of this holds among those who were told the same: the same nodes, kind, rule and hello. Who finds that
+//! another one was told otherwise serves no more, and neither does that one, until both say the same.
+//!
 //! The replicas keep their table in memory. A process that begins anew has forgotten it: that is one
 //! failure. What the machine promises, it promises for fewer than half of the nodes failing at a time.
 
@@ -30,6 +33,7 @@ mod change;
 mod message;
 mod replica;
 mod table;
+mod terms;
 
 pub use replica::{
     MESSAGE_MAX, QUEUE_MAX, Replica, ReplicaOutput, Role, STATE_MAX, ServiceOutcome, ServiceRequest,
@@ -38,10 +42,11 @@ pub use replica::{
 pub use table::TABLE_MAX;
 
 use crate::NodeName;
+use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
 /// What standbys do while they stand by.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StandbyKind {
     /// Nothing: whoever takes over begins with the state that it was built with. The outcome of
     /// requests in flight is unknown.
@@ -54,7 +59,7 @@ pub enum StandbyKind {
 }
 
 /// What happens where less than a majority of the declared nodes see each other.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum OnPartition {
     /// There is no service there.
     #[default]

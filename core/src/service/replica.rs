@@ -1,5 +1,6 @@
 //! One replica of a service.
 
+mod accord;
 mod component;
 mod primary;
 mod standby;
@@ -12,6 +13,7 @@ use super::table::Table;
 use super::{OnPartition, ReplicaConfig, StandbyKind};
 use crate::codec;
 use crate::{Instant, Machine, MessageId, NodeName, Why};
+use accord::Accord;
 use bytes::Bytes;
 use component::Health;
 use primary::Primary;
@@ -100,6 +102,20 @@ pub enum ReplicaOutput {
         /// What is wrong, and what helps.
         detail: String,
     },
+    /// Another node was told something else of the service than this one: nobody of both serves until that is
+    /// mended.
+    Disputed {
+        /// In what, and what is to be written.
+        detail: String,
+    },
+    /// What was disputed is over. More of it, if there is any, follows.
+    Agreed,
+    /// Ask this node what it was told of the service, and say so by [`Replica::handle_terms`], or
+    /// [`Replica::handle_no_terms`].
+    Compare {
+        /// Which.
+        with: NodeName,
+    },
     /// Find out whether the services that this one depends on are served now, by asking whoever serves
     /// them, and say so by [`Replica::handle_ready`] once they are. A new inquiry takes the place of the
     /// last one.
@@ -153,6 +169,7 @@ pub struct Replica {
     /// Since it was given that, it began a new life: what comes of it is of no account.
     void: bool,
     health: Health,
+    accord: Accord,
     refused: u64,
     outputs: VecDeque<ReplicaOutput>,
 }
@@ -169,6 +186,7 @@ impl Replica {
     pub fn new(config: ReplicaConfig, initial: Bytes, now: Instant) -> Self {
         let standby = Standby::beginning(&config, now);
         Replica {
+            accord: Accord::new(&config),
             config,
             initial,
             epoch: 0,
@@ -223,6 +241,10 @@ impl Replica {
     pub fn handle_request(&mut self, asked: ServiceRequest, now: Instant) {
         let ServiceRequest { caller, id, settled, until, request } = asked;
         self.handle_timeout(now);
+        if let Some(difference) = self.dispute() {
+            let why = Why::ContractDiffers { difference };
+            return self.answer(caller, ServiceOutcome::Refused(why));
+        }
         if self.table.is_settled(id) {
             // It has wandered about while its caller was answered by another way: nobody waits.
             return self.answer(caller, ServiceOutcome::Refused(Why::Expired));
@@ -360,16 +382,15 @@ impl Replica {
 
     /// Another replica says something.
     pub fn handle_message(&mut self, from: &NodeName, message: &[u8], now: Instant) {
-        if !self.config.members.contains(from) || *from == self.config.own {
-            self.refused += 1;
-            return;
-        }
-        let Ok(message) = codec::decode_bounded::<Message, MESSAGE_MAX>(message) else {
+        let Some(message) = self.read(from, message, now) else {
             self.refused += 1;
             return;
         };
         self.handle_timeout(now);
         match message {
+            // Whoever differs with somebody promises nothing, and helps nobody to serve.
+            Message::Hello { .. } | Message::Claim { .. } | Message::Vote { .. }
+                if self.accord.is_disputed() => {}
             Message::Hello { epoch, number, position } => {
                 self.hear_hello(from, epoch, (number, position), now);
             }
@@ -393,6 +414,16 @@ impl Replica {
             }
             Message::Resigned { epoch } => self.hear_resigned(from, epoch, now),
         }
+    }
+
+    fn read(&mut self, from: &NodeName, message: &[u8], now: Instant) -> Option<Message> {
+        let (message, agrees) = self.accord.read(message).filter(|_| *from != self.config.own)?;
+        if !agrees {
+            self.doubt(from, now);
+            return None;
+        }
+        self.config.members.contains(from).then_some(())?;
+        codec::decode_bounded::<Message, MESSAGE_MAX>(message).ok()
     }
 
     fn see(&mut self, epoch: u64) {
@@ -475,12 +506,12 @@ impl Replica {
     }
 
     fn send(&mut self, to: &NodeName, message: &Message) {
-        let message = codec::encode_unbounded(message).into();
+        let message = self.accord.sign(codec::encode_unbounded(message));
         self.outputs.push_back(ReplicaOutput::Send { to: to.clone(), message });
     }
 
     fn tell_others(&mut self, message: &Message) {
-        let message = Bytes::from(codec::encode_unbounded(message));
+        let message = self.accord.sign(codec::encode_unbounded(message));
         for to in self.config.members.iter().filter(|member| **member != self.config.own) {
             let (to, message) = (to.clone(), message.clone());
             self.outputs.push_back(ReplicaOutput::Send { to, message });

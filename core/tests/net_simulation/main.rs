@@ -1,5 +1,6 @@
 //! Whole networks over bad wires: what the sessions promise holds.
 
+mod carrier;
 mod lives;
 mod redundant;
 mod routing;

@@ -73,6 +73,8 @@ pub(crate) struct World {
     pub(crate) count: u64,
     /// How often some traffic went another way.
     pub(crate) path_changes: u64,
+    /// How often a link became suspect for what its neighbour said by another way.
+    pub(crate) given_up: u64,
     /// In whose name lies were told, and by way of whom.
     pub(crate) liars: BTreeSet<(NodeName, NodeName)>,
     pub(crate) trace: DefaultHasher,
@@ -112,6 +114,7 @@ impl World {
             frames: BTreeMap::new(),
             count: 0,
             path_changes: 0,
+            given_up: 0,
             liars: BTreeSet::new(),
             trace: DefaultHasher::new(),
             sent: BTreeMap::new(),
@@ -245,7 +248,11 @@ impl World {
                             LinkState::Suspect => Health::Suspect,
                             LinkState::Down | LinkState::Connecting => Health::Down,
                         };
-                        let (mtu, cost) = (self.wires[wire].mtu, link.quality().cost_percent / 10);
+                        let given_up = link.is_given_up();
+                        self.given_up += u64::from(given_up);
+                        let cost =
+                            if given_up { u16::MAX } else { link.quality().cost_percent / 10 };
+                        let mtu = self.wires[wire].mtu;
                         let status = LinkStatus { neighbour, health, cost, mtu };
                         router.handle_link(number, status, self.now);
                     }
@@ -311,6 +318,9 @@ impl World {
                     if let Some(session) = sessions.get_mut(&source) {
                         session.handle_segment(segment, now);
                     }
+                }
+                RouterOutput::GivenUp { link } => {
+                    node.links[link.0 as usize].2.handle_given_up(now);
                 }
                 RouterOutput::Reachable { node: peer, incarnation, mtu } => {
                     let id = NodeId::of(&peer);

@@ -4,7 +4,7 @@
 //!         a
 //!     ab / \ ca        a cable is a veth pair, or two taps and a relay between them
 //!       b───c
-//!        bc
+//!        bc        (or a bridge in a host of its own, which is a switch)
 //! ```
 
 use std::process::{Child, Command, Stdio};
@@ -18,6 +18,9 @@ pub(crate) enum Kind {
     /// Two taps with a relay in user space: like real Ethernet, the kernel tells of a second change
     /// within a second only when that is over.
     Tap,
+    /// Each end has a cable to a switch of its own, so that the one that is pulled at its first end keeps
+    /// its carrier at the other.
+    Switch,
 }
 
 /// A cable by its place.
@@ -27,6 +30,10 @@ pub(crate) struct Cable {
     pub(crate) ends: [&'static str; 2],
     net: u8,
 }
+
+/// The host that has the switches.
+const SWITCHES: &str = "s";
+const HOSTS: [&str; 4] = ["a", "b", "c", SWITCHES];
 
 /// The cables of the trials.
 pub(crate) const CABLES: [Cable; 3] = [
@@ -77,7 +84,7 @@ impl Bed {
     /// Makes hosts and lays cables.
     pub(crate) fn new(kind: Kind, prefix: &str, cables: &'static [Cable]) -> Result<Bed, String> {
         let mut bed = Bed { kind, prefix: prefix.into(), cables, relays: Vec::new() };
-        for host in ["a", "b", "c"] {
+        for host in HOSTS {
             let host = bed.namespace(host);
             command(&format!("ip netns add {host}"))?;
             command(&format!("ip -n {host} link set lo up"))?;
@@ -101,6 +108,18 @@ impl Bed {
                 "ip -n {left} link add {name} type veth peer name {name} netns {right}"
             ))?,
             Kind::Tap => self.relay(cable)?,
+            Kind::Switch => {
+                let switches = self.namespace(SWITCHES);
+                command(&format!("ip -n {switches} link add {name} type bridge"))?;
+                command(&format!("ip -n {switches} link set {name} up"))?;
+                for (port, end) in [left.as_str(), &right].into_iter().enumerate() {
+                    let port = format!("{name}{port}");
+                    command(&format!(
+                        "ip -n {end} link add {name} type veth peer name {port} netns {switches}"
+                    ))?;
+                    command(&format!("ip -n {switches} link set {port} master {name} up"))?;
+                }
+            }
         }
         for (at, end) in [left, right].iter().enumerate() {
             command(&format!("ip -n {end} addr add {}/24 dev {name}", cable.address(at)))?;
@@ -162,8 +181,8 @@ impl Bed {
         let name = cable.name;
         let [left, right] = cable.ends.map(|end| self.namespace(end));
         match self.kind {
-            // The other end of the pair loses its carrier with it.
-            Kind::Veth => {
+            // The other end of the pair loses its carrier with it: of a switch, its port.
+            Kind::Veth | Kind::Switch => {
                 let state = if present { "up" } else { "down" };
                 command(&format!("ip -n {left} link set {name} {state}"))
             }
@@ -218,7 +237,7 @@ impl Drop for Bed {
             let _ = relay.kill();
             let _ = relay.wait();
         }
-        for host in ["a", "b", "c"] {
+        for host in HOSTS {
             // What was not made cannot be deleted; `tests/beds/run` looks for what is left.
             let _ = command(&format!("ip netns del {}", self.namespace(host)));
         }

@@ -8,6 +8,7 @@ use crate::bed::{Bed, Kind, PARALLEL};
 use crate::host::Host;
 use crate::node::{Order, Parcel, describe, say};
 use blastema::core::net::LinkNumber;
+use blastema::core::random::Random;
 use blastema::prelude::*;
 use blastema::{LinkState, Route};
 use std::io::Write;
@@ -141,15 +142,14 @@ pub(crate) async fn measure(arguments: &[String]) -> Result<(), String> {
     let parcels: Sender<Parcel> = node.sender("b:ledger").map_err(|why| why.to_string())?;
     let streaming = tokio::task::spawn_local(stream(parcels));
     let mut figures = Vec::new();
-    // Linear congruences (Numerical Recipes): any moment between two looks is as likely.
-    let mut chance = 1u32;
+    // Any moment between two looks is as likely.
+    let mut chance = Random::new(1);
     let mut last = Instant::now();
     let mut within_a_second = 0;
     let mut number = 0;
     for _ in 0..count {
         let interface = PARALLEL[in_use(&node).await % PARALLEL.len()].name;
-        chance = chance.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        tokio::time::sleep(Duration::from_micros(u64::from(chance >> 16) % 10_000)).await;
+        tokio::time::sleep(Duration::from_micros(chance.below(10_000))).await;
         let start = Instant::now();
         within_a_second += u32::from(start - last < Duration::from_secs(1));
         last = start;

@@ -15,6 +15,8 @@ use tokio::sync::mpsc;
 const PACE: Duration = Duration::from_millis(5);
 /// How often links are looked at, to say when one changes.
 const LOOK: Duration = Duration::from_millis(20);
+/// What a link costs of which the neighbour has said by another way that it carries no more.
+const LAST_USED: u16 = u16::MAX;
 /// Longer than any outage here lasts.
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -228,13 +230,16 @@ async fn tell_changes(node: Node) {
             }
         }
         for row in node.sessions().await {
-            let life = format!("{:?}", row.incarnation);
+            let life = format!("{:?}", row.standing.incarnation);
             if before.insert(format!("with {}", row.node), life.clone()).as_ref() != Some(&life) {
                 say(&format!("session with {} {life}", row.node));
             }
         }
         for row in node.links().await {
-            let state = row.state.to_string();
+            let state = match row.cost {
+                LAST_USED => "given up".to_owned(),
+                _ => row.state.to_string(),
+            };
             if before.insert(row.link.to_string(), state.clone()).as_ref() != Some(&state) {
                 say(&format!("link {} {state}", row.link));
             }

@@ -26,7 +26,7 @@ struct Trial {
 pub(crate) fn run(arguments: &[String]) -> Result<(), String> {
     let (prefix, wanted) = arguments.split_first().ok_or("a prefix for namespaces is missing")?;
     let mut failed = Vec::new();
-    for kind in [Kind::Veth, Kind::Tap] {
+    for kind in [Kind::Veth, Kind::Tap, Kind::Switch] {
         for medium in ["udp", "tcp"] {
             let name = format!("{medium} over {kind:?}").to_lowercase();
             if !wanted.is_empty() && !wanted.iter().any(|word| name.contains(word.as_str())) {
@@ -55,7 +55,7 @@ fn trial(kind: Kind, medium: &str, prefix: &str) -> Result<(), String> {
         hosts.push(Host::start(name, &bed.namespace(name), &arguments)?);
     }
     let mut trial = Trial { bed, hosts };
-    let result = trial.tell_story();
+    let result = trial.tell_story(kind);
     if result.is_err() || std::env::var("BED_VERBOSE").is_ok() {
         // Whoever reads of the failure needs what led to it.
         trial.hosts.iter().for_each(|host| println!("{}", host.last_words(200)));
@@ -65,7 +65,7 @@ fn trial(kind: Kind, medium: &str, prefix: &str) -> Result<(), String> {
 }
 
 impl Trial {
-    fn tell_story(&mut self) -> Result<(), String> {
+    fn tell_story(&mut self, kind: Kind) -> Result<(), String> {
         for host in &mut self.hosts {
             let name = host.name.clone();
             for cable in CABLES.iter().filter(|cable| cable.ends.contains(&name.as_str())) {
@@ -74,6 +74,17 @@ impl Trial {
             host.expect("ready", PATIENCE)?;
         }
         let [ab, bc, ca] = CABLES;
+        if kind == Kind::Switch {
+            for cable in CABLES {
+                let how = "pulled at one end of a switch";
+                self.injure(how, cable, |bed| bed.pull(cable), |bed| bed.plug(cable))?;
+                let other = self.hosts.iter_mut().find(|host| host.name == cable.ends[1]);
+                // Before it missed any hello.
+                let wanted = format!("link {} given up", cable.name);
+                other.ok_or("no such host")?.has_said(&wanted).ok_or(format!("never: {wanted}"))?;
+            }
+            return self.count();
+        }
         self.injure("pulled", ab, |bed| bed.pull(ab), |bed| bed.plug(ab))?;
         self.injure("silenced", bc, |bed| bed.silence(bc), |bed| bed.restore(bc))?;
         let flapping = |bed: &Bed| {

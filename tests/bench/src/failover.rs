@@ -8,6 +8,7 @@
 
 use crate::measure::Quantiles;
 use blastema::core::net::LinkNumber;
+use blastema::core::random::Random;
 use blastema::prelude::*;
 use blastema::{Cable, Direction, Link, LinkState, Network};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
@@ -126,12 +127,11 @@ impl Pair {
 
     async fn cuts(&self, echo: &Sender<Echo>, reported: bool, count: usize) -> Quantiles {
         let mut figures = Quantiles::default();
-        // Linear congruences (Numerical Recipes): any moment between two hellos is as likely.
-        let mut chance = 1u32;
+        // Any moment between two hellos is as likely.
+        let mut chance = Random::new(1);
         for _ in 0..count {
             let cable = self.cable_in_use().await;
-            chance = chance.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            tokio::time::sleep(Duration::from_micros(u64::from(chance >> 16) % 10_000)).await;
+            tokio::time::sleep(Duration::from_micros(chance.below(10_000))).await;
             let start = Instant::now();
             self.cables[cable].iter().for_each(|end| end.cut(Direction::Both, reported));
             echo.ask_within(Echo(vec![7; 64]), PATIENCE).await.expect("another cable carries it");

@@ -7,6 +7,7 @@
 //! `N=n` sets how often each kind is killed, `KINDS=hot,warm,cold` which.
 
 use crate::measure::Quantiles;
+use blastema::core::random::Random;
 use blastema::prelude::*;
 use blastema::{
     Link, LinkState, Network, RequestError, Role, ServiceRef, ServiceSpec, StandbyKind, Stateful,
@@ -19,11 +20,15 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
 const MEMBERS: [&str; 3] = ["module1", "module2", "module3"];
+/// As often as the goals say: the primary's, and those of links.
 const HELLO: Duration = Duration::from_millis(10);
+/// How often it is looked whether everybody is in step: a fifth of what is waited for.
 const PACE: Duration = Duration::from_millis(2);
+/// A killed process that is not replaced within this is no matter of load.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Requests between two kills, and requests that are under way at a kill.
+/// Requests between two kills, so that there is something to lose.
 const BETWEEN: usize = 8;
+/// Requests that are under way at a kill.
 const UNDER_WAY: usize = 3;
 
 /// Adds one.
@@ -282,11 +287,10 @@ pub(crate) async fn run() {
     for kind in kinds.split(',') {
         let mut bed = Bed::start(kind).await;
         let mut figures = Quantiles::default();
-        // Linear congruences (Numerical Recipes): any moment between two hellos is as likely.
-        let mut chance = 1u32;
+        // Any moment between two hellos is as likely.
+        let mut chance = Random::new(1);
         for _ in 0..count {
-            chance = chance.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            let moment = Duration::from_micros(u64::from(chance >> 16) % 10_000);
+            let moment = Duration::from_micros(chance.below(10_000));
             figures.add(bed.kill(moment).await);
         }
         let goal = match kind_of(kind) {

@@ -7,7 +7,7 @@
 use crate::measure::Table;
 use crate::process::{Peer, addresses, pin, serve_until_told, texts};
 use blastema::prelude::*;
-use blastema::{Link, Network};
+use blastema::{Blob, Link, Network};
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -29,6 +29,11 @@ struct Tick {
 #[contract(max_size = 2 << 20)]
 struct Image(Vec<u8>);
 
+/// The same, which is not copied where it comes from another node.
+#[derive(Clone, Debug, Event)]
+#[contract(max_size = 2 << 20)]
+struct SharedImage(Blob);
+
 /// How many messages have come.
 #[derive(Clone, Debug, Request)]
 #[contract(reply = u64)]
@@ -39,7 +44,7 @@ struct Sink(u64);
 
 impl Component for Sink {
     fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Tick>().accept::<Image>().serve::<Count>();
+        ports.accept::<Tick>().accept::<Image>().accept::<SharedImage>().serve::<Count>();
     }
 }
 impl Handle<Tick> for Sink {
@@ -51,6 +56,12 @@ impl Handle<Tick> for Sink {
 }
 impl Handle<Image> for Sink {
     async fn handle(&mut self, image: Image, _: &mut Context<Self>) {
+        assert_eq!(image.0.len(), MEBIBYTE);
+        self.0 += 1;
+    }
+}
+impl Handle<SharedImage> for Sink {
+    async fn handle(&mut self, image: SharedImage, _: &mut Context<Self>) {
         assert_eq!(image.0.len(), MEBIBYTE);
         self.0 += 1;
     }
@@ -177,14 +188,15 @@ pub(crate) fn run(rounds: usize) {
             let title = format!("small reliable messages, {medium}, a core each");
             let mut small = Table::new(title, "per second: higher is better");
             let image = vec![7; MEBIBYTE];
+            let blob = Blob::from(image.clone());
             for _ in 0..rounds {
                 if is_wanted("SIZES", "large") {
                     large.add("bare TCP", bare(bare_at).await);
-                    let image = |_| Image(image.clone());
-                    large.add(
-                        "Sender::deliver",
-                        sent(&node, "sink:large", (LARGE, 16), image).await,
-                    );
+                    let count = (LARGE, 16);
+                    let copied = |_| Image(image.clone());
+                    large.add("deliver, Vec<u8>", sent(&node, "sink:large", count, copied).await);
+                    let shared = |_| SharedImage(blob.clone());
+                    large.add("deliver, Blob", sent(&node, "sink:large", count, shared).await);
                 }
                 if is_wanted("SIZES", "small") {
                     let tick = |number| Tick { number, values: [0.5; 3] };

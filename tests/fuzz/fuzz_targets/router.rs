@@ -2,8 +2,9 @@
 
 #![no_main]
 
+use blastema_core::net::packet::Packet;
 use blastema_core::net::router::{Health, LinkStatus};
-use blastema_core::net::{LinkNumber, Neighbour, Router, RouterConfig};
+use blastema_core::net::{LinkNumber, Neighbour, Router, RouterConfig, RouterOutput};
 use blastema_core::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;
 use libfuzzer_sys::fuzz_target;
@@ -38,6 +39,9 @@ fuzz_target!(|script: Vec<(u8, u16, bool, Vec<u8>)>| {
             outputs += 1;
             // At worst every known node changes, and every link is told of every node.
             assert!(outputs <= 8 * NODES_MAX, "too much to do: {output:?}");
+            if let RouterOutput::Packet { packet, .. } = output {
+                assert!(Packet::decode(packet).is_ok(), "what nobody may send is passed on");
+            }
         }
         assert!(router.routes().count() <= NODES_MAX);
         assert!(router.poll_timeout().is_some_and(|due| due > now));

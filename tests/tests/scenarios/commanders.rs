@@ -2,7 +2,8 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Commander, Direction, Link, MemoryMedium, Network, NodeBuilder, Turn,
+    ActuatorSpec, Commander, Direction, LeaseStanding, Link, MemoryMedium, Network, NodeBuilder,
+    Turn,
 };
 use blastema_testkit::{TestNode, now};
 use std::sync::{Arc, Mutex};
@@ -91,9 +92,13 @@ async fn a_commander_holds_the_wheels_for_as_long_as_it_lives_and_gives_them_bac
     robot.here.advance(10_000 * MS).await;
     assert!(commander.holds());
     assert_eq!(robot.speeds(), [1.0]);
+    let shown = robot.there.actuators().remove(0).standing;
+    let LeaseStanding::Held { commander: who, left, .. } = shown else { panic!("{shown:?}") };
+    assert_eq!((who.name.as_str(), left <= LEASE), ("module1:console", true));
 
     drop(commander);
     robot.here.advance(100 * MS).await;
+    assert_eq!(robot.there.actuators()[0].standing, LeaseStanding::Free);
     assert_eq!(robot.speeds(), [1.0, 0.0]);
     robot.there.expect_no_faults().await;
 }
@@ -103,7 +108,7 @@ async fn nobody_commands_the_wheels_past_their_lease() {
     let robot = Robot::start().await;
     let around = robot.here.sender::<Drive>("module2:wheels").unwrap().ask(Drive(9.0)).await;
     assert!(matches!(around.unwrap_err().why, Why::Unknown { .. }));
-    assert_eq!(robot.speeds(), []);
+    assert_eq!(robot.speeds(), [0.0; 0]);
 }
 
 #[blastema_testkit::test]

@@ -1,6 +1,6 @@
 //! Siblings that cannot do without each other.
 
-use crate::puppet::{Deed, Pull, Strings, ask, life, strike};
+use crate::puppet::{Deed, Do, Pull, Strings, ask, life, strike};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema_testkit::TestNode;
@@ -50,6 +50,49 @@ async fn one_for_all_stops_in_reverse_order_and_starts_in_order() {
     assert_eq!(lives(&node).await, [2, 2, 2, 1]);
     node.await_fault(FaultKind::Panic, "b").await;
     node.expect_no_faults().await;
+}
+
+/// What becomes of `a`, `b`, a supervisor of `c` and `d`, `e` and `f` in this order, some on threads of their
+/// own, the others spread over three arbiters, when `b` panics. Their ends and beginnings take time.
+async fn over_all_arbiters(strategy: Strategy) -> Vec<String> {
+    let strings = Strings::default();
+    let pair = SupervisorSpec::new("pair", Strategy::OneForOne)
+        .child(strings.spec("c"))
+        .child(strings.spec("d").on_own_thread());
+    let group = SupervisorSpec::new("group", strategy)
+        .child(strings.spec("a"))
+        .child(strings.spec("b").on_own_thread())
+        .supervisor(pair)
+        .child(strings.spec("e"))
+        .child(strings.spec("f"));
+    let builder = Node::builder("module1").work_threads(3).supervisor(group);
+    let mut node = TestNode::of(builder.start().await.expect("the node starts")).await;
+    strings.diary();
+    for name in ["a", "c", "d", "e", "f"] {
+        strings.pull(name, "on_deactivated", Pull::Wait(Duration::from_millis(5)));
+        strings.pull(name, "on_initialize", Pull::Wait(Duration::from_millis(5)));
+    }
+
+    strike(&node, "b").await;
+    node.await_recovered(FaultKind::Panic, "b").await;
+    let last = node.sender::<Do>("f").expect("a puppet of this name");
+    let life = last.ask_within(Do(Deed::Nothing), Duration::from_secs(30)).await;
+    assert_eq!(life.expect("all are at work"), 2);
+    node.shutdown().await;
+    begins_and_ends(&strings)
+}
+
+#[test]
+fn a_group_stops_in_reverse_order_and_starts_in_order_also_across_arbiters() {
+    blastema::run(async {
+        let shutdown = ["-f#2", "-e#2", "-d#2", "-c#2", "-b#2"];
+        let replaced = ["+b#2", "+c#2", "+d#2", "+e#2", "+f#2"];
+        let stopped = ["-f#1", "-e#1", "-d#1", "-c#1"];
+        let all = [&stopped[..], &["-a#1", "+a#2"], &replaced, &shutdown, &["-a#2"]];
+        assert_eq!(over_all_arbiters(Strategy::OneForAll).await, all.concat());
+        let rest = [&stopped[..], &replaced, &shutdown, &["-a#1"]];
+        assert_eq!(over_all_arbiters(Strategy::RestForOne).await, rest.concat());
+    });
 }
 
 #[blastema_testkit::test]

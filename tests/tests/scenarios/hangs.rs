@@ -5,7 +5,7 @@
 use crate::puppet::{Deed, Do, Note, Strings, life};
 use blastema::core::detection::Opinion;
 use blastema::prelude::*;
-use blastema::{Incarnation, NodeBuilder};
+use blastema::{Incarnation, NodeBuilder, RestartError, ThreadKind, ThreadRow, ThreadState};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
@@ -100,6 +100,46 @@ fn neighbours_of_a_hang_that_does_not_return_are_moved_with_their_queues() {
     });
 }
 
+/// The thread that this component lives on.
+fn thread_of(node: &Node, component: &str) -> Option<ThreadRow> {
+    let lives = |row: &ThreadRow| row.components.iter().any(|name| name.as_str() == component);
+    node.threads().into_iter().find(lives)
+}
+
+#[test]
+fn the_rows_of_threads_tell_who_keeps_one_and_to_whom_one_was_lost() {
+    blastema::run(async {
+        let strings = Strings::default();
+        let grace = Duration::from_millis(700);
+        let mut node = start(robot(&strings).grace(grace)).await;
+        let [shared, own] = ["arm", "ear"].map(|name| thread_of(&node, name).expect("it lives"));
+        assert_eq!((shared.kind, own.kind), (ThreadKind::Shared, ThreadKind::Own));
+        assert_eq!(shared.components.len(), 2, "the arm and the leg");
+        let shown = Node::clone(&node);
+        let row = |number| shown.threads().into_iter().find(|row| row.number == number);
+
+        node.sender("arm").unwrap().tell(Do(Deed::Block("ear".into()))).unwrap();
+        node.sender("leg").unwrap().tell(Note(1)).unwrap();
+        let arm = || "arm".parse().expect("a name");
+        let state = |number| row(number).map(|row| row.state);
+        let kept = |state| matches!(state, Some(ThreadState::Blocked { by, .. }) if by == arm());
+        until("it is kept", || kept(state(shared.number))).await;
+        let blocked = row(shared.number).expect("it was there just now");
+        assert!(blocked.busy > own.busy, "{blocked:?}");
+        assert_eq!((state(own.number), blocked.queued), (Some(ThreadState::Alive), 1));
+
+        let lost = Some(ThreadState::Abandoned { by: arm() });
+        until("it is lost", || state(shared.number) == lost).await;
+        node.await_recovered(FaultKind::Hang, "leg").await;
+        let elsewhere = thread_of(&node, "leg").expect("it lives again");
+        assert!(elsewhere.number > own.number && elsewhere.state == ThreadState::Alive);
+
+        strings.release();
+        until("the thread has come back, and ends", || row(shared.number).is_none()).await;
+        node.shutdown().await;
+    });
+}
+
 #[test]
 fn a_node_that_has_given_up_four_threads_comes_to_safe_rest() {
     blastema::run(async {
@@ -118,7 +158,17 @@ fn a_node_that_has_given_up_four_threads_comes_to_safe_rest() {
 
         let Ok(NodeState::AtRest { reason }) = &ended else { panic!("{ended:?}") };
         assert!(!reason.is_empty());
+        until("all four are given up", || node.abandoned_threads() == 4).await;
+        assert_eq!(node.restart().await, Err(RestartError::ThreadsHang { count: 4 }));
+
+        // They return after all: what was at rest is brought back.
         strings.release();
+        until("the threads come back", || node.abandoned_threads() == 0).await;
+        node.restart().await.unwrap();
+        for name in ["a", "b", "c", "d"] {
+            node.sender(name).unwrap().ask(Do(Deed::Nothing)).await.unwrap();
+        }
         node.shutdown().await;
+        assert_eq!(node.state(), NodeState::Stopped);
     });
 }

@@ -21,6 +21,7 @@ mod networks;
 mod panics;
 mod puppet;
 mod refusals;
+mod rest;
 mod retries;
 mod sending;
 mod services;

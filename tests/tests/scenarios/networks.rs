@@ -12,13 +12,21 @@ use blastema::core::net::LinkState;
 use blastema::core::recovery::{Done, Failed, Order};
 use blastema::prelude::*;
 use blastema::{
-    Direction, Link, MemoryMedium, Network, NodeBuilder, Place, RecoveryStrategy, Tools,
+    Direction, Link, MemoryMedium, Network, NodeBuilder, Place, RecoveryStrategy, SessionState,
+    Tools,
 };
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
+
+/// Another contract of the same name.
+#[derive(Debug, Request)]
+#[contract(name = "test/do", reply = u64)]
+struct OtherDo {
+    text: String,
+}
 
 /// The media of one robot.
 #[derive(Default)]
@@ -116,12 +124,6 @@ async fn the_death_of_a_remote_object_is_told_to_who_asked_it() {
 
 #[blastema_testkit::test]
 async fn who_is_unknown_or_different_on_another_node_is_told_so() {
-    #[derive(Debug, Request)]
-    #[contract(name = "test/do", reply = u64)]
-    struct OtherDo {
-        text: String,
-    }
-
     let robot = Robot::start(&Strings::default()).await;
     let unknown = robot.module1.sender::<Do>("module2:nobody").unwrap();
     let differs = robot.module1.sender::<OtherDo>("module2:laser").unwrap();
@@ -136,6 +138,41 @@ async fn who_is_unknown_or_different_on_another_node_is_told_so() {
     let Why::ContractDiffers { difference } = differs else { panic!("{differs}") };
     assert!(difference.contains("test/do"), "{difference}");
     assert!(matches!(nowhere, Why::Unreachable { .. } | Why::DeadlinePassed), "{nowhere}");
+}
+
+#[blastema_testkit::test]
+async fn the_rows_of_sessions_tell_how_each_stands_what_is_repeated_and_what_differs() {
+    let strings = Strings::default();
+    let robot = Robot::start(&strings).await;
+    let session = async || {
+        let rows = robot.module1.sessions().await;
+        rows.into_iter().find(|row| row.node.as_str() == "module3").expect("it is known")
+    };
+    let other = robot.module1.sender::<OtherDo>("module3:motors").unwrap();
+    other.ask(OtherDo { text: "hello".into() }).await.expect_err("it is another contract");
+    let before = session().await;
+    assert_eq!(before.standing.state, SessionState::Open);
+    assert_eq!(before.standing.incarnation, Some(robot.module3.incarnation()));
+    assert!(before.standing.round_trip.is_some() && before.standing.window > 0);
+    assert!(
+        before.differences.len() == 1 && before.differences[0].contains("test/do"),
+        "{before:?}"
+    );
+
+    robot.cut("ieee1394");
+    robot.module1.sender("module3:motors").unwrap().tell(Note(1)).unwrap();
+    robot.module1.advance(50 * MS).await;
+    let cut = session().await.standing;
+    assert!(cut.unacknowledged > 0 && cut.in_flight > 0, "{cut:?}");
+    robot.module1.advance(5000 * MS).await;
+    assert_eq!(session().await.standing.state, SessionState::Away);
+
+    robot.mend("ieee1394");
+    robot.module1.advance(5000 * MS).await;
+    let after = session().await;
+    assert_eq!((after.standing.state, after.standing.unacknowledged), (SessionState::Open, 0));
+    assert!(after.standing.counters.repeated > before.standing.counters.repeated);
+    assert_eq!(after.differences, [""; 0], "it is a new session");
 }
 
 #[blastema_testkit::test]

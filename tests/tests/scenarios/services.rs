@@ -8,6 +8,8 @@ use blastema::{
 use blastema_testkit::{TestNode, now};
 use std::time::Duration;
 
+mod terms;
+
 const MS: Duration = Duration::from_millis(1);
 const MEMBERS: [&str; 3] = ["module1", "module2", "module3"];
 
@@ -247,6 +249,18 @@ async fn a_node_at_safe_rest_gives_its_service_away_at_once() {
         assert_eq!(robot.add(1).await, Ok(sum), "{kind:?}");
         robot.asker.advance(3000 * MS).await;
         assert_eq!(robot.primary(), follower, "{kind:?}");
+
+        // Brought back, it is a member like any other.
+        robot.members[first].restart().await.unwrap();
+        robot.asker.advance(3000 * MS).await;
+        assert_eq!(robot.primary(), follower, "{kind:?}");
+        robot.cut(follower);
+        robot.cut(3 - first - follower);
+        robot.asker.advance(500 * MS).await;
+        robot.mend(3 - first - follower);
+        robot.asker.advance(3000 * MS).await;
+        let sum = if kind == StandbyKind::Cold { 1 } else { 7 };
+        assert_eq!(robot.add(1).await, Ok(sum), "{kind:?}");
     }
 }
 

@@ -38,6 +38,23 @@ async fn a_name_that_is_taken_or_does_not_parse_is_refused() {
 }
 
 #[blastema_testkit::test]
+async fn a_component_that_would_close_a_circle_of_dependencies_is_refused_and_leaves_no_trace() {
+    let strings = Strings::default();
+    let hand = || strings.spec("hand");
+    let arm = strings.spec("arm").depends_on(["hand"]);
+    let node = TestNode::start(Node::builder("module1").child(hand()).child(arm)).await;
+    node.remove_child("hand").await.expect("the root keeps it");
+
+    let circle =
+        node.add_child(hand().depends_on(["arm"])).await.expect_err("each needs the other");
+    let typo = node.add_child(hand().depends_on(["arms"])).await.expect_err("there are no arms");
+
+    assert!(circle.to_string().contains("arm -> hand -> arm"), "{circle}");
+    assert!(typo.to_string().contains("did you mean \"arm\"?"), "{typo}");
+    node.add_child(hand()).await.expect("its name is free");
+}
+
+#[blastema_testkit::test]
 async fn a_component_that_is_removed_ends_in_order_and_leaves_no_trace() {
     let strings = Strings::default();
     let builder = Node::builder("module1").child(strings.spec("arm")).child(strings.spec("hand"));

@@ -12,9 +12,10 @@ mod config;
 mod socket;
 
 pub use self::config::UnixConfig;
+pub use self::socket::{PathListener, explain};
 pub use crate::stream::framing;
 
-use self::socket::{PathListener, dial, explain, greet, introduce};
+use self::socket::{dial, greet, introduce};
 use crate::medium::{Medium, transport};
 use crate::outlet::Outlet;
 use crate::stream::{Bounds, Family, Streams, Underway, byte_stream};
@@ -82,7 +83,9 @@ impl Family for OverPaths {
     fn listen(&mut self) -> Result<(PathListener, Arc<Path>), String> {
         let path: Arc<Path> = self.0.path.as_path().into();
         let listener = PathListener::open(&path, self.0.mode);
-        Ok((listener.map_err(|error| explain(&path, &error))?, path))
+        let listener =
+            listener.map_err(|error| format!("{}; trying again", explain(&path, &error)))?;
+        Ok((listener, path))
     }
 
     fn poll_accept(

@@ -25,8 +25,9 @@ use tokio::io::AsyncReadExt;
 use tokio::net::{UnixListener, UnixStream};
 use tokio::time::timeout;
 
-/// A socket that listens at a path. The file goes when this does.
-pub(super) struct PathListener {
+/// A socket that listens at a path, whatever a dead process has left there. The file goes when this does.
+#[derive(Debug)]
+pub struct PathListener {
     pub(super) socket: UnixListener,
     path: Arc<Path>,
     /// Held for as long as we listen; the system gives it back when we die.
@@ -34,7 +35,15 @@ pub(super) struct PathListener {
 }
 
 impl PathListener {
-    pub(super) fn open(path: &Arc<Path>, mode: u32) -> io::Result<Self> {
+    /// Listens there, for whom the file's permissions let in.
+    ///
+    /// # Errors
+    /// Somebody else listens, something else lies there, or the system refuses it; [`explain`] says what
+    /// helps.
+    ///
+    /// # Panics
+    /// Outside of a tokio runtime with IO.
+    pub fn open(path: &Arc<Path>, mode: u32) -> io::Result<Self> {
         let address = SockAddr::unix(path)?;
         let lock = lock(path)?;
         clear(path, &address)?;
@@ -53,6 +62,16 @@ impl PathListener {
                 Err(error)
             }
         }
+    }
+}
+
+impl PathListener {
+    /// The next one who connects.
+    ///
+    /// # Errors
+    /// As the system says; the next one may succeed.
+    pub async fn accept(&self) -> io::Result<UnixStream> {
+        self.socket.accept().await.map(|(stream, _)| stream)
     }
 }
 
@@ -100,7 +119,7 @@ fn clear(path: &Path, address: &SockAddr) -> io::Result<()> {
 }
 
 /// What a person may do about a socket that does not open.
-pub(super) fn explain(path: &Path, error: &io::Error) -> String {
+pub fn explain(path: &Path, error: &io::Error) -> String {
     let advice = match error.kind() {
         io::ErrorKind::AddrInUse => "another process listens there: end it, or choose another path",
         io::ErrorKind::AlreadyExists => {
@@ -119,7 +138,7 @@ pub(super) fn explain(path: &Path, error: &io::Error) -> String {
         }
         _ => "check the path and the machine's limits",
     };
-    format!("unix {} cannot be opened ({error}): {advice}; trying again", path.display())
+    format!("unix {} cannot be opened ({error}): {advice}", path.display())
 }
 
 /// Connects to a listening peer, and is done when that has kept the connection.

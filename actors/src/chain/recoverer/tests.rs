@@ -1,6 +1,6 @@
 use super::*;
 use crate::chain::scripted::{Answer, Bench, fault};
-use crate::chain::strategy::{RecoveryStrategy, SafeOutputs, ToolBox};
+use crate::chain::strategy::{Apply, RecoveryStrategy, SafeOutputs, ToolBox};
 use crate::chain::supervisor::SupervisorChild;
 use crate::registry::Registry;
 use blastema_contract::strategy::{IsolateNode, Reroute, RestNode};
@@ -33,7 +33,7 @@ impl Chain {
         let here = NodeName::new("here").expect("a good name");
         let safe_outputs = Arc::new(AtomicUsize::new(0));
         let applied = safe_outputs.clone();
-        let apply: SafeOutputs = Arc::new(move |_| {
+        let apply: Apply = Arc::new(move |_| {
             applied.fetch_add(1, SeqCst);
         });
         let network = Probe::replying(|IsolateNode { node, cause, .. }| match node.as_str() {
@@ -45,7 +45,7 @@ impl Chain {
             directory: bench.directory.clone(),
             registry: Registry::default(),
             router: Arc::new(std::sync::OnceLock::from((router.recipient(), network.recipient()))),
-            safe_outputs: Some(apply),
+            safe_outputs: SafeOutputs::new(Some(apply)),
             rest_node: node.recipient(),
         });
         let limits = RecovererLimits { idle: Duration::from_secs(5), ..RecovererLimits::default() };

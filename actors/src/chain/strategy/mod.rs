@@ -10,6 +10,7 @@
 
 mod host;
 mod isolate;
+mod outputs;
 mod reroute;
 mod reset;
 mod restart;
@@ -17,9 +18,10 @@ mod safe_stop;
 mod table;
 mod tools;
 
+pub(crate) use outputs::{Apply, SafeOutputs};
 pub(crate) use table::StrategyTable;
+pub(crate) use tools::ToolBox;
 pub use tools::Tools;
-pub(crate) use tools::{SafeOutputs, ToolBox};
 
 use blastema_core::recovery::{Done, Failed, Order};
 

@@ -1,7 +1,7 @@
 //! What a strategy can do.
 
+use super::SafeOutputs;
 use crate::chain::directory::{Directory, SupervisorPorts};
-use crate::panics;
 use crate::registry::Registry;
 use crate::sender::Sender;
 use actix::prelude::*;
@@ -11,12 +11,7 @@ use blastema_contract::supervisor::{
 };
 use blastema_core::recovery::{Done, Failed};
 use blastema_core::{Contract, Fault, NodeName, ObjectName, Place, Why};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, OnceLock};
-
-/// The application's declared safe outputs: called whenever something comes to safe rest. It must not
-/// block.
-pub(crate) type SafeOutputs = Arc<dyn Fn(&Fault) + Send + Sync>;
 
 /// Where the tools reach to.
 pub(crate) struct ToolBox {
@@ -26,7 +21,7 @@ pub(crate) struct ToolBox {
     /// Empty in a node without a network. The network needs the recoverer, and the recoverer the
     /// network: that is why it is filled later.
     pub(crate) router: Arc<OnceLock<(Recipient<Reroute>, Recipient<IsolateNode>)>>,
-    pub(crate) safe_outputs: Option<SafeOutputs>,
+    pub(crate) safe_outputs: SafeOutputs,
     pub(crate) rest_node: Recipient<RestNode>,
 }
 
@@ -110,11 +105,11 @@ impl Tools {
     /// # Errors
     /// The object is not kept by any supervisor.
     pub async fn safe_stop(&self, fault: &Fault) -> Result<Done, Failed> {
-        self.apply_safe_outputs(fault);
         if !matches!(fault.place, Place::Object(_)) {
             self.rest_node(fault, "the plan says so");
             return Ok(Done::default());
         }
+        self.0.safe_outputs.apply(fault);
         let (object, keeper) = self.keeper(&fault.place)?;
         let fault = Some(fault.clone());
         judge(keeper.safe_stop.send(SafeStop { object, fault }).await)
@@ -124,15 +119,6 @@ impl Tools {
     pub(crate) fn rest_node(&self, fault: &Fault, reason: &str) {
         let (fault, reason) = (fault.clone(), reason.into());
         self.0.rest_node.do_send(RestNode { fault, reason });
-    }
-
-    fn apply_safe_outputs(&self, fault: &Fault) {
-        let Some(apply) = &self.0.safe_outputs else { return };
-        let _guarded = panics::Guarded::enter();
-        if let Err(payload) = catch_unwind(AssertUnwindSafe(|| apply(fault))) {
-            // Rest goes on: an object that stops can do less harm than one that does not.
-            tracing::error!(text = panics::text_of(payload), "the safe outputs panicked");
-        }
     }
 
     async fn set_isolated(

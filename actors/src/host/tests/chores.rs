@@ -173,7 +173,7 @@ fn timers_and_tasks_end_with_the_life_that_started_them() {
         kit.worker.tell(Job::Die).unwrap();
         advance(Duration::from_secs(1)).await;
 
-        assert_eq!(logged(&kit.log), []);
+        assert_eq!(logged(&kit.log), [0; 0]);
         assert_eq!(kit.stage.exits.drain().len(), 1);
     });
 }
@@ -251,7 +251,7 @@ fn an_isolated_component_neither_sends_nor_receives_until_it_may_again() {
 
         child.isolate(true);
         advance(Duration::from_millis(30)).await;
-        assert_eq!(logged(&heard), []);
+        assert_eq!(logged(&heard), [0; 0]);
         let refused = crier.tell(Said(0)).unwrap_err();
         assert_eq!((refused.why, refused.message), (Why::Isolated, Said(0)));
 

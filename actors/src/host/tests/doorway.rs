@@ -10,10 +10,10 @@ use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex};
 
-fn encoded<M: Contract>(message: &M) -> Vec<u8> {
+fn encoded<M: Contract>(message: &M) -> Bytes {
     let mut bytes = Vec::new();
     codec::encode(message, &mut bytes).unwrap();
-    bytes
+    bytes.into()
 }
 
 fn name(text: &str) -> ObjectName {
@@ -81,8 +81,9 @@ fn bytes_that_are_no_message_are_refused_and_counted() {
         let (_, add) = registry.doorway(&name("acc"), Add::NAME).unwrap();
 
         let (place, reply_to) = reply();
-        let why =
-            add.deliver(b"garbage that is no number", postmark(ID), Some(reply_to)).unwrap_err();
+        let why = add
+            .deliver(&Bytes::from_static(b"no number"), postmark(ID), Some(reply_to))
+            .unwrap_err();
 
         assert!(matches!(why, Why::Undecodable { .. }), "{why}");
         assert_eq!(place.lock().unwrap().take(), Some(Err(why)));

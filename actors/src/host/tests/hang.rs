@@ -179,7 +179,7 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
         assert_eq!(neighbour.ask_within(super::Add(3), LONG).await, Ok(3));
         assert_eq!(neighbour.incarnation(), Incarnation(1), "it never moved");
         assert_eq!(*site.said.lock().unwrap(), [Some(Why::Fenced)]);
-        assert_eq!(logged(&site.heard), [], "what the zombie said went nowhere");
+        assert_eq!(logged(&site.heard), [0; 0], "what the zombie said went nowhere");
         assert_eq!(site.stage.environment.arbiters.abandoned(), 0);
         let resumed = site.sighted.wait(|s| matches!(s, Sighted::Resumed { .. })).await;
         assert_eq!(resumed, Sighted::Resumed { objects: [name("neighbour")].into() });

@@ -8,6 +8,7 @@ use blastema_contract::reports::Exit;
 use blastema_core::Contract;
 use blastema_core::dead_letters::DeadReason;
 use blastema_doubles::{advance, paused, settle};
+use bytes::Bytes;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -211,7 +212,10 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         let kept = shipped.clone();
         let forward =
             topics.forward(&key, Arc::new(move |bytes| kept.lock().unwrap().push(bytes.clone())));
-        assert!(matches!(topics.inject(&key, 0, &[1], Duration::ZERO), Err(Why::Unknown { .. })));
+        assert!(matches!(
+            topics.inject(&key, 0, &Bytes::from_static(&[1]), Duration::ZERO),
+            Err(Why::Unknown { .. })
+        ));
         let interest = Arc::new(Mutex::new(vec![]));
         let kept = interest.clone();
         topics.on_interest(Arc::new(move |key, more| {
@@ -228,7 +232,7 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         assert_eq!(logged(&log), [5, 5]);
         assert!(shipped.lock().unwrap().is_empty(), "what came in is not sent out again");
         assert!(matches!(
-            topics.inject(&key, 0, &[9, 9, 9], Duration::ZERO),
+            topics.inject(&key, 0, &Bytes::from_static(&[9, 9, 9]), Duration::ZERO),
             Err(Why::Undecodable { .. })
         ));
 

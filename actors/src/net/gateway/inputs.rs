@@ -1,18 +1,21 @@
 //! What the gateway is told and asked.
 
 use super::errand::{Answered, Interested, Noticed, Notify, Published, Ship};
+use super::peer::Peer;
 use super::{Gateway, LEAVE_PATIENCE, topic};
 use crate::net::door::Condition;
 use crate::net::wardens::KeptOut;
 use crate::platform;
 use actix::prelude::*;
-use blastema_contract::naming::{FindObject, NodeRow, ReadNames};
+use blastema_contract::naming::{FindObject, NodeRow, ReadDifferences, ReadNames};
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::{BeginAnew, Leave, PeerSeen, SessionReported};
 use blastema_contract::strategy::IsolateNode;
+use blastema_core::net::NodeId;
 use blastema_core::net::exchange::Call;
+use blastema_core::net::isolation::Decision;
 use blastema_core::recovery::{Done, Failed};
-use blastema_core::{ObjectAddress, ObjectName, Why};
+use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
 use tracing::debug;
 
 impl Handler<SessionReported> for Gateway {
@@ -40,21 +43,7 @@ impl Handler<SessionReported> for Gateway {
                 }
             }
             SessionReported::Opened { node, incarnation, session } => {
-                let (peer, gate) = self.meet(&node);
-                self.peers.entry(peer).and_modify(|peer| {
-                    (peer.session, peer.incarnation, peer.left) = (session, incarnation, false);
-                });
-                self.exchange.handle_opened(peer, incarnation, platform::now());
-                for announcement in self.naming.handle_opened(node, incarnation) {
-                    let now = platform::now();
-                    self.exchange.handle_own_names(Some(peer), &announcement, now);
-                }
-                gate.set(Condition::Open);
-                if let Some(peer) = self.peers.get(&peer) {
-                    self.wiring.wardens.opened(peer.node.clone());
-                    let node = peer.node.clone();
-                    self.tell_envoys(&PeerSeen::Opened { node, incarnation });
-                }
+                self.session_opened(node, incarnation, session);
             }
             SessionReported::Message { peer, message } => {
                 let gate = self.peers.get(&peer).map(|peer| &peer.gate);
@@ -69,24 +58,41 @@ impl Handler<SessionReported> for Gateway {
                 let why = self.because(peer, why);
                 self.exchange.handle_returned(peer, message, why, sent);
             }
-            SessionReported::Ended { peer, why } => {
-                let condition = match self.exchange.is_reachable(peer) {
-                    true => Condition::Opening,
-                    false => Condition::Unreachable,
-                };
-                self.set(peer, condition);
-                let why = self.because(peer, why);
-                self.exchange.handle_ended(peer, &why);
-                self.naming.handle_ended(peer);
-                if let Some(peer) = self.peers.get(&peer) {
-                    self.wiring.wardens.ended(&peer.node);
-                    self.tell_envoys(&PeerSeen::Ended { node: peer.node.clone() });
-                }
-            }
+            SessionReported::Ended { peer, why } => self.session_ended(peer, why),
             SessionReported::Full { peer } => self.set(peer, Condition::Full),
             SessionReported::Room { peer } => self.set(peer, Condition::Open),
         }
         self.drive(context);
+    }
+}
+
+impl Gateway {
+    fn session_opened(&mut self, node: NodeName, incarnation: Incarnation, session: u32) {
+        let (id, gate) = self.meet(&node);
+        self.peers.entry(id).and_modify(|peer| peer.begin(session, incarnation));
+        let now = platform::now();
+        self.exchange.handle_opened(id, incarnation, now);
+        for announcement in self.naming.handle_opened(node.clone(), incarnation) {
+            self.exchange.handle_own_names(Some(id), &announcement, now);
+        }
+        gate.set(Condition::Open);
+        self.wiring.wardens.opened(node.clone());
+        self.tell_envoys(&PeerSeen::Opened { node, incarnation });
+    }
+
+    fn session_ended(&mut self, peer: NodeId, why: Why) {
+        let condition = match self.exchange.is_reachable(peer) {
+            true => Condition::Opening,
+            false => Condition::Unreachable,
+        };
+        self.set(peer, condition);
+        let why = self.because(peer, why);
+        self.exchange.handle_ended(peer, &why);
+        self.naming.handle_ended(peer);
+        if let Some(peer) = self.peers.get(&peer) {
+            self.wiring.wardens.ended(&peer.node);
+            self.tell_envoys(&PeerSeen::Ended { node: peer.node.clone() });
+        }
     }
 }
 
@@ -114,8 +120,9 @@ impl Handler<IsolateNode> for Gateway {
     type Result = Result<Done, Failed>;
 
     fn handle(&mut self, message: IsolateNode, _: &mut Context<Self>) -> Self::Result {
-        let IsolateNode { node, isolated, cause } = message;
-        self.wiring.wardens.carry_decision_out(&node, isolated, &cause);
+        let IsolateNode { node, isolated, cause } = &message;
+        let decision = Decision { node, isolated: *isolated, cause };
+        self.wiring.wardens.carry_decision_out(decision);
         Ok(Done::default())
     }
 }
@@ -230,6 +237,15 @@ impl Handler<ReadNames> for Gateway {
             NodeRow { node: node.clone(), incarnation, objects }
         });
         MessageResult(rows.collect())
+    }
+}
+
+impl Handler<ReadDifferences> for Gateway {
+    type Result = MessageResult<ReadDifferences>;
+
+    fn handle(&mut self, _: ReadDifferences, _: &mut Context<Self>) -> Self::Result {
+        let of = |peer: &Peer| (peer.node.clone(), peer.differences().to_vec());
+        MessageResult(self.peers.values().map(of).collect())
     }
 }
 

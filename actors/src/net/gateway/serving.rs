@@ -95,6 +95,9 @@ impl Gateway {
                     let difference = difference.to_string();
                     error!(%object, "a peer's contract differs: {difference}");
                     doorway.declare(FaultKind::ContractMismatch, difference.clone());
+                    if let Some(peer) = self.peers.get_mut(&peer) {
+                        peer.differs(&difference);
+                    }
                     Err((Why::ContractDiffers { difference }, Some(known)))
                 }
             },

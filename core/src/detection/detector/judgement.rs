@@ -214,9 +214,16 @@ impl Detector {
     pub(super) fn judge_node(&mut self, scene: Scene, finding: Finding) {
         let Finding::Node(condition) = finding else { return };
         match condition {
-            NodeCondition::Reachable | NodeCondition::Left => {
-                self.end_kind(&scene, &FaultKind::NodeLost)
+            NodeCondition::Reachable => self.end_kind(&scene, &FaultKind::NodeLost),
+            NodeCondition::Left => {
+                self.end_kind(&scene, &FaultKind::NodeLost);
+                self.end_kind(&scene, &FaultKind::NodeAtRest);
             }
+            NodeCondition::AtRest { reason } => {
+                let detail = format!("nothing of it serves until it is restarted: {reason}");
+                self.find(&scene, FaultKind::NodeAtRest, detail, Cause::Itself);
+            }
+            NodeCondition::AtWork => self.end_kind(&scene, &FaultKind::NodeAtRest),
             NodeCondition::Lost { reason } => {
                 self.find(&scene, FaultKind::NodeLost, reason, Cause::Itself);
             }
@@ -237,6 +244,7 @@ impl Detector {
                 self.end_kind(&scene, &FaultKind::NodeFaulty);
             }
             NodeCondition::Restarted => {
+                self.end_kind(&scene, &FaultKind::NodeAtRest);
                 let known = self.chronicle.standing(&scene.place, &FaultKind::NodeLost);
                 let id = known.unwrap_or_else(|| {
                     let detail = "its process died and began again".into();

@@ -151,7 +151,7 @@ fn hangs(victims: &[&str]) -> Finding {
 fn everything_on_the_list_is_found_under_its_kind() {
     let age = Duration::from_millis(500);
     let reason = || "why".to_string();
-    let cases: [(&str, Finding, FaultKind); 16] = [
+    let cases: [(&str, Finding, FaultKind); 17] = [
         ("arm", exited(panicked()), FaultKind::Panic),
         ("arm", exited(Exit::Returned), FaultKind::UnexpectedExit),
         ("arm", exited(Exit::Aborted), FaultKind::UnexpectedExit),
@@ -171,6 +171,7 @@ fn everything_on_the_list_is_found_under_its_kind() {
             FaultKind::LinkDegraded,
         ),
         ("@n", lost(), FaultKind::NodeLost),
+        ("@n", Finding::Node(NodeCondition::AtRest { reason: reason() }), FaultKind::NodeAtRest),
         (
             "arm",
             Finding::Declared { kind: FaultKind::Custom("X1".into()), detail: reason() },
@@ -597,6 +598,21 @@ fn a_node_that_died_and_began_again_unnoticed_is_found_and_recovered_in_one() {
     bench.see("@n", Incarnation(9), lost());
     bench.see("@n", Incarnation(10), Finding::Node(NodeCondition::Restarted));
     assert_eq!(bench.said(), ["Found 2", "Recovered 2", "+2", "-2"]);
+}
+
+#[test]
+fn that_a_node_is_at_rest_stands_until_it_works_again_leaves_or_begins_anew() {
+    for over in [NodeCondition::AtWork, NodeCondition::Left, NodeCondition::Restarted] {
+        let mut bench = Bench::new();
+        let rest = || Finding::Node(NodeCondition::AtRest { reason: "it panics".into() });
+        bench.see("@n", Incarnation(9), rest());
+        bench.see("@n", Incarnation(9), Finding::Node(NodeCondition::Reachable));
+        assert_eq!(bench.said(), ["Found 1", "+1"], "{over:?}");
+
+        bench.see("@n", Incarnation(9), Finding::Node(over.clone()));
+        let ended = bench.said();
+        assert_eq!(ended[0], "Cleared 1", "{over:?}: {ended:?}");
+    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! What claims are configured with, are told, and want done.
 
-use crate::{Incarnation, NodeName, ObjectName};
+use crate::{Incarnation, NodeName, ObjectName, hash};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -165,13 +165,10 @@ pub(super) struct Stake {
 }
 
 impl Stake {
-    /// FNV-1a over the claim, as for contracts: against accidents, not against intent.
+    /// A hash of the claim.
     pub(super) fn sum(&self, name: &ObjectName) -> u64 {
         let epoch = self.epoch.unwrap_or_default().to_le_bytes();
         let object = self.object.as_ref().map_or("", ObjectName::as_str);
-        let bytes = name.as_str().bytes().chain(epoch).chain(object.bytes());
-        bytes.fold(0xcbf2_9ce4_8422_2325, |hash: u64, byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
-        })
+        hash::of(name.as_str().bytes().chain(epoch).chain(object.bytes()))
     }
 }

@@ -19,7 +19,7 @@ fn of(name: &str, grounds: Vec<Ground>) -> Discovery {
 /// Node `a` with `b` beside it on one network.
 fn beside_b(admission: Admission) -> Discovery {
     let mut a = of("a", vec![ground("ethernet", "udp", admission)]);
-    a.handle_link(0, node("b"), "b:1".into(), true, ms(0));
+    a.handle_up(0, node("b"), "b:1".into(), ms(0));
     while a.poll_output().is_some() {}
     a
 }
@@ -44,15 +44,15 @@ fn told(discovery: &mut Discovery) -> Vec<String> {
 #[test]
 fn two_that_know_only_the_one_between_learn_of_each_other() {
     let mut b = of("b", vec![ground("ethernet", "udp", Admission::Only(BTreeSet::new()))]);
-    b.handle_link(0, node("a"), "a:1".into(), true, ms(0));
-    b.handle_link(0, node("c"), "c:1".into(), true, ms(5));
+    b.handle_up(0, node("a"), "a:1".into(), ms(0));
+    b.handle_up(0, node("c"), "c:1".into(), ms(5));
     b.handle_timeout(ms(20));
 
     for (name, learns) in [("a", "0: try c at c:1"), ("c", "0: try a at a:1")] {
         let Some(DiscoveryOutput::Send { to, message }) = b.poll_output() else { panic!() };
         assert_eq!(to, node(name));
         let mut other = of(name, vec![ground("eth0", "udp", Admission::Anybody)]);
-        other.handle_link(0, node("b"), "b:1".into(), true, ms(0));
+        other.handle_up(0, node("b"), "b:1".into(), ms(0));
         other.handle_message(&node("b"), &message, ms(30));
         assert_eq!(told(&mut other), [learns]);
     }
@@ -75,7 +75,7 @@ fn what_is_told_counts_on_networks_of_the_same_medium_that_the_teller_is_on() {
     let grounds = names.map(|(name, medium)| ground(name, medium, admission()));
     let mut a = of("a", grounds.into());
     for n in 0..3 {
-        a.handle_link(n, node("b"), "b:1".into(), true, ms(0));
+        a.handle_up(n, node("b"), "b:1".into(), ms(0));
     }
 
     a.handle_message(&node("b"), &gossip("right", "udp", &[("c", "c:1")]), ms(10));
@@ -101,7 +101,7 @@ fn what_does_not_prove_itself_is_given_up_and_not_tried_again_soon() {
     assert_eq!(told(&mut a), Vec::<String>::new());
     a.handle_message(&node("b"), &gossip("ethernet", "udp", &[("c", "c:1")]), ms(35_010));
     assert_eq!(told(&mut a), ["0: try c at c:1"], "its right address is another matter");
-    a.handle_link(0, node("c"), "c:1".into(), true, ms(36_000));
+    a.handle_up(0, node("c"), "c:1".into(), ms(36_000));
     a.handle_timeout(ms(50_000));
     assert_eq!(told(&mut a), ["tell b", "tell c"]);
 }
@@ -110,9 +110,9 @@ fn what_does_not_prove_itself_is_given_up_and_not_tried_again_soon() {
 fn a_learned_neighbour_is_tried_for_long_after_it_went_and_then_forgotten() {
     let mut a = beside_b(Admission::Anybody);
     a.handle_message(&node("b"), &gossip("ethernet", "udp", &[("c", "c:1")]), ms(0));
-    a.handle_link(0, node("c"), "c:1".into(), true, ms(500));
-    a.handle_link(0, node("b"), "b:1".into(), false, ms(1_000));
-    a.handle_link(0, node("c"), "c:1".into(), false, ms(2_000));
+    a.handle_up(0, node("c"), "c:1".into(), ms(500));
+    a.handle_down(0, node("b"), "b:1".into(), ms(1_000));
+    a.handle_down(0, node("c"), "c:1".into(), ms(2_000));
     told(&mut a);
 
     a.handle_timeout(ms(601_999));
@@ -127,12 +127,12 @@ fn a_learned_neighbour_is_tried_for_long_after_it_went_and_then_forgotten() {
 fn a_neighbour_that_came_back_elsewhere_is_tried_there() {
     let mut a = beside_b(Admission::Anybody);
     a.handle_message(&node("b"), &gossip("ethernet", "udp", &[("c", "c:1")]), ms(0));
-    a.handle_link(0, node("c"), "c:1".into(), true, ms(500));
+    a.handle_up(0, node("c"), "c:1".into(), ms(500));
     told(&mut a);
     let elsewhere = gossip("ethernet", "udp", &[("c", "c:2")]);
 
     a.handle_message(&node("b"), &elsewhere, ms(600));
-    a.handle_link(0, node("c"), "c:1".into(), false, ms(1_000));
+    a.handle_down(0, node("c"), "c:1".into(), ms(1_000));
     a.handle_message(&node("b"), &elsewhere, ms(5_999));
     assert_eq!(told(&mut a), Vec::<String>::new(), "who is up, or was just now, is believed");
     a.handle_message(&node("b"), &elsewhere, ms(6_010));

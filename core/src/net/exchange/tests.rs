@@ -86,7 +86,11 @@ impl Pair {
                     busy = true;
                     match output {
                         ExchangeOutput::Send { message, .. } => {
-                            self.ends[1 - end].handle_message(self.ids[end], message, at(self.now));
+                            self.ends[1 - end].handle_message(
+                                self.ids[end],
+                                message.into_bytes(),
+                                at(self.now),
+                            );
                         }
                         other => self.told[end].push(other),
                     }
@@ -320,7 +324,7 @@ fn a_returned_message_resolves_its_request() {
         let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
             panic!("it is sent");
         };
-        pair.ends[0].handle_returned(peer, message, Why::Full, false);
+        pair.ends[0].handle_returned(peer, message.into_bytes(), Why::Full, false);
         told.extend(pair.ends[0].poll_output());
     }
 
@@ -336,7 +340,7 @@ fn a_peer_that_binds_without_end_is_refused_beyond_the_limit() {
     let identity: Bytes = count().brief().encode().into();
     for binding in 0..BINDINGS_MAX as u32 + 3 {
         let bind = Message::Bind { binding, object: arm(), identity: identity.clone() };
-        pair.ends[0].handle_message(pair.ids[1], bind.encode(), at(0));
+        pair.ends[0].handle_message(pair.ids[1], bind.encode().into_bytes(), at(0));
     }
     assert_eq!(pair.ends[0].refusals().too_large, 3);
 }
@@ -352,7 +356,11 @@ fn what_waited_on_the_way_arrives_with_its_age() {
     pair.now = 300;
     pair.take(1);
     let right = pair.ids[1];
-    pair.ends[0].handle_message(right, Message::Bound { binding: 1 }.encode(), at(300));
+    pair.ends[0].handle_message(
+        right,
+        Message::Bound { binding: 1 }.encode().into_bytes(),
+        at(300),
+    );
     pair.run();
 
     let told = pair.take(1);
@@ -407,7 +415,7 @@ fn a_reply_that_no_session_carries_is_told_to_have_been_made() {
     pair.agree();
     pair.take(1);
     let left = pair.ids[0];
-    let reply = Message::Reply { call: 1, result: Ok(payload()) }.encode();
+    let reply = Message::Reply { call: 1, result: Ok(payload()) }.encode().into_bytes();
 
     let why = Why::TooLargeForSession { limit: 5 };
     pair.ends[1].handle_returned(left, reply, why, false);

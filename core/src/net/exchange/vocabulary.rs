@@ -2,6 +2,7 @@
 
 use crate::net::naming::Announcement;
 use crate::net::node_id::NodeId;
+use crate::net::parcel::Parcel;
 use crate::net::segment::Stream;
 use crate::{ContractIdentity, Instant, MessageId, NodeName, ObjectName, PeerIdentity, Why};
 use bytes::Bytes;
@@ -51,7 +52,7 @@ pub enum ExchangeOutput {
         /// In which stream.
         stream: Stream,
         /// What.
-        message: Bytes,
+        message: Parcel,
     },
     /// Give this to the session with the peer, to be sent once: of the channel the newest counts.
     SendNewest {
@@ -60,7 +61,7 @@ pub enum ExchangeOutput {
         /// On which channel.
         channel: u32,
         /// What.
-        message: Bytes,
+        message: Parcel,
     },
     /// Does this object take this contract? Answer with [`Exchange::handle_bound`](super::Exchange::handle_bound).
     Bind {

@@ -3,6 +3,7 @@
 use super::*;
 use crate::{Incarnation, NodeName};
 
+mod given_up;
 mod lives;
 
 fn at(millis: u64) -> Instant {

@@ -153,9 +153,11 @@ impl Router {
         let news = held.is_none_or(|held| {
             held.stamp < advertisement.stamp || held.stamp.incarnation > incarnation
         });
-        if self.disputes.get(&origin).is_some_and(settled) && !news {
+        let known = self.disputes.get(&origin);
+        if known.is_some_and(settled) && !news {
             return;
         }
+        let contender = known.map_or(against, |known| known.contender.max(against));
         if let Some(held) =
             held.map(|held| held.stamp).filter(|held| held.incarnation > incarnation)
         {
@@ -168,7 +170,7 @@ impl Router {
             self.refusals.too_large += 1;
             return;
         }
-        let dispute = Dispute { contender: against, until: None, told_at: self.now };
+        let dispute = Dispute { contender, until: None, told_at: self.now };
         self.disputes.insert(origin, dispute);
         self.learn(advertisement.clone(), from);
         self.outdate();

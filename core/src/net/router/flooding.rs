@@ -107,6 +107,8 @@ impl Router {
     /// Tells a neighbour all that we know of, so that it can send what we lack.
     pub(super) fn compare(&mut self, link: LinkNumber) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
+        let bytes = Routing::Numbered(link).encode();
+        self.outputs.push_back(RouterOutput::Routing { link, bytes });
         adjacent.compare_at = self.now + adjacent.patience(self.config.compare);
         self.wake_at = self.wake_at.min(adjacent.compare_at);
         let room = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / STAMP;
@@ -239,6 +241,7 @@ impl Router {
             withdrawn.truncate(WITHDRAWN_MAX - 1);
             withdrawn.push_front(advertisement.stamp);
         }
+        self.hear_given_up(effective.as_ref(), &advertisement);
         let (reached, ended) = (false, false);
         let known = Known { advertisement, expires, reached, ended, believed, withdrawn };
         let same = match (&effective, known.effective()) {

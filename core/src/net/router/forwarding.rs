@@ -1,11 +1,11 @@
 //! Passing packets on: the look-up, and what becomes of what cannot be delivered.
 
-use super::{LinkNumber, Router, RouterOutput};
+use super::{Health, LinkNumber, Router, RouterOutput};
 use crate::Instant;
 use crate::net::frame::FRAME_HEADER;
 use crate::net::node_id::NodeId;
 use crate::net::packet::{Class, HOPS_MAX, Packet, Payload, Undelivered};
-use crate::net::topology;
+use crate::net::topology::{self, Way};
 use bytes::Bytes;
 
 impl Router {
@@ -22,10 +22,17 @@ impl Router {
             // It went in a circle, or somebody uses our name.
             self.refusals.unexpected += 1;
         } else if packet.destination != self.id {
-            self.forward(packet, Some(link));
+            match packet.payload {
+                Payload::Copy { .. } => self.follow(packet),
+                Payload::Segment(_) | Payload::Return { .. } => self.forward(packet, Some(link)),
+            }
         } else {
             self.outputs.push_back(match packet.payload {
-                Payload::Segment(segment) => {
+                Payload::Copy { relays, .. } if !relays.is_empty() => {
+                    self.refusals.malformed += 1;
+                    return;
+                }
+                Payload::Segment(segment) | Payload::Copy { segment, .. } => {
                     let source = packet.source;
                     let direct = self.links.get(&link).is_some_and(|link| link.id == source);
                     RouterOutput::Segment { source, segment, direct }
@@ -48,25 +55,69 @@ impl Router {
         }
     }
 
-    /// The same over every link whose way does not lead back here: the first copy that arrives counts.
-    /// A link that is too small for it is left out.
+    /// The same over ways that have as little in common as can be, each written into its copy: the first
+    /// one that arrives counts. A way that is too small for it is left out.
     pub fn handle_copies(&mut self, destination: NodeId, class: Class, segment: &Bytes) {
+        if self.routes.contains_key(&destination) && !self.ways.contains_key(&destination) {
+            let ways = self.topology().ways(destination);
+            self.ways.insert(destination, ways);
+        }
         let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
-        let payload = Payload::Segment(segment.clone());
-        let packet = Packet { class, hops, destination, source, payload };
-        let bytes = packet.encode();
-        let ways = self.routes.get(&destination).map_or(&[][..], |route| &route.ways);
-        let fits = |link: &&LinkNumber| {
-            let mtu = self.links.get(link).map(|adjacent| usize::from(adjacent.mtu));
-            mtu.is_some_and(|mtu| bytes.len() + FRAME_HEADER <= mtu)
+        let ways = self.ways.get(&destination).map_or(&[][..], Vec::as_slice);
+        let copy = |(copy, way): (u8, &Way)| {
+            let adjacent = self.links.get(&way.link)?;
+            let segment = segment.clone();
+            let payload = match way.relays.split_first() {
+                None => Payload::Segment(segment),
+                Some((_, relays)) => Payload::Copy { copy, relays: relays.to_vec(), segment },
+            };
+            let packet = Packet { class, hops, destination, source, payload }.encode();
+            let fits = packet.len() + FRAME_HEADER <= adjacent.mtu.min(way.mtu).into();
+            let near = way.relays.len() <= hops.into();
+            (fits && near).then_some(RouterOutput::Packet { link: way.link, packet })
         };
-        let ways: Vec<_> = ways.iter().filter(fits).copied().collect();
-        if ways.is_empty() {
-            // One way that is there but too small, or none: its refusal says which.
+        let copies: Vec<_> = (0..).zip(ways).filter_map(copy).collect();
+        if copies.len() < 2 {
+            // One way alone is followed by routes, each node knowing an alternate; or it is said why none is.
             return self.handle_segment(destination, class, segment.clone());
         }
-        let copy = |link| RouterOutput::Packet { link, packet: bytes.clone() };
-        self.outputs.extend(ways.into_iter().map(copy));
+        self.outputs.extend(copies);
+    }
+
+    /// Passes a copy on by the way that is written in it, and by no other: on one of its own it would go
+    /// where another copy goes already, or in a circle. What no copy brings, the session repeats.
+    fn follow(&mut self, packet: Packet) {
+        let Packet { class, hops, destination, source, payload } = packet;
+        let Payload::Copy { copy, mut relays, segment } = payload else { return };
+        if relays.contains(&self.id) {
+            self.refusals.malformed += 1;
+            return;
+        }
+        let next = if relays.is_empty() { destination } else { relays.remove(0) };
+        let payload = Payload::Copy { copy, relays, segment };
+        let link = hops.checked_sub(1).and_then(|hops| {
+            let packet = Packet { class, hops, destination, source, payload }.encode();
+            Some((self.parallel(next, copy, packet.len() + FRAME_HEADER)?, packet))
+        });
+        match link {
+            Some((link, packet)) => self.outputs.push_back(RouterOutput::Packet { link, packet }),
+            None => self.refusals.astray += 1,
+        }
+    }
+
+    /// Of several links to a neighbour, copies that both must pass it take different ones.
+    fn parallel(&self, next: NodeId, copy: u8, length: usize) -> Option<LinkNumber> {
+        let fitting = self
+            .links
+            .iter()
+            .filter(|(_, adjacent)| adjacent.id == next && length <= usize::from(adjacent.mtu));
+        let best = |usable: fn(Health) -> bool| -> Vec<LinkNumber> {
+            let usable = fitting.clone().filter(|(_, adjacent)| usable(adjacent.health));
+            usable.map(|(number, _)| *number).collect()
+        };
+        let links = Some(best(|health| health < Health::Suspect)).filter(|links| !links.is_empty());
+        let links = links.unwrap_or_else(|| best(|_| true));
+        links.get(usize::from(copy) % links.len().max(1)).copied()
     }
 
     pub(super) fn forward(&mut self, packet: Packet, from: Option<LinkNumber>) {

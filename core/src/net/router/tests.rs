@@ -1,5 +1,8 @@
 //! A router among neighbours that the test speaks for.
 
+mod copies;
+mod given_up;
+
 use super::*;
 use crate::net::advertisement::Edge;
 use crate::net::link::Neighbour;

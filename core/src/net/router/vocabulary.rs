@@ -107,6 +107,11 @@ pub enum RouterOutput {
         /// Why it did not.
         reason: Undelivered,
     },
+    /// The neighbour says by another way that it has given this link up: tell the link.
+    GivenUp {
+        /// Which.
+        link: LinkNumber,
+    },
     /// A node can be reached, or has a new incarnation.
     Reachable {
         /// Which.

@@ -4,8 +4,13 @@ use crate::Instant;
 use crate::net::segment::{Ack, RANGES_MAX};
 use crate::net::wire::{Reader, WireError};
 use bytes::{Bytes, BytesMut};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
+
+/// Fresh memory for a message of this size, in bytes, costs more than all else that is done with it.
+const SPARE_FROM: usize = 128 * 1024;
+/// One is put together while the one before is read.
+const SPARES: usize = 2;
 
 /// Puts parts in order and messages together, each once.
 #[derive(Debug)]
@@ -14,6 +19,8 @@ pub(crate) struct Inbound {
     /// Arrived ahead of their turn; all within the window.
     ahead: BTreeMap<u64, Part>,
     partial: Option<Partial>,
+    /// Where large messages were put together before: taken again once nobody holds those any more.
+    spare: VecDeque<BytesMut>,
     window: u32,
     message_max: usize,
     /// When an acknowledgement is owed at the latest.
@@ -52,6 +59,7 @@ impl Inbound {
             next: 0,
             ahead: BTreeMap::new(),
             partial: None,
+            spare: VecDeque::new(),
             window,
             message_max,
             owed: None,
@@ -113,7 +121,9 @@ impl Inbound {
                 return Err(WireError::TooLarge { what: "a message" });
             }
             // Room is taken as bytes arrive, four times as much at most, and not as they are promised.
-            self.partial = Some(Partial { length, bytes: BytesMut::new() });
+            let spare = self.spare.iter_mut().position(|spare| spare.try_reclaim(length));
+            let bytes = spare.and_then(|at| self.spare.remove(at)).unwrap_or_default();
+            self.partial = Some(Partial { length, bytes });
         }
         let partial = self
             .partial
@@ -129,11 +139,15 @@ impl Inbound {
             return Err(WireError::TooLarge { what: "a message" });
         }
         if part.last {
-            let Partial { length, bytes } = self.partial.take().expect("it was just extended");
+            let Partial { length, mut bytes } = self.partial.take().expect("it was just extended");
             if bytes.len() < length {
                 return Err(WireError::Truncated);
             }
-            deliver.push(bytes.freeze());
+            deliver.push(bytes.split().freeze());
+            if length >= SPARE_FROM {
+                self.spare.truncate(SPARES - 1);
+                self.spare.push_front(bytes);
+            }
         }
         Ok(())
     }

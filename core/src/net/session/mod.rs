@@ -32,11 +32,13 @@ mod output;
 mod reception;
 mod replicas;
 mod round_trip;
+mod standing;
 mod tag;
 mod transmission;
 
 pub use self::config::{PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
+pub use self::standing::{SessionState, Standing};
 
 use self::assembly::Assembly;
 use self::best_effort::BestEffort;
@@ -45,6 +47,7 @@ use self::outbound::Outbound;
 use self::replicas::Replicas;
 use self::round_trip::RoundTrip;
 use super::packet::{Class, Undelivered};
+use super::parcel::Parcel;
 use super::segment::{Data, Datagram, Segment, Stream};
 use super::wire::Refusals;
 use crate::{Incarnation, Instant, Machine, Why};
@@ -184,42 +187,6 @@ impl Session {
         }
     }
 
-    /// The peer's life that the present session is with.
-    pub fn peer(&self) -> Option<Incarnation> {
-        match self.state {
-            State::Open { peer } | State::Closing { peer, .. } => Some(peer.incarnation),
-            _ => None,
-        }
-    }
-
-    /// We ended in order; nothing is left to do.
-    pub fn is_closed(&self) -> bool {
-        self.state == State::Closed
-    }
-
-    /// The smoothed round trip to the peer.
-    pub fn round_trip(&self) -> Option<Duration> {
-        self.trips.iter().find_map(RoundTrip::smoothed)
-    }
-
-    /// What it did so far.
-    pub fn counters(&self) -> SessionCounters {
-        let unfinished = self.pieces.given_up + self.best_effort.unfinished();
-        let Replicas { dropped, missed, alone, .. } = self.replicas;
-        SessionCounters {
-            unfinished: self.counters.unfinished + unfinished,
-            replicas: self.counters.replicas + dropped,
-            missed: self.counters.missed + missed,
-            alone: self.counters.alone + alone,
-            ..self.counters
-        }
-    }
-
-    /// What was refused so far.
-    pub fn refusals(&self) -> Refusals {
-        self.refusals
-    }
-
     /// The number of the last session; a machine built anew must begin above it.
     pub fn number(&self) -> u32 {
         self.number
@@ -234,11 +201,11 @@ impl Session {
     pub fn handle_send(
         &mut self,
         stream: Stream,
-        message: Bytes,
+        message: impl Into<Parcel>,
         now: Instant,
     ) -> Result<(), Refused> {
         self.now = now;
-        self.check(&message)?;
+        let message = self.check(message.into())?;
         let SessionConfig { buffer_bytes, buffer_messages, .. } = self.config;
         let state = &mut self.streams[stream as usize];
         let outbound = &mut state.outbound;
@@ -249,7 +216,7 @@ impl Session {
             self.outputs.push_back(SessionOutput::Full { stream });
         }
         if full(2) {
-            return Err((Why::Full, message));
+            return Err((Why::Full, message.into_bytes()));
         }
         outbound.push(message);
         self.owed_since.get_or_insert(now);
@@ -264,11 +231,11 @@ impl Session {
     pub fn handle_send_newest(
         &mut self,
         channel: u32,
-        message: Bytes,
+        message: impl Into<Parcel>,
         now: Instant,
     ) -> Result<(), Refused> {
         self.now = now;
-        self.check(&message)?;
+        let message = self.check(message.into())?.into_bytes();
         let (State::Open { peer }, Some(room)) = (self.state, self.path) else {
             return Err((Why::Restarting, message));
         };
@@ -278,15 +245,15 @@ impl Session {
         Ok(())
     }
 
-    fn check(&self, message: &Bytes) -> Result<(), Refused> {
-        let refuse = |why| Err((why, message.clone()));
+    fn check(&self, message: Parcel) -> Result<Parcel, Refused> {
+        let refuse = |why| Err((why, message.clone().into_bytes()));
         match self.state {
             State::Closing { .. } | State::Closed => refuse(Why::Stopped),
             State::Idle => refuse(self.unreachable()),
             _ if message.len() > self.config.message_max => {
                 refuse(Why::TooLargeForSession { limit: self.config.message_max })
             }
-            _ => Ok(()),
+            _ => Ok(message),
         }
     }
 

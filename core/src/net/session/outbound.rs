@@ -1,6 +1,7 @@
 //! The sending half of an ordered stream.
 
 use crate::Instant;
+use crate::net::parcel::Parcel;
 use crate::net::segment::Ack;
 use crate::net::wire::{WireError, Write, varint_length};
 use bytes::{Bytes, BytesMut};
@@ -31,7 +32,7 @@ pub(crate) struct Outbound {
 
 #[derive(Debug)]
 struct Held {
-    message: Bytes,
+    message: Parcel,
     /// The part that it ends in.
     last: Option<u64>,
 }
@@ -111,7 +112,7 @@ impl Outbound {
         self.flight.len() - self.lost
     }
 
-    pub(crate) fn push(&mut self, message: Bytes) {
+    pub(crate) fn push(&mut self, message: Parcel) {
         self.bytes += message.len();
         self.messages.push_back(Held { message, last: None });
     }
@@ -122,7 +123,7 @@ impl Outbound {
         let sent = self.cut + usize::from(self.cut_bytes > 0);
         let messages = std::mem::take(&mut self.messages);
         *self = Outbound::new(0);
-        messages.into_iter().enumerate().map(move |(n, held)| (held.message, n < sent))
+        messages.into_iter().enumerate().map(move |(n, held)| (held.message.into_bytes(), n < sent))
     }
 
     /// The next part to send: what was lost first, then new ones, as large as `room` allows.
@@ -172,7 +173,7 @@ impl Outbound {
         if prefix + length > room {
             let end = room - prefix;
             payload.varint(length as u64);
-            payload.extend_from_slice(&front.message[..end]);
+            front.message.put(0..end, &mut payload);
             self.cut_bytes = end;
             return (true, false, payload.freeze());
         }
@@ -181,7 +182,8 @@ impl Outbound {
             if payload.len() + varint_length(length as u64) + length > room {
                 break;
             }
-            payload.sized(&held.message);
+            payload.varint(length as u64);
+            held.message.put(0..length, &mut payload);
             held.last = Some(sequence);
             self.cut += 1;
         }

@@ -4,7 +4,7 @@ use super::assembly::pieces_of;
 use super::outbound::Part;
 use super::{STREAMS, Session, SessionConfig, SessionOutput, State, lane};
 use crate::net::NARROW;
-use crate::net::packet::{Class, Undelivered};
+use crate::net::packet::{Class, Undelivered, WAY_MAX};
 use crate::net::segment::{Ack, Data, Segment, Stream, data_header};
 use crate::{Instant, Why};
 
@@ -69,7 +69,9 @@ impl Session {
         let always = self.congestion_min();
         for stream in BY_URGENCY {
             let state = &mut self.streams[stream as usize];
-            let header = data_header(state.outbound.next());
+            // The way of each copy is written before it.
+            let way = if stream == Stream::Redundant { WAY_MAX } else { 0 };
+            let header = data_header(state.outbound.next()) + way;
             let room = mtu.saturating_sub(header + ack_room).clamp(48, self.config.part_max);
             let held = match stream {
                 // Some of it may always be on its way, whatever data is before it.

@@ -458,3 +458,31 @@ fn a_restart_is_asked_against_the_newest_life_and_cures_nothing_of_the_one_that_
     let said = rig.outcome(2, works(8));
     assert_eq!(said, ["1 recovered #8", "#3 reset here:arm against error state, 1"]);
 }
+
+#[test]
+fn at_safe_rest_nothing_of_the_node_is_treated_and_everything_is_settled() {
+    let mut rig = Rig::new();
+    let given_up = "given up: the node is at safe rest, where nothing is restarted";
+    rig.find(panic_of(1, "laser", 1));
+    rig.find(symptom(2, "map", 1));
+    rig.machine.handle_rest(true, rig.now);
+    assert_eq!(rig.said(), ["2 may pass".to_owned(), format!("1 {given_up}")]);
+
+    assert_eq!(rig.outcome(1, fails()), [""; 0], "what was under way is over");
+    assert_eq!(rig.find(panic_of(3, "lamp", 1)), [format!("3 {given_up}")]);
+    assert_eq!(rig.pass(Duration::from_millis(200)), [format!("2 {given_up}")]);
+    let checked = fault(4, FaultKind::CheckFailed, at("lamp"), 1);
+    assert_eq!(rig.find(checked), ["4 observed"]);
+    // The network goes on.
+    let link = Place::Link { node: node(), link: "eth".into(), neighbour: None };
+    let down = fault(5, FaultKind::LinkDown, link, 0);
+    assert_eq!(rig.find(down), ["#2 reroute here -eth- against link down, 1"]);
+    assert_eq!(rig.machine.open_cases(), 1);
+
+    rig.machine = rig.machine.begun_anew(rig.now);
+    rig.said();
+    assert_eq!(rig.find(panic_of(6, "lamp", 1)), [format!("6 {given_up}")]);
+    rig.machine.handle_rest(false, rig.now);
+    let again = rig.find(panic_of(7, "lamp", 2));
+    assert_eq!(again, ["#4 restart here:lamp against panic, 1"]);
+}

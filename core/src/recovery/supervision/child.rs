@@ -18,6 +18,9 @@ pub enum Cause {
     Behind,
     /// It lives and answers: it is stopped in order. If it has ended by now, that was no orderly end.
     Faulty,
+    /// A person, or the application, wants its next life: if it lives, it is stopped in order. That is not
+    /// held against it or its supervisor either.
+    Asked,
 }
 
 impl Cause {

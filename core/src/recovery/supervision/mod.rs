@@ -349,7 +349,7 @@ impl Supervision {
     }
 
     /// A restart is wanted: by the recoverer for a fault of the life `struck`, or, without one, by a
-    /// person.
+    /// person, whose wish no budget counts.
     pub fn handle_restart(
         &mut self,
         name: &ObjectName,
@@ -362,10 +362,10 @@ impl Supervision {
         match &self.phase {
             Phase::Starting | Phase::Serving => {}
             // What becomes of it shows in the supervisor's next life.
-            Phase::Ending { escalation: Some(_) } | Phase::Escalated { .. } => {
+            Phase::Ending { escalation: Some(_) } | Phase::Escalated { .. } if struck.is_some() => {
                 return self.settle();
             }
-            Phase::Idle | Phase::Ending { escalation: None } => {
+            Phase::Idle | Phase::Ending { .. } | Phase::Escalated { .. } => {
                 return self.refuse(ticket, GiveUpReason::NotAtWork);
             }
         }

@@ -115,7 +115,7 @@ impl Supervision {
         let child = self.kept(key);
         let waits = child.state == State::Down && child.failed.is_none();
         let stops = matches!(child.state, State::Stopping { .. }) || self.going.contains(&key);
-        if stops && cause != Cause::Faulty {
+        if stops && !matches!(cause, Cause::Faulty | Cause::Asked) {
             // It would not answer the stop that it was sent, or is going to be sent.
             self.end_now(key, cause);
             self.after_end(key, now);
@@ -124,7 +124,8 @@ impl Supervision {
             return;
         }
         self.end_now(key, cause);
-        if cause != Cause::Behind && !self.count_restart(key, now) {
+        let held_against = !matches!(cause, Cause::Behind | Cause::Asked);
+        if held_against && !self.count_restart(key, now) {
             return;
         }
         let child = self.kept(key);
@@ -172,7 +173,7 @@ impl Supervision {
         match cause {
             Cause::Died if self.kept(key).lives() => self.set_state(key, State::Down),
             Cause::Stuck | Cause::Behind if self.kept(key).lives() => self.abandon(key),
-            Cause::Died | Cause::Stuck | Cause::Behind | Cause::Faulty => {}
+            Cause::Died | Cause::Stuck | Cause::Behind | Cause::Faulty | Cause::Asked => {}
         }
     }
 

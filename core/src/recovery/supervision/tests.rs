@@ -111,7 +111,7 @@ impl Rig {
 
     fn restart_by_hand(&mut self, child: &str) -> Vec<String> {
         let ticket = self.ticket();
-        self.machine.handle_restart(&name(child), ticket, Cause::Faulty, None, self.now);
+        self.machine.handle_restart(&name(child), ticket, Cause::Asked, None, self.now);
         self.said()
     }
 
@@ -625,6 +625,23 @@ fn a_child_in_safe_rest_stays_there_until_a_person_brings_it_back() {
     assert_eq!(rig.started("c", 2), ["3 recovered a #2"]);
     assert_eq!(rig.restart_by_hand("b"), ["admit b", "stop c"]);
     assert_eq!(rig.stopped("c", 2), ["stop a"]);
+}
+
+#[test]
+fn what_a_person_wants_is_counted_by_no_budget_and_needs_a_supervisor_at_work() {
+    let mut rig = Rig::with(Strategy::OneForOne, 1, &[("a", permanent())]);
+    rig.begin();
+    rig.started("a", 1);
+    for life in 1..5 {
+        assert_eq!(rig.restart_by_hand("a"), ["stop a"]);
+        assert_eq!(rig.stopped("a", life), [format!("start a #{}", life + 1)]);
+        assert_eq!(rig.started("a", life + 1), [format!("{life} recovered a #{}", life + 1)]);
+    }
+    assert_eq!(rig.machine.restarts_left(rig.now), 1);
+
+    rig.end();
+    rig.stopped("a", 5);
+    assert_eq!(rig.restart_by_hand("a"), ["5 gave a up: its supervisor is not at work"]);
 }
 
 #[test]

@@ -127,7 +127,7 @@ impl Replica {
     }
 
     /// It cannot serve any more, and does not wait until the others notice.
-    fn resign(&mut self, now: Instant) {
+    pub(super) fn resign(&mut self, now: Instant) {
         let Acting::Primary(primary) = &self.role else { return };
         let epoch = primary.epoch;
         self.step_down(None, now);

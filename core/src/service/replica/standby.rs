@@ -151,6 +151,10 @@ impl Replica {
         let Acting::Standby(standby) = &mut self.role else { return };
         standby.claim_at = now + again;
         standby.primary = None;
+        if self.accord.is_disputed() {
+            standby.inquiring = false;
+            return self.tell_role();
+        }
         if let Some(until) = barred {
             standby.claim_at = until;
             return self.tell_role();

@@ -1,6 +1,7 @@
 //! A robot of replicas over a network that delays, is cut, and whose nodes die and return: one seed,
 //! one run. Each component counts: a request adds one, the reply is the sum.
 
+mod accord;
 mod component;
 
 use super::*;
@@ -67,6 +68,10 @@ struct Robot {
     overlaps: u64,
     /// From when on the services are there that this one depends on, if it does.
     served_ms: Option<u64>,
+    /// What each member was told, where that is not the same for all.
+    told: BTreeMap<usize, ReplicaConfig>,
+    /// What members have said about each other's terms.
+    disputes: BTreeMap<usize, String>,
 }
 
 impl Robot {
@@ -89,20 +94,26 @@ impl Robot {
             epochs: BTreeMap::new(),
             overlaps: 0,
             served_ms: None,
+            told: BTreeMap::new(),
+            disputes: BTreeMap::new(),
         };
         (0..size).for_each(|member| robot.start(member));
         robot
     }
 
-    fn start(&mut self, member: usize) {
-        let config = ReplicaConfig {
+    fn config(&self, member: usize) -> ReplicaConfig {
+        ReplicaConfig {
             own: node(member),
             members: (0..self.size).map(node).collect(),
             kind: self.kind,
             on_partition: self.on_partition,
             depends: self.served_ms.is_some(),
             hello_interval: HELLO,
-        };
+        }
+    }
+
+    fn start(&mut self, member: usize) {
+        let config = self.told.get(&member).cloned().unwrap_or_else(|| self.config(member));
         // A twentieth at most: half of the margin on either side.
         let drift = (self.random.unit() * 45.0) as u64;
         let initial = Bytes::copy_from_slice(&0u64.to_le_bytes());
@@ -145,15 +156,20 @@ impl Robot {
                 ReplicaOutput::Send { to, message } => self.carry(member, index(&to), message),
                 ReplicaOutput::Became(Role::Primary { epoch }) => {
                     let before = self.epochs.insert(epoch, member);
-                    if self.on_partition == OnPartition::Stop {
+                    if self.on_partition == OnPartition::Stop && self.told.is_empty() {
                         assert!(before.is_none(), "two primaries under epoch {epoch}");
                     }
                 }
                 ReplicaOutput::Became(Role::Standby { .. }) => {}
                 ReplicaOutput::Inquire => own.inquires = true,
+                ReplicaOutput::Compare { with } => self.compare(member, index(&with)),
+                ReplicaOutput::Disputed { detail } => drop(self.disputes.insert(member, detail)),
+                ReplicaOutput::Agreed => drop(self.disputes.remove(&member)),
                 ReplicaOutput::Answer { caller, outcome } => {
                     let caller = &mut self.callers[caller as usize];
-                    if let ServiceOutcome::Served(result) = outcome {
+                    if let ServiceOutcome::Refused(why) = outcome {
+                        assert!(matches!(why, Why::ContractDiffers { .. }), "{why}");
+                    } else if let ServiceOutcome::Served(result) = outcome {
                         let bytes = result.expect("counting does not fail");
                         let sum = u64::from_le_bytes(bytes[..].try_into().unwrap());
                         assert!(caller.answer.is_none_or(|before| before == sum));

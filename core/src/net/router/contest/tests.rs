@@ -179,6 +179,24 @@ fn a_node_that_begins_anew_has_its_name_at_once() {
 }
 
 #[test]
+fn a_node_whose_number_fell_has_its_name_within_a_second_although_a_greater_one_was_kept_out_before()
+ {
+    let (fifth, greater, third) = (("a", 5), ("a", 20), ("a", 3));
+    let mut net = Net::new(&[(fifth, B), (fifth, C), (B, C), (C, D)]);
+    net.plug(D, greater);
+    net.run(1_500);
+    net.kill(greater);
+    net.run(50);
+
+    net.kill(fifth);
+    net.plug(third, B);
+    net.plug(third, C);
+    net.run(1_200);
+
+    assert_eq!([B, C, D].map(|by| net.reached(by, "a")), [Some(3); 3]);
+}
+
+#[test]
 fn a_life_that_ended_without_anybodys_knowing_does_not_keep_the_next_one_out_for_long() {
     let mut net = Net::new(&[(A, B), (B, C)]);
     // Its link to B is not known to be dead.

@@ -85,7 +85,7 @@ pub(super) type Then = Box<dyn FnOnce(Result<(), String>) + Send>;
 
 /// Writes the file on a thread of its own: of several changes that come while it writes, all are in the next
 /// file. Dropped, it writes what was given to it, and ends.
-pub(super) struct Keeper(Arc<Shared>);
+pub(super) struct KeptFile(Arc<Shared>);
 
 struct Shared {
     order: Mutex<Order>,
@@ -106,7 +106,7 @@ impl Shared {
     }
 }
 
-impl Keeper {
+impl KeptFile {
     /// `failed` is told when the file cannot be written, once until it can be again.
     pub(super) fn start(
         path: PathBuf,
@@ -116,7 +116,7 @@ impl Keeper {
             Arc::new(Shared { order: Mutex::new(Order::default()), changed: Condvar::new() });
         let kept = shared.clone();
         platform::start_thread("variables", move || write_when_told(&path, &kept, failed))?;
-        Ok(Keeper(shared))
+        Ok(KeptFile(shared))
     }
 
     pub(super) fn has_room(&self) -> bool {
@@ -132,7 +132,7 @@ impl Keeper {
     }
 }
 
-impl Drop for Keeper {
+impl Drop for KeptFile {
     fn drop(&mut self) {
         self.0.lock().ended = true;
         self.0.changed.notify_one();

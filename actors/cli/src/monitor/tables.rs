@@ -1,0 +1,224 @@
+//! A node's picture as text: one table for each thing that it knows.
+
+use serde_json::Value;
+use std::fmt::Write;
+
+/// A column: its heading, and the name that its value has in the picture.
+type Column = (&'static str, &'static str);
+
+/// The tables, in the order in which they are drawn: a title, their name in the picture, their columns.
+const TABLES: [(&str, &str, &[Column]); 7] = [
+    (
+        "objects",
+        "table",
+        &[
+            ("place", "place"),
+            ("kind", "kind"),
+            ("life", "incarnation"),
+            ("state", "state"),
+            ("opinion", "opinion"),
+            ("last sign", "last_sign_ms"),
+            ("restarts", "restarts"),
+            ("suspicions", "suspicions"),
+            ("queued", "queued"),
+            ("oldest", "oldest_ms"),
+            ("doing", "current"),
+            ("for", "current_ms"),
+            ("isolated", "isolated"),
+            ("note", "note"),
+        ],
+    ),
+    (
+        "threads",
+        "threads",
+        &[
+            ("thread", "number"),
+            ("kind", "kind"),
+            ("state", "state"),
+            ("by", "by"),
+            ("for", "blocked_ms"),
+            ("busy", "busy"),
+            ("last beat", "last_beat_ms"),
+            ("running", "running"),
+            ("queued", "queued"),
+            ("components", "components"),
+        ],
+    ),
+    (
+        "links",
+        "links",
+        &[
+            ("network", "network"),
+            ("link", "link"),
+            ("state", "state"),
+            ("neighbour", "neighbour"),
+            ("round trip", "round_trip_ms"),
+            ("jitter", "jitter_ms"),
+            ("loss in 1000", "loss_permille"),
+            ("cost", "cost"),
+            ("refused", "refused"),
+        ],
+    ),
+    (
+        "sessions",
+        "sessions",
+        &[
+            ("node", "node"),
+            ("state", "state"),
+            ("life", "incarnation"),
+            ("round trip", "round_trip_ms"),
+            ("unacknowledged", "unacknowledged"),
+            ("in flight", "in_flight"),
+            ("window", "window"),
+            ("sent", "sent"),
+            ("repeated", "repeated"),
+            ("doubled", "doubled"),
+            ("late", "late"),
+            ("unfinished", "unfinished"),
+            ("returned", "returned"),
+            ("refused", "refused"),
+            ("differences", "differences"),
+        ],
+    ),
+    (
+        "claimed names",
+        "claims",
+        &[
+            ("name", "name"),
+            ("node", "node"),
+            ("object", "object"),
+            ("epoch", "epoch"),
+            ("known for", "age_ms"),
+        ],
+    ),
+    (
+        "actuators",
+        "actuators",
+        &[
+            ("object", "object"),
+            ("contract", "contract"),
+            ("state", "state"),
+            ("commander", "commander"),
+            ("life", "life"),
+            ("epoch", "epoch"),
+            ("lease left", "left_ms"),
+        ],
+    ),
+    (
+        "faults",
+        "faults",
+        &[
+            ("fault", "id"),
+            ("code", "code"),
+            ("kind", "kind"),
+            ("place", "place"),
+            ("life", "incarnation"),
+            ("times", "count"),
+            ("symptom of", "symptom_of"),
+            ("found before", "age_ms"),
+            ("measure", "measure"),
+            ("ended", "ended"),
+            ("detail", "detail"),
+        ],
+    ),
+];
+
+/// Longer texts are cut, with a sign: what they say in full is in the JSON.
+const WIDEST: usize = 60;
+
+/// The picture as lines of text. What it does not know stands as a dash; tables that are empty are left
+/// out.
+pub(crate) fn draw(picture: &Value) -> String {
+    let mut text = format!("{} {}", cell("", &picture["node"]), cell("", &picture["state"]));
+    if let Some(reason) = picture["reason"].as_str() {
+        let _ = write!(text, ": {reason}");
+    }
+    text.push('\n');
+    for (title, name, columns) in TABLES {
+        let rows = picture[name].as_array().map(Vec::as_slice).unwrap_or_default();
+        if !rows.is_empty() {
+            let _ = write!(text, "\n{title}\n");
+            table(&mut text, columns, rows);
+        }
+    }
+    text
+}
+
+fn table(text: &mut String, columns: &[Column], rows: &[Value]) {
+    let heading = columns.iter().map(|(heading, _)| (*heading).to_owned()).collect();
+    let cells = |row: &Value| columns.iter().map(|(_, name)| cell(name, &row[*name])).collect();
+    let lines: Vec<Vec<String>> = std::iter::once(heading).chain(rows.iter().map(cells)).collect();
+    let width = |at: usize| lines.iter().map(|line| line[at].chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..columns.len()).map(width).collect();
+    for line in lines {
+        let padded = line.iter().zip(&widths).map(|(cell, width)| format!("{cell:width$}"));
+        let _ = writeln!(text, "  {}", padded.collect::<Vec<_>>().join("  ").trim_end());
+    }
+}
+
+fn cell(name: &str, value: &Value) -> String {
+    let text = match value {
+        Value::Null => "-".to_owned(),
+        Value::Bool(yes) => if *yes { "yes" } else { "-" }.to_owned(),
+        Value::Number(number) if name.ends_with("_ms") => span(number.as_f64().unwrap_or_default()),
+        Value::Number(number) if name == "busy" => {
+            format!("{:.0} %", number.as_f64().unwrap_or_default() * 100.0)
+        }
+        Value::Number(number) => number.to_string(),
+        Value::String(text) => text.replace('\n', " "),
+        Value::Array(parts) if parts.is_empty() => "-".to_owned(),
+        Value::Array(parts) => {
+            parts.iter().map(|part| cell(name, part)).collect::<Vec<_>>().join(", ")
+        }
+        Value::Object(_) => "…".to_owned(),
+    };
+    match text.char_indices().nth(WIDEST) {
+        Some((at, _)) => format!("{}…", &text[..at]),
+        None => text,
+    }
+}
+
+fn span(millis: f64) -> String {
+    match millis {
+        millis if millis < 10.0 => format!("{millis:.2} ms"),
+        millis if millis < 1_000.0 => format!("{millis:.0} ms"),
+        millis => format!("{:.1} s", millis / 1_000.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn each_table_is_aligned_and_what_is_unknown_is_a_dash() {
+        let picture = json!({
+            "node": "module1", "state": "running", "reason": null,
+            "claims": [
+                { "name": "map", "node": "module1", "object": "slam", "epoch": 7, "age_ms": 0.25 },
+                { "name": "base", "node": null, "object": "b", "epoch": 12, "age_ms": 61000.0 },
+            ],
+            "threads": [],
+        });
+
+        let text = "\
+module1 running
+
+claimed names
+  name  node     object  epoch  known for
+  map   module1  slam    7      0.25 ms
+  base  -        b       12     61.0 s
+";
+        assert_eq!(draw(&picture), text);
+    }
+
+    #[test]
+    fn long_texts_are_cut_with_a_sign_and_keep_to_one_line() {
+        assert_eq!(cell("note", &json!("one\ntwo")), "one two");
+        let long = cell("note", &json!("ä".repeat(100)));
+        assert_eq!((long.chars().count(), long.ends_with('…')), (WIDEST + 1, true));
+        assert_eq!(cell("differences", &json!(["a", "b"])), "a, b");
+        assert_eq!(cell("busy", &json!(0.125)), "12 %");
+    }
+}

@@ -1,0 +1,49 @@
+//! Another node, as the gateway knows it.
+
+use crate::net::door::Gate;
+use blastema_core::{Incarnation, NodeName};
+use std::sync::Arc;
+
+/// Another node.
+pub(super) struct Peer {
+    pub(super) node: NodeName,
+    pub(super) gate: Arc<Gate>,
+    /// The number of the session that was opened last.
+    pub(super) session: u32,
+    /// The life that it is with, or was.
+    pub(super) incarnation: Incarnation,
+    /// That life has ended in order.
+    pub(super) left: bool,
+    /// Contracts that it does not mean as this node does, since the session began.
+    differences: Vec<String>,
+}
+
+impl Peer {
+    /// More are in the log: whoever differs in so many was built from another source.
+    const DIFFERENCES_MAX: usize = 16;
+
+    /// One that no session was open with yet.
+    pub(super) fn new(node: NodeName, gate: Arc<Gate>) -> Self {
+        let (session, incarnation, left) = (0, Incarnation::default(), false);
+        Peer { node, gate, session, incarnation, left, differences: Vec::new() }
+    }
+
+    /// A session begins.
+    pub(super) fn begin(&mut self, session: u32, incarnation: Incarnation) {
+        (self.session, self.incarnation, self.left) = (session, incarnation, false);
+        self.differences.clear();
+    }
+
+    /// A contract is not the same there.
+    pub(super) fn differs(&mut self, difference: &str) {
+        let is_new = self.differences.iter().all(|known| known != difference);
+        if is_new && self.differences.len() < Self::DIFFERENCES_MAX {
+            self.differences.push(difference.to_owned());
+        }
+    }
+
+    /// What was found to differ, in the order of finding.
+    pub(super) fn differences(&self) -> &[String] {
+        &self.differences
+    }
+}

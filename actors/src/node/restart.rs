@@ -1,0 +1,108 @@
+//! Bringing back what has come to safe rest.
+
+use super::Node;
+use super::keeper::{NodeState, RestartRefused, RestartRoot};
+use crate::host::arbiters::ABANDONED_LIMIT;
+use blastema_contract::supervisor::{GaveUp, Recovered, RestartChild};
+use blastema_core::recovery::GiveUpReason;
+use blastema_core::{Incarnation, ObjectName};
+
+/// Why nothing was brought back.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RestartError {
+    /// Only a node at safe rest is restarted. A component of one that runs is restarted by
+    /// [`Node::restart_child`].
+    #[error("the node is not at safe rest, it is {state:?}: only from there it is restarted")]
+    NotAtRest {
+        /// How it is.
+        state: NodeState,
+    },
+    /// The node was shut down, and its threads have ended. Build another one.
+    #[error("the node was shut down: build another one")]
+    ShutDown,
+    /// Threads hang in handlers that never return, and cannot be ended. Begin the process anew.
+    #[error("{count} threads hang for good: only a new process helps")]
+    ThreadsHang {
+        /// How many.
+        count: usize,
+    },
+    /// It came to rest again before all components were at work. The record of faults says why.
+    #[error("it came to rest again: {reason}")]
+    GaveUp {
+        /// What the last thing was.
+        reason: String,
+    },
+    /// No supervisor of this node keeps an object of this name.
+    #[error("no supervisor of this node keeps {name}")]
+    Unknown {
+        /// The name.
+        name: String,
+    },
+    /// The supervisor of the component is not at work, as in a node at safe rest. Restart the node, or the
+    /// supervisor.
+    #[error("the supervisor of {name} is not at work: restart the node, or that supervisor")]
+    SupervisorRests {
+        /// The component.
+        name: ObjectName,
+    },
+    /// The component's next life did not come to be.
+    #[error("{name} did not come back: {reason}")]
+    ChildGaveUp {
+        /// Which.
+        name: ObjectName,
+        /// Why.
+        reason: GiveUpReason,
+    },
+}
+
+impl Node {
+    /// Brings a node back from safe rest, without a new process: all components begin their next lives in the
+    /// start order, those too that had come to rest or were isolated alone before. Resolves when all are at
+    /// work. What it was at rest for must be mended by then: this is for a person, or an application that
+    /// knows better.
+    ///
+    /// Who still has to be stopped is waited for. Threads that were given up stay so, and are counted on.
+    ///
+    /// # Errors
+    /// [`RestartError::NotAtRest`] unless the node is at rest; [`RestartError::ThreadsHang`] where that would
+    /// not help; [`RestartError::GaveUp`] where it came to rest again.
+    pub async fn restart(&self) -> Result<(), RestartError> {
+        let count = self.abandoned_threads();
+        if count >= ABANDONED_LIMIT {
+            return Err(RestartError::ThreadsHang { count });
+        }
+        match self.0.restart.send(RestartRoot).await {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(RestartRefused::NotAtRest(NodeState::Stopped))) => Err(RestartError::ShutDown),
+            Ok(Err(RestartRefused::NotAtRest(state))) => Err(RestartError::NotAtRest { state }),
+            Ok(Err(RestartRefused::GaveUp(reason))) => Err(RestartError::GaveUp { reason }),
+            // The keeper ends with the node's threads.
+            Ok(Err(RestartRefused::ShutDown)) | Err(_) => Err(RestartError::ShutDown),
+        }
+    }
+
+    /// Begins the next life of a component, or of a supervisor and all below it. One that has come to safe
+    /// rest, or was isolated, is back with it; one that is at work is stopped in order first. Its siblings
+    /// fare as their supervisor's strategy says. Resolves when all of them are at work, and says which life
+    /// it is, unless its rules let it be. No budget of restarts counts it.
+    ///
+    /// # Errors
+    /// [`RestartError::Unknown`] where no supervisor keeps it; [`RestartError::SupervisorRests`] in a node at
+    /// rest; [`RestartError::ChildGaveUp`] where it did not come back.
+    pub async fn restart_child(&self, name: &str) -> Result<Option<Incarnation>, RestartError> {
+        let unknown = || RestartError::Unknown { name: name.to_owned() };
+        let object = ObjectName::new(name).map_err(|_| unknown())?;
+        let keeper = self.0.directory.keeper_of(&object).ok_or_else(unknown)?;
+        match keeper.restart.send(RestartChild { object, fault: None }).await {
+            Ok(Ok(Recovered { incarnation, .. })) => Ok(incarnation),
+            Ok(Err(GaveUp { object: name, why: GiveUpReason::NotAtWork })) => {
+                Err(RestartError::SupervisorRests { name })
+            }
+            Ok(Err(GaveUp { object: name, why: reason })) => {
+                Err(RestartError::ChildGaveUp { name, reason })
+            }
+            Err(_) => Err(RestartError::ShutDown),
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! Comparing what all who carry a service were told of it.
+
+use super::replica::ReplicaBody;
+use super::words::CompareTerms;
+use crate::desk::Desk;
+use crate::drive::Body;
+use crate::guardian;
+use crate::platform;
+use crate::registry::Port;
+use crate::reply::Answer;
+use actix::fut::wrap_future;
+use actix::prelude::*;
+use blastema_contract::reports::FaultMended;
+use blastema_core::{Contract, FaultKind, NodeName, Why};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How often it is looked who else has an object of the service's name. Shorter finds out sooner that two do
+/// not mean the same; each look is one message within the node.
+const LOOK_AROUND: Duration = Duration::from_millis(500);
+/// How long another replica is given to say what it was told.
+const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+
+/// Another replica says what it was told, and asks.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct Compared(CompareTerms, Answer<CompareTerms>);
+
+/// Where others ask.
+pub(super) fn port(body: Recipient<Compared>) -> (&'static str, Port) {
+    let desk = Desk::<CompareTerms>(Arc::new(move |terms, answer| {
+        body.do_send(Compared(terms, answer));
+    }));
+    (CompareTerms::NAME, Port::of_desk(desk))
+}
+
+impl ReplicaBody {
+    /// Looks who else carries the service, now and again.
+    pub(super) fn look_around(&mut self, context: &mut Context<Self>) {
+        let (roster, name) = (self.roster.clone(), self.carried.name.clone());
+        let found = async move { roster.carriers(&name).await };
+        context.spawn(wrap_future::<_, Self>(found).map(|found, body, context| {
+            body.machine.handle_carriers(&found, platform::now());
+            body.drive(context);
+            context.run_later(LOOK_AROUND, Self::look_around);
+        }));
+    }
+
+    /// Says what this node was told, and asks what that one was.
+    pub(super) fn compare(&self, with: NodeName, context: &mut Context<Self>) {
+        let address = format!("{with}:{}", self.carried.name);
+        let Ok(sender) = self.registry.sender::<CompareTerms>(&address) else { return };
+        let from = self.carried.config.own.to_string();
+        let terms = CompareTerms { from, terms: self.machine.terms().into() };
+        let asked = async move { sender.ask_within(terms, ANSWER_WITHIN).await };
+        context.spawn(wrap_future::<_, Self>(asked).map(move |answer, body, context| {
+            let now = platform::now();
+            match answer.map_err(|error| error.why) {
+                Ok(theirs) => body.machine.handle_terms(&with, &theirs, now),
+                Err(Why::Left { .. } | Why::Unknown { .. }) => {
+                    body.machine.handle_no_terms(&with, now);
+                }
+                // It is asked again.
+                Err(_) => {}
+            }
+            body.drive(context);
+        }));
+    }
+
+    /// All nodes that can be seen were told the same.
+    pub(super) fn mend(&self) {
+        if let Some(mended) = &self.reports.mended {
+            let (object, incarnation) = (self.carried.body.clone(), guardian::alive().incarnation);
+            let kind = FaultKind::ContractMismatch;
+            mended.do_send(FaultMended { object, incarnation, kind });
+        }
+    }
+}
+
+impl Handler<Compared> for ReplicaBody {
+    type Result = ();
+
+    fn handle(&mut self, Compared(theirs, answer): Compared, context: &mut Context<Self>) {
+        answer.give(self.machine.terms().into());
+        if let Ok(from) = NodeName::new(&theirs.from) {
+            self.machine.handle_terms(&from, &theirs.terms, platform::now());
+            self.drive(context);
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! What the neighbour says by another way.
+
+use super::*;
+
+/// The cable is pulled between the left end and a switch, and the left end knows.
+fn pull(cable: &mut Cable) {
+    cable.ends[0].handle_no_carrier("pulled", at(cable.now));
+    cable.cut = [true; 2];
+}
+
+#[test]
+fn a_link_that_the_neighbour_gave_up_is_suspect_at_once_and_down_when_hellos_are_missing() {
+    let mut cable = running();
+    pull(&mut cable);
+    cable.run_until(102);
+    assert_eq!(cable.states(), [LinkState::Down, LinkState::Up]);
+
+    cable.ends[1].handle_given_up(at(102));
+
+    assert_eq!((cable.ends[1].state(), cable.ends[1].is_given_up()), (LinkState::Suspect, true));
+    cable.run_until(140);
+    assert_eq!((cable.ends[1].state(), cable.ends[1].is_given_up()), (LinkState::Down, false));
+}
+
+#[test]
+fn one_hello_may_have_been_on_its_way_and_two_show_that_it_is_not_so() {
+    let mut cable = running();
+
+    cable.ends[1].handle_given_up(at(100));
+    cable.run_until(109);
+    assert!(cable.ends[1].is_given_up());
+    cable.run_until(125);
+
+    assert_eq!((cable.ends[1].state(), cable.ends[1].is_given_up()), (LinkState::Up, false));
+    assert_eq!(cable.ends[0].state(), LinkState::Up, "the neighbour noticed nothing");
+    // For a while now, nobody is believed who says so.
+    cable.ends[1].handle_given_up(at(126));
+    assert_eq!(cable.ends[1].state(), LinkState::Up);
+    cable.run_until(10_200);
+    cable.ends[1].handle_given_up(at(10_200));
+    assert_eq!(cable.ends[1].state(), LinkState::Suspect);
+}
+
+#[test]
+fn of_a_link_that_is_not_used_the_word_says_nothing() {
+    let mut cable = Cable::new(config("left", 1), config("right", 1));
+    cable.ends[1].handle_given_up(at(0));
+
+    cable.run_until(60);
+
+    assert_eq!(cable.states(), [LinkState::Up; 2]);
+    assert!(cable.told.iter().all(|(_, _, told)| {
+        !matches!(told, LinkOutput::Changed { state: LinkState::Suspect, .. })
+    }));
+}
+
+#[test]
+fn a_hello_that_was_overtaken_by_what_came_after_it_does_not_take_the_link_down() {
+    let mut cable = running();
+    pull(&mut cable);
+    cable.run_until(200);
+    cable.cut = [false; 2];
+    let right = |cable: &Cable| cable.ends[1].state();
+    while !cable.ends[1].has_proved() {
+        let now = cable.now;
+        cable.run_until(now + 1);
+    }
+    // A hello of the other end, which says "down", is still under way.
+    assert_eq!(right(&cable), LinkState::Down);
+    cable.ends[1].handle_frame(Frame::Routing(Bytes::new()).encode(), at(cable.now));
+    assert_eq!(right(&cable), LinkState::Up);
+    let last = cable.said.iter().rev().find(|(from, _)| *from == 0).unwrap().1.clone();
+    let Ok(Frame::Hello(hello)) = Frame::decode(last) else { panic!() };
+    let late = Hello { stance: Stance::Down, sequence: hello.sequence + 1, ..hello.clone() };
+    let again = Hello { sequence: hello.sequence + 2, ..late.clone() };
+
+    cable.ends[1].handle_frame(Frame::Hello(late).encode(), at(cable.now));
+    assert_eq!(right(&cable), LinkState::Up);
+
+    cable.ends[1].handle_frame(Frame::Hello(again).encode(), at(cable.now));
+    assert_eq!(right(&cable), LinkState::Down, "it says so again");
+}

@@ -1,0 +1,100 @@
+//! A neighbour that says by another way that it has given a link up.
+
+use super::*;
+
+fn given_up(router: &mut Router, now: u64) -> Vec<LinkNumber> {
+    let told = outputs(router, now).into_iter();
+    told.filter_map(|told| match told {
+        RouterOutput::GivenUp { link } => Some(link),
+        _ => None,
+    })
+    .collect()
+}
+
+fn say(router: &mut Router, link: LinkNumber, said: &Routing) {
+    router.handle_routing(link, said.encode(), at(1020));
+}
+
+#[test]
+fn a_neighbour_that_announces_its_links_without_us_has_given_up_ours() {
+    let mut router = between_two();
+
+    tell(&mut router, SECOND, advertisement("left", 2, &[("far", 1)]), 1020);
+
+    assert_eq!(given_up(&mut router, 1020), [FIRST]);
+    // Once: what it does not announce any more it need not withdraw.
+    tell(&mut router, SECOND, advertisement("left", 3, &[("far", 1)]), 1030);
+    assert_eq!(given_up(&mut router, 1030), []);
+    tell(&mut router, SECOND, advertisement("left", 4, &[("own", 1), ("far", 1)]), 1040);
+    tell(&mut router, SECOND, advertisement("left", 5, &[("far", 1)]), 1050);
+    assert_eq!(given_up(&mut router, 1050), [FIRST]);
+}
+
+#[test]
+fn what_is_not_announced_yet_was_not_given_up_and_neither_is_what_there_was_no_room_for() {
+    let mut router = router();
+    router.handle_link(FIRST, up("left", 1), at(1000));
+    router.handle_link(SECOND, up("right", 1), at(1000));
+    for sequence in 1..5 {
+        tell(&mut router, FIRST, advertisement("left", sequence, &[("far", 1)]), 1000);
+    }
+    assert_eq!(given_up(&mut router, 1010), []);
+    tell(&mut router, FIRST, advertisement("left", 5, &[("own", 1)]), 1020);
+
+    // Others' links, old words, another life, and a node with more links than it can tell of.
+    tell(&mut router, FIRST, advertisement("right", 1, &[("own", 1)]), 1030);
+    tell(&mut router, FIRST, advertisement("left", 4, &[]), 1030);
+    let mut reborn = advertisement("left", 9, &[]);
+    reborn.stamp.incarnation = Incarnation(2);
+    tell(&mut router, SECOND, reborn, 1030);
+    let many: Vec<_> = (0..64).map(|n| format!("n{n}")).collect();
+    let many: Vec<_> = many.iter().map(|name| (name.as_str(), 1)).collect();
+    tell(&mut router, SECOND, advertisement("left", 6, &many), 1030);
+
+    assert_eq!(given_up(&mut router, 1040), []);
+}
+
+#[test]
+fn of_several_links_to_one_neighbour_the_one_that_it_names_is_given_up() {
+    let mut router = router();
+    for (link, node) in [(FIRST, "left"), (SECOND, "left"), (LinkNumber(2), "right")] {
+        router.handle_link(link, up(node, 1), at(1000));
+    }
+    let told = outputs(&mut router, 1010);
+    for link in [FIRST, SECOND] {
+        let bytes = Routing::Numbered(link).encode();
+        assert!(told.contains(&RouterOutput::Routing { link, bytes }), "we say what we call it");
+    }
+
+    say(&mut router, SECOND, &Routing::GaveUp(FIRST));
+    assert_eq!(given_up(&mut router, 1020), [FIRST]);
+    // Not by others, not of others' links, of none, or by the link itself.
+    for (by, link) in
+        [(LinkNumber(2), FIRST), (FIRST, LinkNumber(2)), (FIRST, LinkNumber(9)), (FIRST, FIRST)]
+    {
+        say(&mut router, by, &Routing::GaveUp(link));
+    }
+    assert_eq!(given_up(&mut router, 1020), []);
+    assert_eq!(router.refusals().unexpected, 3);
+}
+
+#[test]
+fn a_link_that_is_down_is_named_as_the_neighbour_calls_it() {
+    let mut router = router();
+    for (link, node) in [(FIRST, "left"), (SECOND, "left"), (LinkNumber(2), "right")] {
+        router.handle_link(link, up(node, 1), at(1000));
+    }
+    say(&mut router, FIRST, &Routing::Numbered(LinkNumber(77)));
+    outputs(&mut router, 1020);
+
+    router.handle_link(FIRST, LinkStatus { health: Health::Down, ..up("left", 1) }, at(1030));
+
+    let bytes = Routing::GaveUp(LinkNumber(77)).encode();
+    let said = outputs(&mut router, 1030).into_iter();
+    let said =
+        said.filter(|told| matches!(told, RouterOutput::Routing { bytes: b, .. } if *b == bytes));
+    assert_eq!(
+        said.collect::<Vec<_>>(),
+        [RouterOutput::Routing { link: SECOND, bytes: bytes.clone() }]
+    );
+}

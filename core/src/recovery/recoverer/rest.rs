@@ -1,0 +1,25 @@
+//! What a recoverer does while its node is at safe rest.
+
+use super::{Place, Recoverer, Settled};
+use crate::{Fault, Instant};
+
+impl Recoverer {
+    /// The node has come to safe rest, or is at work again. Where everything was stopped nothing is treated:
+    /// what was under way is given up, and so is what comes. Links and other nodes go on being treated.
+    pub fn handle_rest(&mut self, resting: bool, now: Instant) {
+        self.resting = resting;
+        let rests = |place: &&Place| resting && matches!(place, Place::Object(_));
+        let places: Vec<Place> = self.cases.keys().filter(rests).cloned().collect();
+        for place in places {
+            let told = self.cases[&place].given_up;
+            for fault in self.close(&place, now).iter().filter(|_| !told) {
+                self.tell_rest(fault);
+            }
+        }
+    }
+
+    pub(super) fn tell_rest(&mut self, fault: &Fault) {
+        let reason = "the node is at safe rest, where nothing is restarted".to_owned();
+        self.tell(fault, Settled::GaveUp { reason });
+    }
+}

@@ -1,0 +1,142 @@
+//! What all who carry a service must have been told alike.
+
+use super::change::sum;
+use super::{OnPartition, ReplicaConfig, StandbyKind};
+use crate::{NodeName, codec};
+use serde::{Deserialize, Serialize};
+use std::fmt::{self, Write};
+use std::time::Duration;
+
+/// The most bytes of terms: a service on a thousand nodes with names of the greatest length.
+pub(super) const TERMS_MAX: usize = 48 * 1024;
+
+/// On what the safety of an election rests. Members who count majorities of other lists, or leases of other
+/// lengths, may each elect somebody.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Terms {
+    members: Vec<NodeName>,
+    kind: StandbyKind,
+    on_partition: OnPartition,
+    hello_interval: Duration,
+}
+
+impl Terms {
+    pub(super) fn of(config: &ReplicaConfig) -> Self {
+        let ReplicaConfig { members, kind, on_partition, hello_interval, .. } = config.clone();
+        Terms { members, kind, on_partition, hello_interval }
+    }
+
+    pub(super) fn encode(&self) -> Vec<u8> {
+        codec::encode_unbounded(self)
+    }
+
+    pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
+        codec::decode_bounded::<Terms, TERMS_MAX>(bytes).ok()
+    }
+
+    /// The same for the same terms, on every node.
+    pub(super) fn fingerprint(&self) -> u64 {
+        sum(&self.encode())
+    }
+
+    /// What `node` was told otherwise, and what is to be written; empty where it is the same.
+    pub(super) fn difference(&self, node: &NodeName, theirs: &Terms) -> String {
+        let mut text = String::new();
+        let mut differ =
+            |what: &str, here: &dyn fmt::Debug, there: &dyn fmt::Debug, write: &str| {
+                let separator = if text.is_empty() { "" } else { "; " };
+                // Into a string, nothing fails.
+                let _ = write!(
+                    text,
+                    "{separator}{what} {here:?} here and {there:?} on {node}: write {write} on both"
+                );
+            };
+        if self.members != theirs.members {
+            let (here, there) = (Quoted(&self.members), Quoted(&theirs.members));
+            let all = Quoted(&self.union(theirs));
+            differ("its nodes are", &here, &there, &format!("the same list, such as {all:?},"));
+        }
+        if self.kind != theirs.kind {
+            let (here, there) = (self.kind, theirs.kind);
+            let write = format!(".standby(StandbyKind::{here:?}) or (StandbyKind::{there:?})");
+            differ("its standbys are", &here, &there, &write);
+        }
+        if self.on_partition != theirs.on_partition {
+            let (here, there) = (self.on_partition, theirs.on_partition);
+            let write = format!(".on_partition(OnPartition::{here:?}) or (OnPartition::{there:?})");
+            differ("without a majority its rule is", &here, &there, &write);
+        }
+        if self.hello_interval != theirs.hello_interval {
+            let (here, there) = (self.hello_interval, theirs.hello_interval);
+            differ("its primary says hello every", &here, &there, "the same .hello_every(..)");
+        }
+        text
+    }
+
+    /// The members of both, in the order of the longer list.
+    fn union(&self, theirs: &Terms) -> Vec<NodeName> {
+        let (long, short) = match self.members.len() >= theirs.members.len() {
+            true => (&self.members, &theirs.members),
+            false => (&theirs.members, &self.members),
+        };
+        let more = short.iter().filter(|node| !long.contains(node));
+        long.iter().chain(more).cloned().collect()
+    }
+}
+
+/// Names as they are written in a program.
+struct Quoted<'a>(&'a [NodeName]);
+
+impl fmt::Debug for Quoted<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.0.iter().map(NodeName::as_str)).finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn terms(members: &[&str]) -> Terms {
+        Terms {
+            members: members.iter().map(|name| NodeName::new(name).unwrap()).collect(),
+            kind: StandbyKind::Warm,
+            on_partition: OnPartition::Stop,
+            hello_interval: Duration::from_millis(50),
+        }
+    }
+
+    #[test]
+    fn terms_that_differ_say_in_what_and_what_is_to_be_written() {
+        let n2 = NodeName::new("n2").unwrap();
+        let (ours, theirs) = (terms(&["n1"]), terms(&["n2", "n1", "n3"]));
+        assert_eq!(
+            ours.difference(&n2, &theirs),
+            "its nodes are [\"n1\"] here and [\"n2\", \"n1\", \"n3\"] on n2: write the same list, such as \
+             [\"n2\", \"n1\", \"n3\"], on both"
+        );
+        let hot = Terms { kind: StandbyKind::Hot, ..theirs.clone() };
+        assert_eq!(
+            theirs.difference(&n2, &hot),
+            "its standbys are Warm here and Hot on n2: write .standby(StandbyKind::Warm) or \
+             (StandbyKind::Hot) on both"
+        );
+        let both =
+            Terms { on_partition: OnPartition::Continue, hello_interval: Duration::ZERO, ..hot };
+        let text = ours.difference(&n2, &both);
+        assert_eq!(text.matches("; ").count(), 3, "{text}");
+        assert!(text.contains("every 50ms here and 0ns on n2"), "{text}");
+    }
+
+    #[test]
+    fn the_same_terms_have_no_difference_and_one_fingerprint() {
+        let (one, other) = (terms(&["n1", "n2"]), terms(&["n2", "n1"]));
+        assert_eq!(one.difference(&one.members[0], &one.clone()), "");
+        assert_eq!(one.fingerprint(), terms(&["n1", "n2"]).fingerprint());
+        // Whose turn is first depends on the order.
+        assert_ne!(one.fingerprint(), other.fingerprint());
+        assert!(one.difference(&one.members[1], &other).contains("such as [\"n1\", \"n2\"],"));
+        assert_eq!(Terms::decode(&one.encode()), Some(one));
+        assert_eq!(Terms::decode(&[1, 2, 3]), None);
+    }
+}

@@ -1,0 +1,214 @@
+//! A node at safe rest: what goes on, who is told, and how it is brought back.
+
+use crate::puppet::{Deed, Do, Pull, Strings, ask, life, strike};
+use blastema::core::recovery::{Ladder, Measure, Plan};
+use blastema::prelude::*;
+use blastema::{Fault, Link, MemoryMedium, Network, NodeBuilder, RestartError, Turn};
+use blastema_testkit::TestNode;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+
+/// A node that comes to rest when a component needs more than one restart, and whom its outputs were called for.
+fn robot(strings: &Strings) -> (NodeBuilder, Arc<Mutex<Vec<Fault>>>) {
+    let applied: Arc<Mutex<Vec<Fault>>> = Arc::default();
+    let outputs = applied.clone();
+    let builder = Node::builder("module1")
+        .child(strings.spec("lamp"))
+        .child(strings.spec("motors"))
+        .intensity(1, Duration::from_secs(10))
+        .safe_outputs(move |fault| outputs.lock().unwrap().push(fault.clone()));
+    (builder, applied)
+}
+
+async fn bring_to_rest(node: &TestNode) {
+    for _ in 0..2 {
+        strike(node, "motors").await;
+        node.advance(500 * MS).await;
+    }
+    assert!(matches!(node.state(), NodeState::AtRest { .. }), "{:?}", node.state());
+}
+
+async fn standing(node: &TestNode) -> Vec<(FaultKind, String)> {
+    let record = node.faults().await;
+    let standing = record.entries.into_iter().filter(|entry| entry.ended.is_none());
+    standing.map(|entry| (entry.fault.kind, entry.fault.place.to_string())).collect()
+}
+
+fn networked(builder: NodeBuilder, own: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
+    let link = Link::in_memory(far, far).hello_every(10 * MS);
+    builder.network(Network::memory("ethernet", medium, own).link(link))
+}
+
+#[blastema_testkit::test]
+async fn at_rest_nothing_is_treated_any_more_and_the_outputs_are_applied_once() {
+    let strings = Strings::default();
+    let (builder, applied) = robot(&strings);
+    let node = TestNode::start(builder).await;
+    let mut events = node.fault_events();
+    bring_to_rest(&node).await;
+    let rested_at = applied.lock().unwrap()[0].found_at;
+    node.advance(Duration::from_secs(60)).await;
+
+    assert_eq!(applied.lock().unwrap().len(), 1, "{applied:?}");
+    node.shutdown().await;
+    let mut measures = 0;
+    while let Some(event) = events.next().await {
+        if let Turn::Decided { measure } = event.turn {
+            assert!(event.at <= rested_at || measure == "observe", "{measure}");
+            measures += 1;
+        }
+    }
+    assert!(measures > 0);
+}
+
+#[blastema_testkit::test]
+async fn whoever_asks_a_node_at_rest_from_another_one_is_told_that_it_is_stopped() {
+    let (strings, medium) = (Strings::default(), MemoryMedium::default());
+    let (builder, _) = robot(&strings);
+    let resting = TestNode::start(networked(builder, "module1", "module2", &medium)).await;
+    let mut peer =
+        TestNode::start(networked(Node::builder("module2"), "module2", "module1", &medium)).await;
+    assert!(peer.connected("module1", 2000 * MS).await);
+    let motors = peer.sender::<Do>("module1:motors").unwrap();
+    motors.ask(Do(Deed::Nothing)).await.unwrap();
+
+    bring_to_rest(&resting).await;
+    for _ in 0..10 {
+        assert_eq!(motors.ask(Do(Deed::Nothing)).await.unwrap_err().why, Why::Stopped);
+        peer.advance(500 * MS).await;
+    }
+
+    // And that is no mystery there.
+    let record = peer.faults().await;
+    let told = record.entries.iter().find(|entry| entry.fault.kind == FaultKind::NodeAtRest);
+    let told = told.expect("its peers are told");
+    assert_eq!(told.fault.place.to_string(), "module1");
+    assert!(told.fault.detail.contains("motors needed more than 1 restarts"), "{told:?}");
+    assert_eq!(told.ended, None);
+
+    resting.restart().await.unwrap();
+    peer.advance(500 * MS).await;
+    assert_eq!(standing(&peer).await, []);
+    assert_eq!(motors.ask(Do(Deed::Nothing)).await.map(drop).map_err(|error| error.why), Ok(()));
+    peer.await_fault(FaultKind::NodeAtRest, "module1").await;
+}
+
+#[blastema_testkit::test]
+async fn who_meets_a_node_at_rest_is_told_as_well_and_its_next_life_is_at_work() {
+    let (strings, medium) = (Strings::default(), MemoryMedium::default());
+    let (builder, _) = robot(&strings);
+    let resting = TestNode::start(networked(builder, "module1", "module2", &medium)).await;
+    bring_to_rest(&resting).await;
+
+    let peer = Node::builder("module2");
+    let peer = TestNode::start(networked(peer, "module2", "module1", &medium)).await;
+    assert!(peer.connected("module1", 2000 * MS).await);
+    peer.advance(500 * MS).await;
+    assert_eq!(standing(&peer).await, [(FaultKind::NodeAtRest, "module1".to_owned())]);
+
+    resting.shutdown().await;
+    let (builder, _) = robot(&strings);
+    let _next = TestNode::start(networked(builder, "module1", "module2", &medium)).await;
+    peer.advance(3000 * MS).await;
+    assert_eq!(standing(&peer).await, []);
+}
+
+#[blastema_testkit::test]
+async fn a_node_is_brought_back_from_rest_with_the_next_lives_of_its_components() {
+    let strings = Strings::default();
+    let (builder, applied) = robot(&strings);
+    let node = TestNode::start(builder).await;
+    bring_to_rest(&node).await;
+    strings.diary();
+    let lamp = node.sender::<Do>("lamp").unwrap();
+    assert_eq!(lamp.ask(Do(Deed::Nothing)).await.unwrap_err().why, Why::Stopped);
+
+    node.restart().await.unwrap();
+
+    assert_eq!(node.state(), NodeState::Running);
+    let begun = strings.lines("on_initialize");
+    assert_eq!(begun.len(), 2, "{begun:?}");
+    assert!(begun[0].starts_with("lamp#") && begun[1].starts_with("motors#"), "{begun:?}");
+    assert_eq!((life(&node, "lamp").await, life(&node, "motors").await), (2, 3));
+    lamp.ask(Do(Deed::Nothing)).await.unwrap();
+    ask(&node, "motors", Deed::Nothing).await.unwrap();
+    node.advance(MS).await;
+    assert_eq!(standing(&node).await, [], "their next lives are at work");
+
+    // With a budget of its own, and with outputs that are applied again.
+    strike(&node, "motors").await;
+    node.advance(500 * MS).await;
+    assert_eq!(node.state(), NodeState::Running);
+    strike(&node, "motors").await;
+    node.advance(500 * MS).await;
+    assert!(matches!(node.state(), NodeState::AtRest { .. }));
+    assert_eq!(applied.lock().unwrap().len(), 2);
+    node.restart().await.unwrap();
+    lamp.ask(Do(Deed::Nothing)).await.unwrap();
+}
+
+#[blastema_testkit::test]
+async fn only_a_node_at_rest_is_restarted() {
+    let strings = Strings::default();
+    let (builder, _) = robot(&strings);
+    let node = TestNode::start(builder).await;
+    let refused = node.restart().await;
+    assert_eq!(refused, Err(RestartError::NotAtRest { state: NodeState::Running }));
+    assert_eq!(life(&node, "lamp").await, 1);
+
+    bring_to_rest(&node).await;
+    let child = node.restart_child("lamp").await.unwrap_err();
+    assert!(matches!(child, RestartError::SupervisorRests { .. }), "{child}");
+    node.shutdown().await;
+    assert_eq!(node.restart().await, Err(RestartError::ShutDown));
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_was_brought_to_rest_comes_back_when_it_is_asked_for() {
+    let strings = Strings::default();
+    let (builder, applied) = robot(&strings);
+    let plan = Plan::default().on(FaultKind::Panic, Ladder::first(Measure::SafeStop));
+    let node = TestNode::start(builder.plan(plan)).await;
+    strike(&node, "motors").await;
+    node.advance(500 * MS).await;
+    assert_eq!(node.state(), NodeState::Running, "the rest of it works");
+    assert_eq!(ask(&node, "motors", Deed::Nothing).await.unwrap_err().why, Why::Isolated);
+
+    let life = node.restart_child("motors").await.unwrap();
+
+    assert_eq!(life, Some(blastema::Incarnation(2)));
+    ask(&node, "motors", Deed::Nothing).await.unwrap();
+    node.advance(MS).await;
+    assert_eq!(standing(&node).await, []);
+    // It is held against nobody, also where it is at work.
+    for next in 3..10 {
+        let life = node.restart_child("motors").await.unwrap();
+        assert_eq!(life, Some(blastema::Incarnation(next)));
+    }
+    assert_eq!(node.tree().await.unwrap().restarts_left, 1);
+    assert_eq!(applied.lock().unwrap().len(), 1);
+    let unknown = node.restart_child("mtors").await;
+    assert_eq!(unknown, Err(RestartError::Unknown { name: "mtors".into() }));
+}
+
+#[blastema_testkit::test]
+async fn what_does_not_start_after_a_rest_brings_the_node_to_rest_again() {
+    let strings = Strings::default();
+    let (builder, _) = robot(&strings);
+    let node = TestNode::start(builder).await;
+    bring_to_rest(&node).await;
+    (0..8).for_each(|_| strings.pull("lamp", "on_initialize", Pull::Fail("no power")));
+
+    let failed = node.restart().await.unwrap_err();
+    assert!(
+        matches!(&failed, RestartError::GaveUp { reason } if reason.contains("lamp")),
+        "{failed}"
+    );
+    assert!(matches!(node.state(), NodeState::AtRest { .. }));
+
+    strings.cut_all();
+    node.restart().await.unwrap();
+    ask(&node, "lamp", Deed::Nothing).await.unwrap();
+}
