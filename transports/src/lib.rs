@@ -50,6 +50,8 @@ pub mod tcp;
 pub mod udp;
 #[cfg(feature = "unix")]
 pub mod unix;
+#[cfg(any(feature = "serial", feature = "slcan"))]
+mod usb_device;
 
 #[cfg(all(feature = "can", target_os = "linux"))]
 pub use can::CanBus;

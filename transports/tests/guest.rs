@@ -17,7 +17,7 @@ use blastema_core::can::{
 use blastema_core::{Instant, Machine};
 use blastema_doubles::{Probe, now};
 use blastema_transports::{
-    CanBus, CanConfig, FrameMedium, FrameTransport, SerialConfig, SerialLine,
+    CanBus, CanConfig, FrameMedium, FrameTransport, Rs485, SerialConfig, SerialLine,
 };
 use bytes::Bytes;
 use socketcan::{
@@ -73,7 +73,7 @@ impl End {
     /// Sends both ways until that was received: what comes back may lose its first words.
     async fn speak_with(&self, other: &End, own: MediumAddress, theirs: MediumAddress) {
         for (from, to, address) in [(self, other, &theirs), (other, self, &own)] {
-            let text = message(900);
+            let text = message(500);
             let heard = async {
                 loop {
                     from.send(address.clone(), text.clone());
@@ -198,6 +198,38 @@ fn an_interface_that_is_not_there_is_used_once_it_is() {
         end.opened().await;
         sh("/sbin/ip link del vcan9");
         end.closed().await;
+    });
+}
+
+#[test]
+fn a_usb_device_without_a_line_is_not_held_to_the_speed_that_was_set() {
+    in_real_time(async {
+        appears("/dev/ttyACM0").await;
+        appears("/dev/ttyGS0").await;
+        let end = |path: &str| End::new(SerialLine::new(SerialConfig::new(path), now));
+        let (host, device) = (end("/dev/ttyACM0"), end("/dev/ttyGS0"));
+        host.opened().await;
+        device.opened().await;
+        host.speak_with(&device, MediumAddress::Line, MediumAddress::Line).await;
+
+        let began = now();
+        for _ in 0..100 {
+            host.send(MediumAddress::Line, message(500));
+            tokio::time::timeout(PATIENCE, device.frames.expect()).await.expect("it comes");
+        }
+
+        let line = SerialConfig::new("/dev/ttyACM0").time_of(100 * 500);
+        assert!(now() - began < line / 2, "{:?}, where a line takes {line:?}", now() - began);
+    });
+}
+
+#[test]
+fn a_driver_of_a_real_port_that_cannot_turn_rs485_says_so() {
+    in_real_time(async {
+        let mut config = SerialConfig::new("/dev/ttyS1");
+        config.rs485 = Some(Rs485::default());
+        let reason = End::new(SerialLine::new(config, now)).closed().await;
+        assert!(reason.contains("does not turn the line"), "{reason}");
     });
 }
 

@@ -69,7 +69,8 @@ pub struct SerialConfig {
     /// nothing.
     pub rs485: Option<Rs485>,
     /// The largest frame, in bytes. By default what takes 50 ms on the line, but from 96 to 2,048: a
-    /// larger one keeps others, and hellos, waiting behind it; of a smaller one, more is headers.
+    /// larger one keeps others, and hellos, waiting behind it; of a smaller one, more is headers. What is
+    /// larger than the other end's is noise to it.
     pub mtu: Option<usize>,
     /// How much of one urgency may wait for the line, in time that it takes to send, and eight of the
     /// largest frames at least; beyond, frames are dropped. More rides out longer bursts, and makes

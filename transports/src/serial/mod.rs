@@ -20,12 +20,13 @@ pub use self::config::{Parity, Rs485, SerialConfig, StopBits};
 use self::framing::{Deframer, encode, encoded_length};
 use self::pace::{Held, PIECE, Pace};
 use crate::frame_medium::{Arrival, FrameMedium, Opening, QueueLimits, Sending};
+use crate::usb_device::is_usb_device;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::Instant;
 use bytes::Bytes;
 use std::future::Future;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
@@ -271,15 +272,6 @@ fn turn_by_driver(_: &Path, _: &Rs485) -> io::Result<()> {
         "only Linux lets a driver turn the line of RS-485 (rs485=true): leave that out, and use an adapter \
          that turns by itself",
     ))
-}
-
-/// Whether a port is one of USB CDC-ACM, at either end, where often no line follows.
-fn is_usb_device(path: &Path) -> bool {
-    let Ok(device) = path.canonicalize() else { return false };
-    let Some(name) = device.file_name() else { return false };
-    let driver = Path::new("/sys/class/tty").join(name).join("device/driver");
-    let is_acm = |driver: PathBuf| driver.file_name().is_some_and(|name| name == "cdc_acm");
-    name.as_encoded_bytes().starts_with(b"ttyGS") || driver.read_link().is_ok_and(is_acm)
 }
 
 /// What helps when a port reads or writes no more.

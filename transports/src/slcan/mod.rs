@@ -3,11 +3,12 @@
 //! * The adapter is brought onto the bus step by step, whether it answers or not; one that an ended
 //!   program left open is closed first.
 //! * It is given frames no faster than the bus carries them, so that its memory, whose size nobody
-//!   knows, does not overflow.
+//!   knows, does not overflow; nor faster than its own line does, so that little waits in the system.
 //! * Unplugged, the port is closed at once and opened again by its path, with back-off.
 
 use crate::can_node::{CanNode, CanPort};
 use crate::endpoint::SlcanConfig;
+use crate::usb_device::is_usb_device;
 use blastema_core::Instant;
 use blastema_core::can::slcan::{BitRate, Command, DataRate, Dialogue, Listener, Reply};
 use blastema_core::can::{CanFrame, Format};
@@ -16,9 +17,10 @@ use std::future::Future;
 use std::io;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
+use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Sleep;
-use tokio_serial::{ErrorKind, SerialStream};
+use tokio_serial::{ErrorKind, SerialPort, SerialStream};
 
 /// So many bytes are read at once: what the system holds of a terminal.
 const CHUNK: usize = 4096;
@@ -50,6 +52,12 @@ pub struct SlcanAdapter {
     line: Option<Line>,
 }
 
+/// So many bytes may wait in the system before an adapter whose line is slower than the bus: what is urgent
+/// waits behind them.
+const HELD_MAX: u32 = 128;
+/// How soon it is looked again whether they have gone.
+const LOOK: Duration = Duration::from_millis(1);
+
 /// A port that is open, and what is known of the adapter there.
 struct Line {
     port: SerialStream,
@@ -62,6 +70,10 @@ struct Line {
     /// How many lines, and frames, had been refused when that was last looked at.
     refused: u64,
     timer: Option<(Instant, Pin<Box<Sleep>>)>,
+    /// Whether the system says how many bytes wait for the line.
+    counts: bool,
+    /// Until it is looked again.
+    look: Option<Pin<Box<Sleep>>>,
     /// When it is asked next how its bus is.
     question: Option<(Instant, Pin<Box<Sleep>>)>,
 }
@@ -120,6 +132,8 @@ impl CanPort for SlcanAdapter {
             outgoing: b"\r\r\r".iter().copied().collect(),
             refused: 0,
             timer: None,
+            counts: !is_usb_device(&self.config.path),
+            look: None,
             question: None,
         });
         Ok(())
@@ -145,6 +159,7 @@ impl CanPort for SlcanAdapter {
     ) -> Poll<io::Result<()>> {
         let Some(line) = &mut self.line else { return Poll::Ready(Err(unplugged())) };
         ready!(line.poll_flush(task))?;
+        ready!(line.poll_drained(task));
         match line.dialogue.takes(now) {
             Ok(()) => {}
             Err(Some(then)) => {
@@ -214,6 +229,22 @@ impl Line {
             }
         }
         Poll::Ready(Ok(()))
+    }
+
+    /// Ready when little waits in the system.
+    fn poll_drained(&mut self, task: &mut Context<'_>) -> Poll<()> {
+        loop {
+            if let Some(look) = &mut self.look {
+                ready!(look.as_mut().poll(task));
+                self.look = None;
+            }
+            // A port that cannot say shows by its errors soon enough what it is like.
+            let held = self.port.bytes_to_write().unwrap_or(0);
+            if !self.counts || held <= HELD_MAX {
+                return Poll::Ready(());
+            }
+            self.look = Some(Box::pin(tokio::time::sleep(LOOK)));
+        }
     }
 
     /// Reads what the port has.

@@ -34,7 +34,7 @@ pub struct LinkConfig {
     pub proof: u32,
     /// A link that loses more than this of a thousand hellos is degraded.
     pub degraded_loss_permille: u16,
-    /// A link whose round trip takes longer than this is degraded.
+    /// A link whose round trip takes longer than this, and than a hello interval, is degraded.
     pub degraded_round_trip: Duration,
 }
 

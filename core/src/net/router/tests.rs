@@ -410,6 +410,17 @@ fn a_second_node_of_our_name_is_told_once_and_an_earlier_life_of_ours_never() {
 }
 
 #[test]
+fn over_a_narrow_medium_news_is_repeated_ten_times_as_rarely() {
+    let told_within = |mtu| {
+        let mut router = router();
+        router.handle_link(FIRST, LinkStatus { mtu, ..up("left", 1) }, at(1000));
+        (1000..1900).map(|now| announced(&outputs(&mut router, now), FIRST).len()).sum::<usize>()
+    };
+
+    assert_eq!((told_within(1400), told_within(MTU_MIN)), (23, 3));
+}
+
+#[test]
 fn a_link_that_cannot_carry_an_advertisement_is_not_used() {
     let mut router = router();
     let narrow = LinkStatus { mtu: MTU_MIN - 1, ..up("left", 1) };

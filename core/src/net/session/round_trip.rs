@@ -114,4 +114,22 @@ mod tests {
         trip.progress();
         assert_eq!(trip.timeout(), 20 * MS);
     }
+    #[test]
+    fn on_a_narrow_path_no_small_message_shortens_it_and_its_doublings_last_until_a_measurement() {
+        let mut trip = RoundTrip::new(20 * MS, 500 * MS);
+        trip.change_path(true);
+        assert_eq!(trip.timeout(), 1000 * MS);
+        for _ in 0..100 {
+            trip.measure(30 * MS);
+        }
+        assert_eq!(trip.timeout(), 400 * MS);
+
+        trip.back_off();
+        trip.back_off();
+        assert_eq!(trip.timeout(), 1600 * MS);
+        trip.back_off();
+        assert_eq!(trip.timeout(), 2000 * MS, "never above the longest");
+        trip.measure(30 * MS);
+        assert_eq!(trip.timeout(), 400 * MS);
+    }
 }
