@@ -33,6 +33,9 @@ pub const RANGES_MAX: usize = 16;
 /// The most pieces of one thing: a message of a mebibyte in the smallest segments.
 pub const PIECES_MAX: u16 = 4096;
 
+/// The most bytes that say which piece it is.
+pub(crate) const PIECE_HEADER: usize = 4;
+
 /// The bytes that a data segment puts before its payload, acknowledgement and pieces apart.
 pub(crate) fn data_header(sequence: u64) -> usize {
     1 + 4 + varint_length(sequence)
