@@ -541,6 +541,28 @@ fn a_large_best_effort_message_comes_whole_or_not_at_all() {
 }
 
 #[test]
+fn a_best_effort_message_of_too_many_pieces_is_refused_and_no_piece_is_larger_than_the_path() {
+    let mut pair = Pair::new();
+    pair.connect_over(85);
+    pair.take(1);
+    let limit = (85 - 28) * 4096;
+    let mut send = |bytes| {
+        let message = Bytes::from(vec![7; bytes]);
+        pair.ends[0].handle_send_newest(1, message, at(pair.now))
+    };
+
+    let refused = send(limit + 1).unwrap_err();
+    assert_eq!(refused.0, Why::TooLargeForSession { limit });
+    assert_eq!(refused.1.len(), limit + 1);
+
+    send(limit).unwrap();
+    pair.run(5);
+    assert!(pair.sent.iter().all(|(_, segment)| segment.encode().len() <= 85));
+    let message = Bytes::from(vec![7; limit]);
+    assert_eq!(pair.take(1), [SessionOutput::Newest { channel: 1, message }]);
+}
+
+#[test]
 fn a_message_larger_than_the_limit_is_refused_before_it_is_sent() {
     let mut pair = Pair::open();
     let limit = pair.ends[0].config.message_max;
