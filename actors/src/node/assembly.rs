@@ -584,7 +584,7 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
         let shown = window.send(Show::node(&node)).await.unwrap_or(Ok(()));
         shown.map_err(StartError::Shown)?;
     }
-    match keeper.send(StartRoot(root)).await {
+    match keeper.send(StartRoot(Box::new(root))).await {
         Ok(Ok(())) => Ok(node),
         Ok(Err(reason)) => Err(StartError::GaveUp { reason }),
         Err(_) => Err(StartError::GaveUp { reason: "the fault chain ended".into() }),

@@ -6,7 +6,6 @@
 //! ```
 
 use crate::chain::strategy::SafeOutputs;
-use crate::chain::supervisor::SupervisorChild;
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
@@ -39,7 +38,7 @@ pub enum NodeState {
 /// From the node: start the root. Answered once, when all children are at work or that has failed.
 #[derive(Message)]
 #[rtype(result = "Result<(), String>")]
-pub(super) struct StartRoot(pub(super) SupervisorChild);
+pub(super) struct StartRoot(pub(super) Box<dyn Child>);
 
 /// From the node: start the root once more, from safe rest. Answered likewise.
 #[derive(Message)]
@@ -47,10 +46,11 @@ pub(super) struct StartRoot(pub(super) SupervisorChild);
 pub(super) struct RestartRoot;
 
 /// Why the root was not started once more.
+#[derive(Debug, PartialEq, Eq)]
 pub(super) enum RestartRefused {
     /// The node is not at rest, but so.
     NotAtRest(NodeState),
-    /// It was told to stop while it waited for the last ones to end.
+    /// It was told to stop for good, before that or while it waited for the last ones to end.
     ShutDown,
     /// It came to rest again, for this reason.
     GaveUp(String),
@@ -80,7 +80,7 @@ pub(super) struct KeeperSetup {
 
 pub(super) struct Keeper {
     setup: KeeperSetup,
-    root: Option<SupervisorChild>,
+    root: Option<Box<dyn Child>>,
     /// The root's.
     life: Incarnation,
     phase: Phase,
@@ -164,7 +164,7 @@ impl Keeper {
         for ended in self.ended.drain(..) {
             let _ = ended.send(());
         }
-        if self.again {
+        if self.again && !self.closed {
             self.begin_again(context);
         }
     }
@@ -248,6 +248,8 @@ impl Handler<RestartRoot> for Keeper {
 
     fn handle(&mut self, _: RestartRoot, context: &mut Context<Self>) -> Self::Result {
         let refused = match self.state() {
+            // It is at rest until the last ones have ended; its threads end next.
+            _ if self.closed => Some(RestartRefused::ShutDown),
             NodeState::AtRest { .. } => None,
             state => Some(RestartRefused::NotAtRest(state)),
         };
@@ -280,8 +282,9 @@ impl Handler<ChildReport> for Keeper {
                 if self.state() == NodeState::Starting {
                     info!("the node runs");
                     self.setup.state.send_replace(NodeState::Running);
+                    // Whoever asks a node at rest waits for the next life, not for this one.
+                    self.tell_started(&Ok(()));
                 }
-                self.tell_started(&Ok(()));
             }
             ChildEvent::StartFailed { reason } | ChildEvent::Escalated { reason } => {
                 // The root has ended its children by itself.
@@ -322,5 +325,94 @@ impl Handler<Shutdown> for Keeper {
         self.ended.push(answer);
         self.end();
         Box::pin(async move { ended.await.unwrap_or(()) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::chain::scripted::{Answer, Script};
+    use blastema_core::ObjectName;
+    use blastema_doubles::{Probe, paused, settle};
+
+    /// A keeper whose root starts, ends or hangs as a script says.
+    struct Rig {
+        keeper: Addr<Keeper>,
+        script: Script,
+        state: watch::Receiver<NodeState>,
+        _nodes: Probe<NodeReported>,
+    }
+
+    impl Rig {
+        fn start(answers: &[(&str, Answer)]) -> Self {
+            let (state, seen) = watch::channel(NodeState::Starting);
+            let (script, nodes) = (Script::default(), Probe::<NodeReported>::start());
+            let setup = KeeperSetup {
+                node: NodeName::new("n").unwrap(),
+                incarnation: Incarnation(1),
+                state,
+                safe_outputs: SafeOutputs::new(None),
+                nodes: nodes.recipient(),
+            };
+            answers.iter().for_each(|(call, answer)| script.answer(call, &[*answer]));
+            let keeper = Keeper::new(setup).start();
+            keeper.do_send(StartRoot(script.child("root")));
+            Rig { keeper, script, state: seen, _nodes: nodes }
+        }
+
+        fn rest(&self) {
+            let node = NodeName::new("n").unwrap();
+            let fault = Fault::of_node(node, FaultKind::Panic, "why".into(), platform::now());
+            self.keeper.do_send(RestNode { fault, reason: "it panics".into() });
+        }
+
+        /// The root says so, of its first life.
+        fn says(&self, event: ChildEvent) {
+            let object = ObjectName::new("root").unwrap();
+            self.keeper.do_send(ChildReport { object, incarnation: Incarnation(1), event });
+        }
+    }
+
+    #[test]
+    fn a_node_that_is_told_to_stop_while_its_last_ones_end_is_not_started_once_more() {
+        paused(async {
+            let rig = Rig::start(&[("stop root", Answer::Hangs)]);
+            settle().await;
+            rig.rest();
+            let closed = tokio::task::spawn_local(rig.keeper.send(Shutdown));
+            settle().await;
+            assert!(matches!(*rig.state.borrow(), NodeState::AtRest { .. }), "one still ends");
+
+            let again = tokio::task::spawn_local(rig.keeper.send(RestartRoot));
+            settle().await;
+            rig.says(ChildEvent::Stopped);
+
+            closed.await.unwrap().unwrap();
+            assert_eq!(again.await.unwrap().unwrap(), Err(RestartRefused::ShutDown));
+            settle().await;
+            assert_eq!(rig.script.done(), ["start root", "stop root"]);
+            assert_eq!(*rig.state.borrow(), NodeState::Stopped);
+        });
+    }
+
+    #[test]
+    fn who_asks_for_the_next_life_is_not_told_of_the_one_before() {
+        paused(async {
+            let late = [("start root", Answer::Hangs), ("stop root", Answer::Hangs)];
+            let rig = Rig::start(&late);
+            settle().await;
+            rig.rest();
+            let again = tokio::task::spawn_local(rig.keeper.send(RestartRoot));
+            settle().await;
+
+            rig.says(ChildEvent::Started);
+            settle().await;
+
+            assert!(!again.is_finished(), "{:?}", rig.state.borrow());
+            rig.says(ChildEvent::Stopped);
+            assert_eq!(again.await.unwrap().unwrap(), Ok(()));
+            assert_eq!(rig.script.done(), ["start root", "stop root", "start root"]);
+            assert_eq!(*rig.state.borrow(), NodeState::Running);
+        });
     }
 }

@@ -1,18 +1,15 @@
 //! Comparing what all who carry a service were told of it.
 
+use super::peers::Spoken;
 use super::replica::ReplicaBody;
 use super::words::CompareTerms;
-use crate::desk::Desk;
 use crate::drive::Body;
 use crate::guardian;
 use crate::platform;
-use crate::registry::Port;
-use crate::reply::Answer;
 use actix::fut::wrap_future;
 use actix::prelude::*;
 use blastema_contract::reports::FaultMended;
-use blastema_core::{Contract, FaultKind, NodeName, Why};
-use std::sync::Arc;
+use blastema_core::{FaultKind, NodeName, Why};
 use std::time::Duration;
 
 /// How often it is looked who else has an object of the service's name. Shorter finds out sooner that two do
@@ -20,19 +17,6 @@ use std::time::Duration;
 const LOOK_AROUND: Duration = Duration::from_millis(500);
 /// How long another replica is given to say what it was told.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
-
-/// Another replica says what it was told, and asks.
-#[derive(Message)]
-#[rtype(result = "()")]
-pub(super) struct Compared(CompareTerms, Answer<CompareTerms>);
-
-/// Where others ask.
-pub(super) fn port(body: Recipient<Compared>) -> (&'static str, Port) {
-    let desk = Desk::<CompareTerms>(Arc::new(move |terms, answer| {
-        body.do_send(Compared(terms, answer));
-    }));
-    (CompareTerms::NAME, Port::of_desk(desk))
-}
 
 impl ReplicaBody {
     /// Looks who else carries the service, now and again.
@@ -76,14 +60,17 @@ impl ReplicaBody {
     }
 }
 
-impl Handler<Compared> for ReplicaBody {
+/// Another replica says what it was told, and asks.
+impl Handler<Spoken<CompareTerms>> for ReplicaBody {
     type Result = ();
 
-    fn handle(&mut self, Compared(theirs, answer): Compared, context: &mut Context<Self>) {
+    fn handle(&mut self, spoken: Spoken<CompareTerms>, context: &mut Context<Self>) {
+        let Spoken { by, message, answer } = spoken;
         answer.give(self.machine.terms().into());
-        if let Ok(from) = NodeName::new(&theirs.from) {
-            self.machine.handle_terms(&from, &theirs.terms, platform::now());
-            self.drive(context);
+        match by {
+            Some(from) => self.machine.handle_terms(&from, &message.terms, platform::now()),
+            None => self.machine.handle_forged(),
         }
+        self.drive(context);
     }
 }

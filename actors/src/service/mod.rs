@@ -13,6 +13,7 @@
 mod accord;
 mod caller;
 mod finder;
+mod peers;
 mod replica;
 mod roster;
 mod words;

@@ -1,9 +1,11 @@
 //! One replica of a service: the body of the machine in the core.
 
 use super::finder::Finder;
+use super::peers::{self, Spoken};
 use super::roster::Roster;
 use super::words::{
-    Answered, AskService, LoadState, ReplicaSays, RoleChanged, SaveState, Serving, Task, WhoServes,
+    Answered, AskService, CompareTerms, LoadState, ReplicaSays, RoleChanged, SaveState, Serving,
+    Task, WhoServes,
 };
 use crate::death_watch::{Down, Ending, Mourner};
 use crate::desk::Desk;
@@ -111,11 +113,7 @@ impl ReplicaBody {
         };
         let body = guardian.start(carried.body.clone(), arbiter, make);
         let mut ports = BTreeMap::new();
-        let (said, asked) = (body.clone().recipient::<Heard>(), body.clone().recipient::<Asked>());
-        let says = Desk::<ReplicaSays>(Arc::new(move |says, answer| {
-            said.do_send(Heard(says));
-            answer.give(());
-        }));
+        let asked = body.clone().recipient::<Asked>();
         let serve = Desk::<AskService>(Arc::new(move |ask, answer| {
             asked.do_send(Asked(ask, answer));
         }));
@@ -123,11 +121,10 @@ impl ReplicaBody {
         let who = Desk::<WhoServes>(Arc::new(move |question, answer| {
             wondered.do_send(Wondered(question, answer));
         }));
-        ports.insert(ReplicaSays::NAME, Port::of_desk(says));
+        ports.insert(ReplicaSays::NAME, peers::port::<ReplicaSays>(body.clone().recipient()));
         ports.insert(AskService::NAME, Port::of_desk(serve));
         ports.insert(WhoServes::NAME, Port::of_desk(who));
-        let (name, compare) = super::accord::port(body.clone().recipient());
-        ports.insert(name, compare);
+        ports.insert(CompareTerms::NAME, peers::port::<CompareTerms>(body.clone().recipient()));
         registry.claim(&carried.name, ports, Arc::new(Undying))?;
         let told = body.clone().recipient::<Died>();
         let tell = move |down: Down| {
@@ -416,18 +413,17 @@ impl Supervised for ReplicaBody {
 }
 
 /// Another replica says something.
-#[derive(Message)]
-#[rtype(result = "()")]
-struct Heard(ReplicaSays);
-
-impl Handler<Heard> for ReplicaBody {
+impl Handler<Spoken<ReplicaSays>> for ReplicaBody {
     type Result = ();
 
-    fn handle(&mut self, Heard(says): Heard, context: &mut Context<Self>) {
-        if let Ok(from) = NodeName::new(&says.from) {
-            self.machine.handle_message(&from, &says.message, platform::now());
-            self.drive(context);
+    fn handle(&mut self, spoken: Spoken<ReplicaSays>, context: &mut Context<Self>) {
+        let Spoken { by, message: says, answer } = spoken;
+        answer.give(());
+        match by {
+            Some(from) => self.machine.handle_message(&from, &says.message, platform::now()),
+            None => self.machine.handle_forged(),
         }
+        self.drive(context);
     }
 }
 

@@ -223,9 +223,14 @@ impl Replica {
         }
     }
 
-    /// Messages that were not understood.
+    /// Messages that were not understood, or not believed.
     pub fn refused(&self) -> u64 {
         self.refused
+    }
+
+    /// A message came from another node than it says.
+    pub fn handle_forged(&mut self) {
+        self.refused += 1;
     }
 
     /// The services that this one depends on are served: it may take over, if it still wants to.
