@@ -750,6 +750,15 @@ fn over_9600_baud(mtu: usize) -> u64 {
 }
 
 #[test]
+fn a_session_takes_a_path_for_narrow_by_its_frames_as_the_router_does() {
+    for mtu in [1_199, 1_200, 1_210, 1_211] {
+        let mut session = Session::new(config("left", 1, "right"), at(0));
+        session.handle_path(crate::net::topology::segment_limit(mtu), at(0));
+        assert_eq!(session.is_narrow(), mtu < 1_200, "frames of {mtu} bytes");
+    }
+}
+
+#[test]
 fn a_line_of_9600_baud_carries_everything_once_and_repeats_nothing() {
     assert_eq!(over_9600_baud(85), 0);
 }
