@@ -56,8 +56,8 @@ struct Own {
 enum Trouble {
     /// Somebody claims what must be refused.
     Refusals,
-    /// Somebody else has this name.
-    Taken(ObjectName),
+    /// Somebody else has this name, without which the component of this claim goes.
+    Taken(ObjectName, u64),
 }
 
 /// The body.
@@ -150,7 +150,7 @@ impl ClaimsBody {
     fn mend(&self, over: &Trouble) {
         let kind = match over {
             Trouble::Refusals => FaultKind::CheckFailed,
-            Trouble::Taken(_) => FaultKind::NameTaken,
+            Trouble::Taken(..) => FaultKind::NameTaken,
         };
         let same = |left: &&Trouble| std::mem::discriminant(*left) == std::mem::discriminant(over);
         if self.troubles.iter().any(|left| same(&left)) {
@@ -162,13 +162,20 @@ impl ClaimsBody {
         }
     }
 
+    fn end_trouble(&mut self, trouble: &Trouble) {
+        if self.troubles.end(trouble) {
+            self.mend(trouble);
+        }
+    }
+
     fn refused(&mut self, name: &ObjectName, refused: ClaimRefused) {
         warn!(%name, "a claim is refused: {refused}");
         let unattended = self.own.get(name).filter(|own| own.unattended);
-        if let Some(object) = unattended.map(|own| own.wanted.object.clone()) {
+        let without = unattended.map(|own| (own.wanted.object.clone(), own.number));
+        if let Some((object, number)) = without {
             let detail = format!("{object} goes without the name {name}: {refused}");
             self.declare(FaultKind::NameTaken, detail);
-            self.troubles.hold(Trouble::Taken(name.clone()));
+            self.troubles.hold(Trouble::Taken(name.clone(), number));
         }
         self.end(name, ClaimState::Refused(refused.into()));
     }
@@ -250,9 +257,8 @@ impl Body for ClaimsBody {
             ClaimsOutput::Granted { name, epoch } => {
                 info!(%name, epoch, "a name is ours");
                 self.tell(&name, ClaimState::Held { epoch });
-                let taken = Trouble::Taken(name);
-                if self.troubles.end(&taken) {
-                    self.mend(&taken);
+                if let Some(number) = self.own.get(&name).map(|own| own.number) {
+                    self.end_trouble(&Trouble::Taken(name, number));
                 }
             }
             ClaimsOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
@@ -272,7 +278,8 @@ impl Body for ClaimsBody {
                 );
                 self.declare(FaultKind::NameTaken, detail);
                 // Each of the two knows it now, and what becomes of it.
-                self.troubles.begin(Trouble::Taken(name.clone()), platform::now());
+                let number = self.own.get(&name).map_or(0, |own| own.number);
+                self.troubles.begin(Trouble::Taken(name.clone(), number), platform::now());
                 match stands_by {
                     true => self.tell(&name, ClaimState::StandsBy),
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
@@ -307,7 +314,7 @@ impl Handler<Wish> for ClaimsBody {
                             let object = wanted.object;
                             let detail = format!("{object} goes without a name: {held}");
                             self.declare(FaultKind::NameTaken, detail);
-                            self.troubles.hold(Trouble::Taken(held.name.clone()));
+                            self.troubles.hold(Trouble::Taken(held.name.clone(), number));
                         }
                         told.send_replace(ClaimState::Refused(held.into()));
                         return;
@@ -325,6 +332,8 @@ impl Handler<Wish> for ClaimsBody {
                     self.own.remove(&name);
                     self.machine.handle_withdrawn(&name);
                 }
+                // Also of one that was refused, and goes without.
+                self.end_trouble(&Trouble::Taken(name, number));
             }
         }
         self.drive(context);
@@ -411,6 +420,29 @@ mod tests {
             mended.expect_none_for(Duration::from_secs(100)).await;
             drop(claim);
             names.claim_unattended(wanted(), 99);
+            mended.expect_none_for(Duration::from_secs(100)).await;
+            names.withdraw(&wanted().name, 99);
+            // The next life of the one that was refused.
+            names.claim_unattended(wanted(), 98);
+
+            assert_eq!(mended.expect().await.kind, FaultKind::NameTaken);
+        });
+    }
+
+    #[test]
+    fn that_a_component_goes_without_its_name_is_over_when_it_is_removed() {
+        paused(async {
+            let mended = Probe::<FaultMended>::start();
+            let names = Names::default();
+            let setup = ClaimsSetup { mended: Some(mended.recipient()), ..setup(&names) };
+            let _ports = ClaimsBody::start(setup, &Guardian::default(), None);
+            let _claim = Claim::make(&names, wanted()).await.unwrap();
+            names.claim_unattended(wanted(), 98);
+            names.claim_unattended(wanted(), 99);
+
+            names.withdraw(&wanted().name, 98);
+            mended.expect_none_for(Duration::from_secs(100)).await;
+            names.withdraw(&wanted().name, 99);
 
             assert_eq!(mended.expect().await.kind, FaultKind::NameTaken);
         });

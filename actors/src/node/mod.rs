@@ -402,7 +402,7 @@ impl Node {
     }
 
     /// Everything that the node knows of itself now: table, threads, links, sessions, claims, actuators, faults. It
-    /// can be read at any time; a part that does not come within a second is left out.
+    /// can be read at any time; a part that does not come within a second is `None`.
     pub async fn picture(&self) -> Picture {
         Picture::of(self).await
     }

@@ -14,11 +14,12 @@ use serde_json::{Value, json};
 use std::future::Future;
 use std::time::Duration;
 
-/// How long a part of the picture is waited for. What does not come by then is left out, so that a node
-/// whose network hangs still shows the rest.
+/// How long the parts of the picture are waited for, all at once. What does not come by then is not known, so that a
+/// node whose network hangs still shows the rest.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Everything that a node knows of itself at one moment. From [`Node::picture`].
+/// Everything that a node knows of itself at one moment. From [`Node::picture`]. A part is `None` where whoever
+/// keeps it did not answer within a second: that there is nothing is an empty list.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Picture {
@@ -31,34 +32,41 @@ pub struct Picture {
     /// When this was seen, on the node's clock.
     pub seen_at: Instant,
     /// The monitor's table: components, supervisors, links, neighbours, objects of the middleware.
-    pub table: Vec<Row>,
+    pub table: Option<Vec<Row>>,
     /// The threads that components live on.
     pub threads: Vec<ThreadRow>,
     /// The links, in the order in which they were described.
-    pub links: Vec<LinkRow>,
+    pub links: Option<Vec<LinkRow>>,
     /// The sessions with other nodes.
-    pub sessions: Vec<SessionRow>,
+    pub sessions: Option<Vec<SessionRow>>,
     /// The names of the whole robot that are held, as far as this node knows.
     pub claims: Vec<ClaimRow>,
     /// The node's actuators, and who commands each.
     pub actuators: Vec<ActuatorRow>,
     /// The record of faults.
-    pub faults: Record,
+    pub faults: Option<Record>,
 }
 
 impl Picture {
     pub(super) async fn of(node: &Node) -> Self {
+        let (table, links, sessions, faults) = futures_util::future::join4(
+            in_time(node.table()),
+            in_time(node.links()),
+            in_time(node.sessions()),
+            in_time(node.faults()),
+        )
+        .await;
         Picture {
             node: node.name().clone(),
             incarnation: node.incarnation(),
             state: node.state(),
-            table: in_time(node.table()).await,
+            table,
             threads: node.threads(),
-            links: in_time(node.links()).await,
-            sessions: in_time(node.sessions()).await,
+            links,
+            sessions,
             claims: node.claims(),
             actuators: node.actuators(),
-            faults: in_time(node.faults()).await,
+            faults,
             seen_at: platform::now(),
         }
     }
@@ -72,26 +80,32 @@ impl Picture {
             NodeState::AtRest { reason } => ("at rest", Some(reason)),
             NodeState::Stopped => ("stopped", None),
         };
+        let faults = self.faults.as_ref();
+        let entry = |entry: &Entry| fault(entry, self.seen_at);
         let document = json!({
             "node": self.node.as_str(),
             "incarnation": self.incarnation.0,
             "state": state,
             "reason": reason,
-            "table": self.table.iter().map(object).collect::<Vec<_>>(),
-            "threads": self.threads.iter().map(thread).collect::<Vec<_>>(),
-            "links": self.links.iter().map(link).collect::<Vec<_>>(),
-            "sessions": self.sessions.iter().map(session).collect::<Vec<_>>(),
-            "claims": self.claims.iter().map(claim).collect::<Vec<_>>(),
-            "actuators": self.actuators.iter().map(actuator).collect::<Vec<_>>(),
-            "faults": self.faults.entries.iter().map(|entry| fault(entry, self.seen_at)).collect::<Vec<_>>(),
-            "faults_dropped": self.faults.dropped,
+            "table": self.table.as_deref().map(|rows| rows_of(rows, object)),
+            "threads": rows_of(&self.threads, thread),
+            "links": self.links.as_deref().map(|rows| rows_of(rows, link)),
+            "sessions": self.sessions.as_deref().map(|rows| rows_of(rows, session)),
+            "claims": rows_of(&self.claims, claim),
+            "actuators": rows_of(&self.actuators, actuator),
+            "faults": faults.map(|record| rows_of(&record.entries, entry)),
+            "faults_dropped": faults.map(|record| record.dropped),
         });
         document.to_string()
     }
 }
 
-async fn in_time<T: Default>(part: impl Future<Output = T>) -> T {
-    tokio::time::timeout(PATIENCE, part).await.unwrap_or_default()
+async fn in_time<T>(part: impl Future<Output = T>) -> Option<T> {
+    tokio::time::timeout(PATIENCE, part).await.ok()
+}
+
+fn rows_of<T>(rows: &[T], row: impl Fn(&T) -> Value) -> Vec<Value> {
+    rows.iter().map(row).collect()
 }
 
 fn millis(span: impl Into<Option<Duration>>) -> Option<f64> {
@@ -236,4 +250,39 @@ fn fault(entry: &Entry, now: Instant) -> Value {
         "reason": reason,
         "recovered_after_ms": millis(entry.recovered_after()),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_doubles::paused;
+    use std::future;
+
+    #[test]
+    fn a_part_that_does_not_answer_is_not_known_and_one_that_is_empty_is() {
+        paused(async {
+            let picture = Picture {
+                node: NodeName::new("n").unwrap(),
+                incarnation: Incarnation(1),
+                state: NodeState::Running,
+                seen_at: Instant::ORIGIN,
+                table: in_time(future::ready(Vec::new())).await,
+                threads: Vec::new(),
+                links: in_time(future::ready(Vec::new())).await,
+                sessions: in_time(future::pending()).await,
+                claims: Vec::new(),
+                actuators: Vec::new(),
+                faults: in_time(future::pending()).await,
+            };
+
+            let seen: Value = serde_json::from_str(&picture.to_json()).unwrap();
+
+            for silent in ["sessions", "faults", "faults_dropped"] {
+                assert_eq!(seen.get(silent), Some(&Value::Null), "{silent}");
+            }
+            for empty in ["table", "links", "threads"] {
+                assert_eq!(seen[empty], json!([]), "{empty}");
+            }
+        });
+    }
 }

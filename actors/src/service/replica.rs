@@ -281,7 +281,7 @@ impl ReplicaBody {
         let config = &self.carried.config;
         let primary = self.roster.primary(&self.carried.name, &config.own);
         let primary = primary.map(|node| node.to_string());
-        let disputed = self.machine.dispute();
+        let disputed = self.machine.dispute().map(str::to_owned);
         let known = disputed.is_some() || primary.is_some() && primary != question.besides;
         if !known && self.wondering.len() >= WONDERING_MAX {
             // Those whose deadline has passed.

@@ -111,7 +111,8 @@ impl Neighbourhood {
     }
 
     /// The router reports how a node is. The same condition again is no news, a newer life is. What is
-    /// heard of a life that has left, is none. Answers an error for the end of a life that is over.
+    /// heard of a life that has left, is none. Answers an error for the end of a life that is over, and for
+    /// the rest of another one than is there.
     pub(super) fn handle_node(
         &mut self,
         node: NodeName,
@@ -124,7 +125,7 @@ impl Neighbourhood {
             return Ok(self.handle_conduct(node, condition));
         }
         if let AtRest { .. } | AtWork = condition {
-            return Ok(self.handle_rest(node, incarnation, condition, now));
+            return self.handle_rest(node, incarnation, condition, now);
         }
         let before = self.nodes.get(&node);
         // Which life is there, those say who can reach it, whatever its number: the clock that numbers
@@ -199,7 +200,7 @@ impl Neighbourhood {
         incarnation: Incarnation,
         condition: NodeCondition,
         now: Instant,
-    ) -> Option<News> {
+    ) -> Result<Option<News>, Incarnation> {
         let rest = match &condition {
             NodeCondition::AtRest { reason } => Some(reason.clone()),
             _ => None,
@@ -211,10 +212,14 @@ impl Neighbourhood {
             last_sign: Some(now),
             ..NodeSeen::unmet()
         });
+        // The last word of a life may come after the first sign of the next, which nobody would ever clear of it.
+        if seen.incarnation != incarnation && seen.incarnation != Incarnation::default() {
+            return Err(seen.incarnation);
+        }
         let is_news = rest.is_some() != seen.rest.is_some();
         seen.rest = rest;
         let finding = Finding::Node(condition);
-        is_news.then_some(News { place: Place::Node(node), incarnation, finding })
+        Ok(is_news.then_some(News { place: Place::Node(node), incarnation, finding }))
     }
 
     /// Links, then nodes.
@@ -414,6 +419,29 @@ mod tests {
         assert_eq!(told(6, rest()), (true, true));
         assert_eq!(told(6, Left), (true, true), "it has left");
         assert_eq!(told(7, Reachable), (true, false));
+    }
+
+    #[test]
+    fn that_a_life_rests_which_another_one_has_followed_is_no_news() {
+        use NodeCondition::{AtRest, AtWork, Lost, Reachable};
+        let mut around = Neighbourhood::default();
+        let mut told = |life: u64, condition: NodeCondition| {
+            let news = around.handle_node(node("b"), Incarnation(life), condition, at(1));
+            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
+            (news.map(|news| news.is_some()), rests)
+        };
+        let rest = || AtRest { reason: "it panics".into() };
+
+        // Of a life that nobody knows yet.
+        assert_eq!(told(0, Lost { reason: "no path".into() }), (Ok(true), false));
+        assert_eq!(told(5, rest()), (Ok(true), false));
+        assert_eq!(told(5, AtWork), (Ok(true), false));
+        assert_eq!(told(5, Reachable), (Ok(true), false));
+        assert_eq!(told(6, Reachable), (Ok(true), false));
+
+        assert_eq!(told(5, rest()), (Err(Incarnation(6)), false));
+        assert_eq!(told(6, rest()), (Ok(true), true));
+        assert_eq!(told(5, AtWork), (Err(Incarnation(6)), true));
     }
 
     #[test]

@@ -223,7 +223,7 @@ impl Replica {
         }
     }
 
-    /// Messages that were not understood, or not believed.
+    /// Messages that were not understood, not believed, or not kept for want of room.
     pub fn refused(&self) -> u64 {
         self.refused
     }
@@ -247,7 +247,7 @@ impl Replica {
         let ServiceRequest { caller, id, settled, until, request } = asked;
         self.handle_timeout(now);
         if let Some(difference) = self.dispute() {
-            let why = Why::ContractDiffers { difference };
+            let why = Why::ContractDiffers { difference: difference.to_owned() };
             return self.answer(caller, ServiceOutcome::Refused(why));
         }
         if self.table.is_settled(id) {

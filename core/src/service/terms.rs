@@ -10,6 +10,9 @@ use std::time::Duration;
 /// The most bytes of terms: a service on a thousand nodes with names of the greatest length.
 pub(super) const TERMS_MAX: usize = 48 * 1024;
 
+/// The most nodes of a list that are shown: as many as a person compares at a glance, and few enough for a fault's text.
+const SHOWN: usize = 8;
+
 /// On what the safety of an election rests. Members who count majorities of other lists, or leases of other
 /// lengths, may each elect somebody.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -56,8 +59,12 @@ impl Terms {
                 );
             };
         if self.members != theirs.members {
-            let (here, there) = (Quoted(&self.members), Quoted(&theirs.members));
-            let all = Quoted(&self.union(theirs));
+            let (one, other) = (&self.members, &theirs.members);
+            // Of long lists, from where they part.
+            let from = one.iter().zip(other).take_while(|(one, other)| one == other).count();
+            let (here, there) = (Quoted::from(one, from), Quoted::from(other, from));
+            let union = self.union(theirs);
+            let all = Quoted::from(&union, from);
             differ("its nodes are", &here, &there, &format!("the same list, such as {all:?},"));
         }
         if self.kind != theirs.kind {
@@ -88,12 +95,32 @@ impl Terms {
     }
 }
 
-/// Names as they are written in a program.
-struct Quoted<'a>(&'a [NodeName]);
+/// Names as they are written in a program; of many, these and how many more.
+struct Quoted<'a> {
+    before: usize,
+    shown: &'a [NodeName],
+    after: usize,
+}
+
+impl<'a> Quoted<'a> {
+    fn from(names: &'a [NodeName], from: usize) -> Self {
+        let before = from.min(names.len().saturating_sub(SHOWN));
+        let shown = &names[before..names.len().min(before + SHOWN)];
+        Quoted { before, shown, after: names.len() - before - shown.len() }
+    }
+}
 
 impl fmt::Debug for Quoted<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_list().entries(self.0.iter().map(NodeName::as_str)).finish()
+        let mut list = f.debug_list();
+        if self.before > 0 {
+            list.entry(&format_args!("{} more", self.before));
+        }
+        list.entries(self.shown.iter().map(NodeName::as_str));
+        if self.after > 0 {
+            list.entry(&format_args!("{} more", self.after));
+        }
+        list.finish()
     }
 }
 
@@ -130,6 +157,22 @@ mod tests {
         let text = ours.difference(&n2, &both);
         assert_eq!(text.matches("; ").count(), 3, "{text}");
         assert!(text.contains("every 50ms here and 0ns on n2"), "{text}");
+    }
+
+    #[test]
+    fn of_long_lists_it_is_shown_where_they_part() {
+        let names: Vec<_> = (0..1000).map(|n| format!("n{n}")).collect();
+        let ours: Vec<_> = names.iter().map(String::as_str).collect();
+        let without: Vec<_> = ours.iter().copied().filter(|name| *name != "n500").collect();
+        let n2 = NodeName::new("n2").unwrap();
+
+        let text = terms(&ours).difference(&n2, &terms(&without));
+
+        assert!(text.contains("[500 more, \"n500\", \"n501\","), "{text}");
+        assert!(text.contains("\"n507\", 492 more] here and [500 more, \"n501\","), "{text}");
+        assert!(text.len() < 512, "{text}");
+        let text = terms(&ours[..10]).difference(&n2, &terms(&ours));
+        assert!(text.contains("[2 more, \"n2\",") && text.contains("[10 more, \"n10\","), "{text}");
     }
 
     #[test]

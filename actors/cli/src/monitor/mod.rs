@@ -9,7 +9,7 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// A node is given so long to show itself: it waits for its own parts for a few seconds at most.
+/// A node is given so long to show itself: it waits for its own parts for a second at most.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// The longest picture that is read: that of ten thousand components takes a third of it.
 const LONGEST: u64 = 16 << 20;

@@ -127,7 +127,7 @@ const TABLES: [(&str, &str, &[Column]); 7] = [
 const WIDEST: usize = 60;
 
 /// The picture as lines of text. What it does not know stands as a dash; tables that are empty are left
-/// out.
+/// out, and those of which the node did not hear in time say so.
 pub(crate) fn draw(picture: &Value) -> String {
     let mut text = format!("{} {}", cell("", &picture["node"]), cell("", &picture["state"]));
     if let Some(reason) = picture["reason"].as_str() {
@@ -135,6 +135,9 @@ pub(crate) fn draw(picture: &Value) -> String {
     }
     text.push('\n');
     for (title, name, columns) in TABLES {
+        if picture.get(name).is_some_and(Value::is_null) {
+            let _ = write!(text, "\n{title}: not answered\n");
+        }
         let rows = picture[name].as_array().map(Vec::as_slice).unwrap_or_default();
         if !rows.is_empty() {
             let _ = write!(text, "\n{title}\n");
@@ -205,6 +208,7 @@ mod tests {
                 { "name": "base", "node": null, "object": "b", "epoch": 12, "age_ms": 61000.0 },
             ],
             "threads": [],
+            "faults": null,
         });
 
         let text = "\
@@ -214,6 +218,8 @@ claimed names
   name  node     object  epoch  known for
   map   module1  slam    7      0.25 ms
   base  -        b       12     61.0 s
+
+faults: not answered
 ";
         assert_eq!(draw(&picture), text);
     }

@@ -27,8 +27,13 @@ const ASK_AGAIN: Duration = Duration::from_millis(500);
 /// And one that has answered, and differs: another life of it says by itself what it was told. Shorter
 /// notices sooner that it has left, and loads slow lines.
 const LOOK_AGAIN: Duration = Duration::from_secs(5);
-/// The most others of whom it is remembered what they say: far more than carry one service.
+/// The most others, beside the members, of whom it is remembered what they say: far more than carry one service.
 const KNOWN_MAX: usize = 1024;
+/// The most bytes of what is remembered of one: the whole of what differs, unless names are very long.
+const TEXT_MAX: usize = 1024;
+/// The most others that are named: what is written for the first ones is wanted of all, and callers on other nodes are told in
+/// one small message.
+const NAMED_MAX: usize = 8;
 
 /// What is known of the others that carry the service.
 #[derive(Clone, Debug)]
@@ -36,6 +41,8 @@ pub(super) struct Accord {
     terms: Terms,
     fingerprint: u64,
     known: BTreeMap<NodeName, Known>,
+    /// What the others were told otherwise; whoever asks for the service is told.
+    dispute: Option<String>,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -59,7 +66,7 @@ enum Opinion {
 impl Accord {
     pub(super) fn new(config: &ReplicaConfig) -> Self {
         let terms = Terms::of(config);
-        Accord { fingerprint: terms.fingerprint(), terms, known: BTreeMap::new() }
+        Accord { fingerprint: terms.fingerprint(), terms, known: BTreeMap::new(), dispute: None }
     }
 
     /// What this replica was told, behind everything that it says to others.
@@ -74,11 +81,28 @@ impl Accord {
         Some((message, u64::from_le_bytes(*signed) == self.fingerprint))
     }
 
-    fn differences(&self) -> impl Iterator<Item = &str> {
-        self.known.values().filter_map(|known| match &known.opinion {
-            Opinion::Differs(text) => Some(text.as_str()),
-            Opinion::Unheard | Opinion::Agrees | Opinion::Absent { .. } => None,
-        })
+    /// What differs: first of members, who are sure to be meant.
+    fn differences(&self) -> Vec<&str> {
+        let (mut members, mut others) = (Vec::new(), Vec::new());
+        for (node, known) in &self.known {
+            if let Opinion::Differs(text) = &known.opinion {
+                let texts = if self.terms.list(node) { &mut members } else { &mut others };
+                texts.push(text.as_str());
+            }
+        }
+        members.append(&mut others);
+        members
+    }
+
+    /// Writes down what is disputed now.
+    fn note_dispute(&mut self) {
+        let differences = self.differences();
+        self.dispute = (!differences.is_empty()).then(|| {
+            format!(
+                "not all nodes were told the same of it, and it is not served until they are: {}",
+                some_of(&differences, "; ")
+            )
+        });
     }
 
     /// Somebody is to be told of this one.
@@ -100,20 +124,41 @@ impl Accord {
             format!(
                 "listed, but without this service: {}; give it there too, or leave it out of all lists: \
                  so it counts as one that has failed",
-                absent.join(", ")
+                some_of(&absent, ", ")
             )
         })
     }
 
     pub(super) fn is_disputed(&self) -> bool {
-        self.differences().next().is_some()
+        self.dispute.is_some()
     }
 
     /// What is known of this one, unless that would be one too many.
     fn known(&mut self, node: &NodeName) -> Option<&mut Known> {
-        let room = self.known.len() < KNOWN_MAX || self.known.contains_key(node);
+        // The members are in one message of terms: not more than fit there.
+        let room =
+            self.known.len() < KNOWN_MAX || self.known.contains_key(node) || self.terms.list(node);
         room.then(|| self.known.entry(node.clone()).or_default())
     }
+}
+
+/// The first ones, and how many more there are.
+fn some_of(texts: &[&str], separator: &str) -> String {
+    let named = texts[..texts.len().min(NAMED_MAX)].join(separator);
+    match texts.len().saturating_sub(NAMED_MAX) {
+        0 => named,
+        more => format!("{named}{separator}and {more} more"),
+    }
+}
+
+/// As much of it as is remembered.
+fn cut(mut text: String) -> String {
+    if text.len() > TEXT_MAX {
+        let end = (0..=TEXT_MAX).rev().find(|end| text.is_char_boundary(*end));
+        text.truncate(end.unwrap_or(0));
+        text.push('…');
+    }
+    text
 }
 
 impl Replica {
@@ -123,14 +168,8 @@ impl Replica {
     }
 
     /// What others were told otherwise, and what is to be written; nobody is served meanwhile.
-    pub fn dispute(&self) -> Option<String> {
-        let differences: Vec<_> = self.accord.differences().collect();
-        (!differences.is_empty()).then(|| {
-            format!(
-                "not all nodes were told the same of it, and it is not served until they are: {}",
-                differences.join("; ")
-            )
-        })
+    pub fn dispute(&self) -> Option<&str> {
+        self.accord.dispute.as_deref()
     }
 
     /// These other nodes have an object of the service's name. To be told several times a second.
@@ -156,7 +195,7 @@ impl Replica {
         };
         let opinion = match self.accord.terms.difference(from, &theirs) {
             same if same.is_empty() => Opinion::Agrees,
-            text => Opinion::Differs(text),
+            text => Opinion::Differs(cut(text)),
         };
         self.note_opinion(from, opinion, now);
     }
@@ -211,10 +250,15 @@ impl Replica {
     }
 
     fn note_opinion(&mut self, of: &NodeName, opinion: Opinion, now: Instant) {
-        let Some(known) = self.accord.known(of).filter(|known| known.opinion != opinion) else {
+        let Some(known) = self.accord.known(of) else {
+            self.refused += 1;
             return;
         };
+        if known.opinion == opinion {
+            return;
+        }
         let before = std::mem::replace(&mut known.opinion, opinion.clone());
+        self.accord.note_dispute();
         match (self.accord.is_wrong(of, &before), self.accord.is_wrong(of, &opinion)) {
             (false, false) => return,
             // One more is more of the same.
@@ -230,7 +274,8 @@ impl Replica {
     }
 
     fn tell_dispute(&mut self) {
-        let wrong: Vec<_> = self.dispute().into_iter().chain(self.accord.absent()).collect();
+        let dispute = self.dispute().map(str::to_owned);
+        let wrong: Vec<_> = dispute.into_iter().chain(self.accord.absent()).collect();
         if !wrong.is_empty() {
             self.outputs.push_back(ReplicaOutput::Disputed { detail: wrong.join("; ") });
         }

@@ -257,3 +257,27 @@ fn a_member_that_does_not_carry_the_service_is_told_and_keeps_nobody_from_servin
     robot.settle(0);
     assert_eq!(robot.disputing(), [0; 0]);
 }
+
+#[test]
+fn however_many_say_however_much_a_caller_is_told_in_one_small_message_and_of_members_first() {
+    let mut robot = Robot::new(1, 3, StandbyKind::Warm, OnPartition::Stop);
+    let long = |n: usize| NodeName::new(&format!("a{n:-<30}")).unwrap();
+    let config = ReplicaConfig { members: (0..900).map(long).collect(), ..robot.config(1) };
+    let terms = Replica::new(config, Bytes::new(), robot.now).terms();
+    let own = &mut robot.members[0].as_mut().unwrap().replica;
+    let now = Instant::from_millis(1);
+    for stranger in 0..2000 {
+        own.handle_terms(&long(stranger), &terms, now);
+    }
+    let refused = own.refused();
+    assert!(refused > 900, "not all are kept: {refused}");
+
+    own.handle_terms(&node(2), &terms, now);
+
+    let told = own.dispute().unwrap();
+    assert!(told.len() < 10_000, "{} bytes", told.len());
+    let first = told.find(&format!("on {}:", node(2)));
+    assert!(first.is_some() && first < told.find("on a"), "{told}");
+    assert!(told.contains("; and ") && told.ends_with(" more"), "{told}");
+    assert_eq!(own.refused(), refused, "there is room for members");
+}
