@@ -446,7 +446,7 @@ impl Replica {
         let Some(job) = self.next_job() else { return };
         self.outputs.push_back(match &job {
             Job::Serve { request, .. } => {
-                let save = self.config.kind == StandbyKind::Warm && self.config.members.len() > 1;
+                let save = self.config.kind == StandbyKind::Warm;
                 ReplicaOutput::Execute { request: request.clone(), save }
             }
             Job::Replay { request } => {

@@ -156,6 +156,10 @@ impl Replica {
         if now < until && self.config.members.len() > 1 {
             return Some(until);
         }
+        // What a replica keeps for its component is there however long that rests.
+        if gone && self.config.kind == StandbyKind::Warm {
+            return Some(now + self.config.patience());
+        }
         self.position = Position::default();
         self.table.clear();
         self.state = None;

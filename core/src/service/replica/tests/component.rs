@@ -237,3 +237,34 @@ fn who_resigned_long_ago_or_never_served_releases_nobody() {
     robot.advance_ms(100);
     assert_eq!(robot.primaries(), [0]);
 }
+
+#[test]
+fn a_warm_service_goes_on_where_it_was_however_long_all_of_its_members_rested() {
+    for members in [1, 3] {
+        let mut robot = Robot::new(4, members, StandbyKind::Warm, OnPartition::Stop);
+        robot.advance_ms(100);
+        robot.ask_some(3);
+
+        (0..members).for_each(|member| robot.rest(member, true));
+        robot.advance(Duration::from_secs(60));
+        (0..members).for_each(|member| robot.rest(member, false));
+        robot.advance(Duration::from_secs(2));
+        robot.ask();
+        robot.advance_ms(500);
+
+        assert_eq!(robot.answers().last(), Some(&Some(4)), "{members} members");
+    }
+}
+
+#[test]
+fn the_only_member_of_a_warm_service_gives_its_next_life_the_last_state() {
+    let mut robot = Robot::new(4, 1, StandbyKind::Warm, OnPartition::Stop);
+    robot.advance_ms(100);
+    robot.ask_some(3);
+
+    robot.lose(0);
+    robot.ask_some(1);
+    robot.advance_ms(500);
+
+    robot.assert_nothing_is_lost("in its second life");
+}
