@@ -2,7 +2,7 @@
 
 use crate::layout::{Described, Layout};
 use bytes::Bytes;
-use serde::de::{Deserialize, Deserializer, Error, Visitor};
+use serde::de::{Deserialize, Deserializer, Error, SeqAccess, Visitor};
 use serde::ser::{Serialize, Serializer};
 use std::cell::Cell;
 use std::fmt;
@@ -10,8 +10,8 @@ use std::ops::Deref;
 
 /// Many bytes in a message: an image, a point cloud, a map.
 ///
-/// On the wire, and in a contract's structure, it is what a `Vec<u8>` is: one side may declare the one, the
-/// other side the other. A clone costs a counter. What comes from another node is a part of the message as
+/// In a message between nodes, and in a contract's structure, it is what a `Vec<u8>` is: one side may declare
+/// the one, the other side the other. A clone costs a counter. What comes from another node is a part of the message as
 /// it arrived, which stays in memory as long as any of its blobs: whoever keeps a few bytes of a large
 /// message copies them.
 ///
@@ -128,7 +128,7 @@ impl<'de> Deserialize<'de> for Blob {
 
 struct Shared;
 
-impl Visitor<'_> for Shared {
+impl<'de> Visitor<'de> for Shared {
     type Value = Blob;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -140,6 +140,15 @@ impl Visitor<'_> for Shared {
     }
 
     fn visit_byte_buf<E: Error>(self, bytes: Vec<u8>) -> Result<Blob, E> {
+        Ok(bytes.into())
+    }
+
+    /// Formats without bytes write numbers, such as JSON.
+    fn visit_seq<A: SeqAccess<'de>>(self, mut numbers: A) -> Result<Blob, A::Error> {
+        let mut bytes = Vec::new();
+        while let Some(byte) = numbers.next_element()? {
+            bytes.push(byte);
+        }
         Ok(bytes.into())
     }
 }

@@ -35,7 +35,7 @@ pub enum DependencyError {
 
 fn shown(way: &[ObjectName]) -> String {
     let names: Vec<&str> = way.iter().map(ObjectName::as_str).collect();
-    format!("{} depends on itself, {}", names[0], names.join(" -> "))
+    format!("{} depends on itself, {}", names.first().unwrap_or(&"it"), names.join(" -> "))
 }
 
 /// The dependencies of a node's objects.

@@ -47,7 +47,7 @@ impl Default for RetryRule {
 /// An attempt that was in vain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Attempt<'a> {
-    /// The how manyth it was, from 1.
+    /// Which it was, from 1.
     pub asked: u32,
     /// What stood in the way.
     pub why: &'a Why,

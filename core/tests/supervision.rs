@@ -143,6 +143,9 @@ impl World {
                 }
                 SupervisorAction::AllStopped => assert!(self.lives.is_empty()),
                 SupervisorAction::AllStarted => self.all_started = true,
+                SupervisorAction::GiveUp { .. } => {
+                    assert!(!self.escalated, "it is said before all else");
+                }
                 SupervisorAction::Reset { .. }
                 | SupervisorAction::Isolate { .. }
                 | SupervisorAction::Overdue { .. }

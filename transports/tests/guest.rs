@@ -17,7 +17,7 @@ use blastema_core::can::{
 use blastema_core::{Instant, Machine};
 use blastema_doubles::{Probe, now};
 use blastema_transports::{
-    CanBus, CanConfig, FrameMedium, FrameTransport, Rs485, SerialConfig, SerialLine,
+    CanBus, CanConfig, FrameMedium, FrameTransport, Rs485, SerialConfig, SerialLine, Turning,
 };
 use bytes::Bytes;
 use socketcan::{
@@ -227,7 +227,7 @@ fn a_usb_device_without_a_line_is_not_held_to_the_speed_that_was_set() {
 fn a_driver_of_a_real_port_that_cannot_turn_rs485_says_so() {
     in_real_time(async {
         let mut config = SerialConfig::new("/dev/ttyS1");
-        config.rs485 = Some(Rs485::default());
+        config.rs485 = Turning::Driver(Rs485::default());
         let reason = End::new(SerialLine::new(config, now)).closed().await;
         assert!(reason.contains("does not turn the line"), "{reason}");
     });

@@ -8,7 +8,7 @@ use blastema_contract::transport::{
 use blastema_doubles::{PATIENCE, Probe, advance, now, paused};
 use blastema_ptys::Cable;
 use blastema_transports::serial::framing::encode;
-use blastema_transports::{FrameTransport, Rs485, SerialConfig, SerialLine};
+use blastema_transports::{FrameTransport, Rs485, SerialConfig, SerialLine, Turning};
 use std::future::Future;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -134,13 +134,30 @@ fn a_driver_that_cannot_turn_the_line_is_named_with_what_helps() {
     run(async {
         let cable = Cable::new();
         let mut config = SerialConfig::new(cable.left());
-        config.rs485 = Some(Rs485::default());
+        config.rs485 = Turning::Driver(Rs485::default());
 
         let reason = Node::with(config).closed().await;
 
         assert!(reason.contains("left cannot be opened"), "{reason}");
         assert!(reason.contains("does not turn the line of RS-485"), "{reason}");
         assert!(reason.contains("use an adapter that turns by itself"), "{reason}");
+    });
+}
+
+#[test]
+fn a_driver_is_told_no_part_of_a_millisecond_and_one_that_turns_no_line_need_not_stop() {
+    run(async {
+        let cable = Cable::new();
+        let mut how = Rs485::default();
+        how.before = Duration::from_micros(1_500);
+        let mut config = SerialConfig::new(cable.left());
+        config.rs485 = Turning::Driver(how);
+        let reason = Node::with(config).closed().await;
+        assert!(reason.contains("in whole milliseconds"), "{reason}");
+
+        let mut config = SerialConfig::new(cable.left());
+        config.rs485 = Turning::Off;
+        Node::with(config).opened().await;
     });
 }
 

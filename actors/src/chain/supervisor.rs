@@ -160,6 +160,12 @@ impl Supervisor {
         self.monitor.do_send(FaultDeclared { object, incarnation, kind, detail });
     }
 
+    fn declare_storm(&self, reason: &str) {
+        error!(supervisor = %self.name, reason, "restarts are not worth it any more");
+        let (name, incarnation) = (self.name.clone(), self.machine.incarnation());
+        self.declare(name, incarnation, FaultKind::RestartStorm, reason.to_owned());
+    }
+
     /// No life follows for any child: what waits for one is given back, also where none was left that
     /// could have been stopped.
     fn retire_all(&mut self) {
@@ -258,12 +264,15 @@ impl Body for Supervisor {
                 self.children.remove(&child);
                 self.directory.remove(&child);
             }
+            SupervisorAction::GiveUp { reason } => {
+                self.declare_storm(&reason);
+                self.tell_parent(ChildEvent::GivesUp { reason });
+            }
             SupervisorAction::Escalate { reason } => {
-                error!(supervisor = %self.name, reason, "restarts are not worth it any more");
-                let (name, incarnation) = (self.name.clone(), self.machine.incarnation());
-                self.declare(name, incarnation, FaultKind::RestartStorm, reason.clone());
                 if self.machine.rules().root {
                     self.retire_all();
+                } else {
+                    self.declare_storm(&reason);
                 }
                 self.tell_parent(ChildEvent::Escalated { reason });
             }
@@ -382,6 +391,8 @@ impl Handler<ChildReport> for Supervisor {
             ChildEvent::Died { exit, restarted_as } => {
                 machine.handle_died(&object, incarnation, in_order(&exit), restarted_as, now);
             }
+            // Said by a root, which has no supervisor.
+            ChildEvent::GivesUp { .. } => {}
             ChildEvent::Escalated { reason } => {
                 machine.handle_escalated(&object, incarnation, reason, now);
             }

@@ -19,7 +19,8 @@ use blastema_core::{
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::{Relaxed, SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 use tracing::{error, info, warn};
@@ -73,6 +74,8 @@ pub(crate) struct Yard {
     /// As many as its components declare.
     actuators: Arc<Mutex<Actuators>>,
     timekeeper: Arc<OnceLock<Recipient<Look>>>,
+    /// The node is at safe rest: nobody commands.
+    rests: Arc<AtomicBool>,
 }
 
 impl Yard {
@@ -128,6 +131,27 @@ impl Yard {
         drop(gone);
     }
 
+    /// The node comes to rest: every lease ends now, and none is granted before it goes to work again.
+    pub(crate) fn rest(&self) {
+        self.rests.store(true, SeqCst);
+        let now = platform::now();
+        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
+        for actuator in all {
+            let mut lease = lock(&actuator.lease);
+            if let LeaseStanding::Held { epoch, .. } = lease.standing(now) {
+                lease.handle_release(epoch);
+            }
+            drop(lease);
+            self.carry_out(&actuator);
+        }
+        self.look();
+    }
+
+    /// The node goes to work again.
+    pub(crate) fn resume(&self) {
+        self.rests.store(false, SeqCst);
+    }
+
     /// All of them, and who commands each.
     pub(crate) fn rows(&self) -> Vec<ActuatorRow> {
         let now = platform::now();
@@ -166,6 +190,11 @@ impl Yard {
         }
         let now = platform::now();
         let mut lease = lock(&actuator.lease);
+        // Looked at under the lease's lock: who comes later finds that it has ended.
+        if self.rests.load(SeqCst) {
+            drop(lease);
+            return answer.give(Ordered::refused(&Why::Stopped));
+        }
         let done = match wish {
             Wish::Claim { commander, life } => {
                 let commander = CommanderId { name: commander, life: Incarnation(life) };

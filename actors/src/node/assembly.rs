@@ -19,6 +19,7 @@ use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
 use crate::host::environment::{HostEnvironment, KEPT_VARIABLES, Reports};
 use crate::host::spec::SpecError;
 use crate::host::watch::{self as lookout, WatchGuard};
+use crate::lease::Yard;
 use crate::net::claims::{ClaimsBody, ClaimsSetup};
 use crate::net::rest::{RestBody, RestSetup};
 use crate::net::{self, NetEnvironment, NetHandle};
@@ -143,6 +144,7 @@ struct Parts {
     state: watch::Receiver<NodeState>,
     directory: Directory,
     registry: Registry,
+    actuators: Yard,
 }
 
 fn named(name: &str) -> ObjectName {
@@ -184,13 +186,14 @@ fn make_chain(
     });
     guardian.report_to(monitor.clone().recipient());
 
-    let state = builder.state.subscribe();
+    let (state, actuators) = (builder.state.subscribe(), Yard::default());
     let safe_outputs = SafeOutputs::new(builder.safe_outputs.clone());
     let setup = KeeperSetup {
         node: node.clone(),
         incarnation,
         state: builder.state.clone(),
         safe_outputs: safe_outputs.clone(),
+        actuators: actuators.clone(),
         nodes: monitor.clone().recipient(),
     };
     let keeper =
@@ -246,7 +249,7 @@ fn make_chain(
         recoverer: recoverer.recipient(),
         router,
     };
-    Ok(Parts { guardian, chain, monitor, keeper, state, directory, registry })
+    Ok(Parts { guardian, chain, monitor, keeper, state, directory, registry, actuators })
 }
 
 /// The networks of a node that runs.
@@ -459,15 +462,15 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
         faults: Some(parts.monitor.clone().recipient()),
         mended: Some(parts.monitor.clone().recipient()),
     };
-    let registry = parts.registry.clone();
+    let (registry, actuators) = (parts.registry.clone(), parts.actuators.clone());
     // Its own objects may be named in full, with or without a network.
     registry.connect(node.clone(), None);
     let own = parts.chain.arbiter.iter().cloned().collect();
     let mut undone = Undone { arbiters: arbiters.clone(), own, kept: false };
     let plan = Arc::new(builder.plan);
     let fault_codes = Arc::new(plan.codes());
-    let environment =
-        HostEnvironment { registry, fault_codes, ..HostEnvironment::new(arbiters, reports) };
+    let general = HostEnvironment::new(arbiters, reports);
+    let environment = HostEnvironment { registry, fault_codes, actuators, ..general };
     let kept = builder.kept_in.is_some();
     if let Some(file) = builder.kept_in.take() {
         keep_variables(&environment, file)?;

@@ -7,6 +7,7 @@
 
 use crate::chain::strategy::SafeOutputs;
 use crate::guardian::answers_the_monitor;
+use crate::lease::Yard;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildReport};
@@ -74,6 +75,8 @@ pub(super) struct KeeperSetup {
     pub(super) incarnation: Incarnation,
     pub(super) state: watch::Sender<NodeState>,
     pub(super) safe_outputs: SafeOutputs,
+    /// Nobody commands at rest.
+    pub(super) actuators: Yard,
     /// Is told of this node as of others.
     pub(super) nodes: Recipient<NodeReported>,
 }
@@ -140,6 +143,7 @@ impl Keeper {
         info!("the node goes to work again");
         self.again = false;
         self.setup.safe_outputs.resume();
+        self.setup.actuators.resume();
         self.setup.state.send_replace(NodeState::Starting);
         self.tell_rest(None);
         self.begin(context);
@@ -200,6 +204,7 @@ impl Keeper {
         }
         error!(reason, "the node comes to safe rest");
         self.setup.safe_outputs.rest(fault);
+        self.setup.actuators.rest();
         self.tell_started(&Err(reason.clone()));
         self.tell_rest(Some(&reason));
         // Listeners see the reason before the last component has stopped.
@@ -286,8 +291,13 @@ impl Handler<ChildReport> for Keeper {
                     self.tell_started(&Ok(()));
                 }
             }
+            ChildEvent::GivesUp { reason } => {
+                // The root ends its children by itself.
+                self.phase = Phase::Ending;
+                self.rest(&self.storm(&reason), reason);
+            }
             ChildEvent::StartFailed { reason } | ChildEvent::Escalated { reason } => {
-                // The root has ended its children by itself.
+                // It has ended them.
                 self.phase = Phase::Down;
                 self.rest(&self.storm(&reason), reason);
                 self.handle_down(context);
@@ -352,6 +362,7 @@ mod tests {
                 incarnation: Incarnation(1),
                 state,
                 safe_outputs: SafeOutputs::new(None),
+                actuators: Yard::default(),
                 nodes: nodes.recipient(),
             };
             answers.iter().for_each(|(call, answer)| script.answer(call, &[*answer]));

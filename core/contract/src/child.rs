@@ -87,6 +87,12 @@ pub enum ChildEvent {
         /// The guard has carried out its standing order: this life has begun in the old one's place.
         restarted_as: Option<Incarnation>,
     },
+    /// It is the root, whose children failed more often than it allows; it ends them all from now on, and
+    /// then has [escalated](ChildEvent::Escalated).
+    GivesUp {
+        /// Which limit was exceeded, by whom.
+        reason: String,
+    },
     /// It is a supervisor whose children failed more often than it allows; it has ended them all and
     /// leaves the decision to whom it reports.
     Escalated {

@@ -26,7 +26,8 @@ use super::wire::{Reader, WireError, Write};
 use crate::{Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
 
-/// The most neighbours that one node may have: its advertisement must fit into one small frame.
+/// The most neighbours that one node may have: its advertisement takes 626 bytes then, which is one frame of most
+/// media, and seven of the smallest.
 pub const NEIGHBOURS_MAX: usize = 64;
 /// The bytes of one stamp.
 pub(crate) const STAMP: usize = 16;

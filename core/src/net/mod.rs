@@ -72,4 +72,10 @@ pub use waiting_room::WaitingRoom;
 pub use wire::{Refusals, WireError};
 
 /// Smaller frames are those of a medium that is taken for slow until it is measured: a serial line, or CAN.
-pub(crate) const NARROW: usize = 1200;
+const NARROW: u16 = 1200;
+
+/// Whether a path leads over such a medium, by the largest segment that it carries. Router and session ask
+/// here, so that they do not wait differently long for what goes the same way.
+pub(crate) fn is_narrow(segment: usize) -> bool {
+    segment < topology::segment_limit(NARROW)
+}

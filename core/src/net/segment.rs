@@ -30,8 +30,12 @@ use bytes::{BufMut, Bytes, BytesMut};
 
 /// The most ranges that one acknowledgement lists; the rest is listed in later ones.
 pub const RANGES_MAX: usize = 16;
-/// The most pieces of one thing: a message of a mebibyte in the smallest segments.
+/// The most pieces of one thing. A part never needs so many; a message that is not repeated is refused when it
+/// would, which in the smallest segments is one of more than 228 KiB.
 pub const PIECES_MAX: u16 = 4096;
+
+/// The most bytes that say which piece it is.
+pub(crate) const PIECE_HEADER: usize = 4;
 
 /// The bytes that a data segment puts before its payload, acknowledgement and pieces apart.
 pub(crate) fn data_header(sequence: u64) -> usize {

@@ -4,9 +4,9 @@ mod ways;
 
 pub(crate) use self::ways::Way;
 
-use super::NARROW;
 use super::advertisement::{Advertisement, Edge};
 use super::frame::FRAME_HEADER;
+use super::is_narrow;
 use super::link::Neighbour;
 use super::node_id::NodeId;
 use super::packet::PACKET_HEADER;
@@ -53,7 +53,7 @@ pub(crate) struct Adjacent {
 impl Adjacent {
     /// How long an answer of the neighbour's may take, where it takes so long on a fast medium.
     pub(crate) fn patience(&self, fast: Duration) -> Duration {
-        fast * if usize::from(self.mtu) < NARROW { 10 } else { 1 }
+        fast * if is_narrow(segment_limit(self.mtu)) { 10 } else { 1 }
     }
 }
 

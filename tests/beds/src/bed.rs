@@ -7,8 +7,10 @@
 //!        bc        (or a bridge in a host of its own, which is a switch)
 //! ```
 
-use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::io::{BufRead, BufReader};
+use std::process::{Child, ChildStderr, Command, Stdio};
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
 
 /// What cables are made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,6 +65,21 @@ pub(crate) struct Bed {
     prefix: String,
     cables: &'static [Cable],
     relays: Vec<(&'static str, Child)>,
+}
+
+/// Waits until socat says that it carries; what else it says of errors is shown, now and later.
+fn is_relaying(words: ChildStderr) -> bool {
+    let (carries, told) = sync_channel(1);
+    std::thread::spawn(move || {
+        for line in BufReader::new(words).lines().map_while(Result::ok) {
+            if line.contains("starting data transfer loop") {
+                let _ = carries.try_send(());
+            } else if line.contains("] E ") {
+                println!("    {line}");
+            }
+        }
+    });
+    told.recv_timeout(Duration::from_secs(5)).is_ok()
 }
 
 /// Runs a command, with its words as arguments.
@@ -133,21 +150,22 @@ impl Bed {
         let Cable { name, ends, .. } = cable;
         let taps = [0, 1].map(|end| format!("{}{name}{end}", self.prefix));
         let open = |tap: &String| format!("TUN,tun-type=tap,tun-name={tap},iff-no-pi");
-        let relay = Command::new("socat")
+        let mut relay = Command::new("socat")
+            .args(["-d", "-d"])
             .args(taps.iter().map(open))
             .stdin(Stdio::null())
+            .stderr(Stdio::piped())
             .spawn()
             .map_err(|error| format!("socat: {error}"))?;
+        let words = relay.stderr.take().expect("it was asked for");
         self.relays.push((name, relay));
+        // A tap that is moved while it is being opened is lost to whoever opens it.
+        if !is_relaying(words) {
+            return Err(format!("socat did not open {}", taps.join(" and ")));
+        }
         for (tap, end) in taps.iter().zip(ends) {
-            let deadline = Instant::now() + Duration::from_secs(5);
             let host = self.namespace(end);
-            while let Err(error) = command(&format!("ip link set {tap} netns {host}")) {
-                if Instant::now() > deadline {
-                    return Err(error);
-                }
-                std::thread::sleep(Duration::from_millis(10));
-            }
+            command(&format!("ip link set {tap} netns {host}"))?;
             command(&format!("ip -n {host} link set {tap} name {name}"))?;
         }
         Ok(())

@@ -3,7 +3,7 @@
 use crate::puppet::{Deed, Do, Pull, Strings, ask, life, strike};
 use blastema::core::recovery::{Ladder, Measure, Plan};
 use blastema::prelude::*;
-use blastema::{Fault, Link, MemoryMedium, Network, NodeBuilder, RestartError, Turn};
+use blastema::{ActuatorSpec, Fault, Link, MemoryMedium, Network, NodeBuilder, RestartError, Turn};
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -211,4 +211,66 @@ async fn what_does_not_start_after_a_rest_brings_the_node_to_rest_again() {
     strings.cut_all();
     node.restart().await.unwrap();
     ask(&node, "lamp", Deed::Nothing).await.unwrap();
+}
+
+#[derive(Clone, Debug, Request)]
+#[contract(name = "wheels/drive", reply = f32)]
+struct Drive(f32);
+
+struct Wheels(Arc<Mutex<Vec<f32>>>);
+
+impl Component for Wheels {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(Duration::from_secs(60)));
+    }
+}
+
+/// It is slow to stop.
+struct Arm;
+
+impl Component for Arm {
+    async fn on_shutdown(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        blastema::sleep(Duration::from_secs(4)).await;
+        Ok(())
+    }
+}
+
+impl Handle<Drive> for Wheels {
+    async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) -> f32 {
+        self.0.lock().unwrap().push(drive.0);
+        drive.0
+    }
+}
+
+#[blastema_testkit::test]
+async fn the_safe_outputs_wait_for_no_component_to_stop_and_nobody_commands_any_more() {
+    let (strings, track) = (Strings::default(), Arc::new(Mutex::new(Vec::new())));
+    let (builder, applied) = robot(&strings);
+    let turned = track.clone();
+    let wheels = ChildSpec::new("wheels", move || Wheels(turned.clone()));
+    // The last to start is the first to stop.
+    let arm = ChildSpec::new("arm", || Arm).shutdown_within(Duration::from_secs(10));
+    let node = TestNode::start(builder.child(wheels).child(arm)).await;
+    let commander = node.commander::<Drive>("wheels", "console").unwrap();
+    commander.claim().await.unwrap();
+    commander.command(Drive(2.0)).await.unwrap();
+
+    strike(&node, "motors").await;
+    node.advance(500 * MS).await;
+    strike(&node, "motors").await;
+    node.advance(10 * MS).await;
+
+    assert!(matches!(node.state(), NodeState::AtRest { .. }), "{:?}", node.state());
+    assert_eq!(applied.lock().unwrap().len(), 1, "at once");
+    assert_eq!(*track.lock().unwrap(), [2.0, 0.0]);
+    assert!(commander.command(Drive(3.0)).await.is_err());
+    assert_eq!(commander.claim().await, Err(Why::Stopped));
+
+    node.advance(Duration::from_secs(30)).await;
+    node.restart().await.unwrap();
+    assert!(commander.command(Drive(4.0)).await.is_err(), "that lease has ended");
+    commander.claim().await.unwrap();
+    commander.command(Drive(5.0)).await.unwrap();
+    assert_eq!(track.lock().unwrap().last(), Some(&5.0));
+    assert_eq!(applied.lock().unwrap().len(), 1);
 }

@@ -18,7 +18,7 @@ pub use self::error::{EndpointError, EndpointProblem};
 
 use self::settings::{Settings, is_interface};
 #[cfg(feature = "serial")]
-use crate::serial::{Parity, Rs485, SerialConfig, StopBits};
+use crate::serial::{Parity, Rs485, SerialConfig, StopBits, Turning};
 #[cfg(feature = "tcp")]
 use crate::tcp::TcpConfig;
 #[cfg(feature = "udp")]
@@ -463,7 +463,7 @@ fn serial(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     let flows = [("none", false), ("hardware", true)];
     settings.choice("flow", &flows, &mut config.hardware_flow)?;
     config.rs485 = rs485(&mut settings)?;
-    if config.hardware_flow && config.rs485.is_some() {
+    if config.hardware_flow && matches!(config.rs485, Turning::Driver(_)) {
         return Err(
             settings.contradiction("flow", "RTS turns the line with rs485=true: leave flow out")
         );
@@ -474,23 +474,30 @@ fn serial(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     Ok(Endpoint::Serial(config))
 }
 
-/// How the driver turns the line, if it does.
+/// Whether and how the driver turns the line.
 #[cfg(feature = "serial")]
-fn rs485(settings: &mut Settings<'_>) -> Result<Option<Rs485>, EndpointError> {
-    let (mut turns, mut how) = (false, Rs485::default());
-    settings.switch("rs485", &mut turns)?;
+fn rs485(settings: &mut Settings<'_>) -> Result<Turning, EndpointError> {
+    let mut how = Rs485::default();
+    let turns: Option<bool> = settings.take("rs485", "true or false", |text| text.parse().ok())?;
     settings.choice("rts", &[("high", false), ("low", true)], &mut how.rts_low)?;
     let times = Duration::ZERO..=Duration::from_millis(100);
     settings.span("rts_before", times.clone(), &mut how.before)?;
     settings.span("rts_after", times, &mut how.after)?;
     let given = ["rts", "rts_before", "rts_after"].into_iter().find(|key| settings.has(key));
-    match given {
-        Some(key) if !turns => {
-            let why = "RTS is the driver's where it turns a line of RS-485: add rs485=true";
-            Err(settings.contradiction(key, why))
-        }
-        _ => Ok(turns.then_some(how)),
+    if let Some(key) = given.filter(|_| turns != Some(true)) {
+        let why = "RTS is the driver's where it turns a line of RS-485: add rs485=true";
+        return Err(settings.contradiction(key, why));
     }
+    for (key, span) in [("rts_before", how.before), ("rts_after", how.after)] {
+        if !Rs485::is_whole(span) {
+            return Err(settings.contradiction(key, Rs485::WHOLE));
+        }
+    }
+    Ok(match turns {
+        None => Turning::Unchanged,
+        Some(false) => Turning::Off,
+        Some(true) => Turning::Driver(how),
+    })
 }
 
 /// What serial ports of today can, with room above, in bits a second.

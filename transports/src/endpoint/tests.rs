@@ -90,13 +90,16 @@ fn serial_lines_are_read_with_all_their_settings() {
     assert_eq!((config.path, config.baud), (PathBuf::from("/dev/ttyUSB0"), 921_600));
     assert_eq!((config.parity, config.stop_bits), (Parity::Even, StopBits::Two));
     assert_eq!((config.hardware_flow, config.mtu), (true, Some(700)));
-    assert_eq!((config.queue_time, config.rs485), (Duration::from_millis(50), None));
+    assert_eq!((config.queue_time, config.rs485), (Duration::from_millis(50), Turning::Unchanged));
 
     let turned = "serial:///dev/ttyS0?rs485=true&rts=low&rts_before=1ms&rts_after=2ms";
     let Endpoint::Serial(config) = good(turned) else { panic!() };
-    let how = config.rs485.expect("it was asked for");
+    let Turning::Driver(how) = config.rs485 else { panic!("it was asked for") };
     let times = (how.before, how.after);
     assert_eq!((how.rts_low, times), (true, (Duration::from_millis(1), Duration::from_millis(2))));
+
+    let Endpoint::Serial(config) = good("serial:///dev/ttyS0?rs485=false") else { panic!() };
+    assert_eq!(config.rs485, Turning::Off);
 }
 
 #[test]
@@ -213,6 +216,9 @@ fn a_wrong_setting_is_pointed_at() {
 #[test]
 fn a_wrong_value_is_pointed_at_with_what_it_may_be() {
     bad("serial:///dev/x?rts_after=1ms", "rts_after=1ms", 16, "add rs485=true");
+    bad("serial:///dev/x?rs485=false&rts=low", "rts=low", 28, "add rs485=true");
+    let parts = "serial:///dev/x?rs485=true&rts_before=500us";
+    bad(parts, "rts_before=500us", 27, "in whole milliseconds");
     bad("serial:///dev/x?rs485=true&flow=hardware", "flow=hardware", 27, "leave flow out");
     bad("udp://0.0.0.0:1?mtu=big", "big", 20, "a whole number from 96 to 65507");
     bad("udp://0.0.0.0:1?mtu=95", "95", 20, "from 96");

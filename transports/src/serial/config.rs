@@ -31,16 +31,42 @@ pub enum StopBits {
     Two,
 }
 
+/// Who turns a line of RS-485. A driver keeps what it was told when the port is closed, until the next start of
+/// the system or longer.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Turning {
+    /// The port's driver does what it did, which is most often nothing. An adapter that turns the line by
+    /// itself needs no more.
+    #[default]
+    Unchanged,
+    /// Not the port's driver, whatever it was told before: RTS is as on any line.
+    Off,
+    /// The port's driver (Linux).
+    Driver(Rs485),
+}
+
 /// How the port's driver turns a line of RS-485 (Linux): it raises RTS before it sends, and lowers it after.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Rs485 {
     /// RTS is low while it sends, and high otherwise.
     pub rts_low: bool,
-    /// How long RTS is there before the first byte, in whole milliseconds. Some drivers do without.
+    /// How long RTS is there before the first byte, in whole milliseconds; a port with parts of one is not
+    /// opened. Some drivers do without.
     pub before: Duration,
     /// How long RTS stays after the last byte, likewise.
     pub after: Duration,
+}
+
+impl Rs485 {
+    /// What is wrong with parts of a millisecond.
+    pub(crate) const WHOLE: &str =
+        "a driver counts how long RTS stays in whole milliseconds: as in 1ms";
+
+    /// Whether a driver can be told this time.
+    pub(crate) fn is_whole(span: Duration) -> bool {
+        span.subsec_nanos().is_multiple_of(1_000_000)
+    }
 }
 
 /// A serial line with one node at each end: RS-232, RS-422, RS-485 whose adapter or driver turns it, or a
@@ -65,9 +91,8 @@ pub struct SerialConfig {
     pub stop_bits: StopBits,
     /// Whether the other end may stop us by a wire of its own (RTS/CTS).
     pub hardware_flow: bool,
-    /// Whether and how the port's driver turns a line of RS-485. An adapter that does so by itself needs
-    /// nothing.
-    pub rs485: Option<Rs485>,
+    /// Whether and how the port's driver turns a line of RS-485.
+    pub rs485: Turning,
     /// The largest frame, in bytes. By default what takes 50 ms on the line, but from 96 to 2,048: a
     /// larger one keeps others, and hellos, waiting behind it; of a smaller one, more is headers. What is
     /// larger than the other end's is noise to it.
@@ -87,7 +112,7 @@ impl SerialConfig {
             parity: Parity::None,
             stop_bits: StopBits::One,
             hardware_flow: false,
-            rs485: None,
+            rs485: Turning::Unchanged,
             mtu: None,
             queue_time: Duration::from_millis(100),
         }

@@ -15,7 +15,7 @@ mod config;
 pub mod framing;
 mod pace;
 
-pub use self::config::{Parity, Rs485, SerialConfig, StopBits};
+pub use self::config::{Parity, Rs485, SerialConfig, StopBits, Turning};
 
 use self::framing::{Deframer, encode, encoded_length};
 use self::pace::{Held, PIECE, Pace};
@@ -160,8 +160,10 @@ impl FrameMedium for SerialLine {
             .parity(parity)
             .stop_bits(stop_bits)
             .flow_control(flow);
-        if let Some(rs485) = rs485 {
-            turn_by_driver(path, rs485)?;
+        match rs485 {
+            Turning::Unchanged => {}
+            Turning::Off => turn_no_more(path)?,
+            Turning::Driver(how) => turn_by_driver(path, how)?,
         }
         // The lines DTR and RTS are left as the driver sets them: a pty has none, and many a device
         // takes a change of them for a reset.
@@ -252,6 +254,9 @@ impl FrameMedium for SerialLine {
 /// closed, so that it can be said before the port is opened as a line.
 #[cfg(target_os = "linux")]
 fn turn_by_driver(path: &Path, rs485: &Rs485) -> io::Result<()> {
+    if ![rs485.before, rs485.after].into_iter().all(Rs485::is_whole) {
+        return Err(io::Error::other(Rs485::WHOLE));
+    }
     // Whatever keeps it from being opened is told when it is opened as a line.
     let Ok(port) = serial2::SerialPort::open(path, serial2::KeepSettings) else { return Ok(()) };
     let mut mode = serial2::rs4xx::Rs485Config::new();
@@ -264,6 +269,27 @@ fn turn_by_driver(path: &Path, rs485: &Rs485) -> io::Result<()> {
              use an adapter that turns by itself"
         ))
     })
+}
+
+/// Takes that back, where the driver can and was told to.
+#[cfg(target_os = "linux")]
+fn turn_no_more(path: &Path) -> io::Result<()> {
+    use serial2::rs4xx::TransceiverMode;
+    let Ok(port) = serial2::SerialPort::open(path, serial2::KeepSettings) else { return Ok(()) };
+    if !matches!(port.get_rs4xx_mode(), Ok(TransceiverMode::Rs485(_))) {
+        return Ok(());
+    }
+    port.set_rs4xx_mode(TransceiverMode::Default).map_err(|error| {
+        io::Error::other(format!(
+            "{error}: the port's driver goes on to turn the line of RS-485 (rs485=false): leave that out, or \
+             choose another port"
+        ))
+    })
+}
+
+#[cfg(not(target_os = "linux"))]
+fn turn_no_more(_: &Path) -> io::Result<()> {
+    Ok(())
 }
 
 #[cfg(not(target_os = "linux"))]

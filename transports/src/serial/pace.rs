@@ -86,11 +86,9 @@ impl Pace {
 
     /// Something was written that takes the line so long.
     pub(super) fn spend(&mut self, span: Duration, now: Instant) {
-        if let Some(trial) = &mut self.trial {
+        if let Some(trial) = self.trial.as_mut().filter(|trial| trial.slow_until.is_none()) {
             trial.taken += span;
-            if trial.slow_until.is_none() {
-                return;
-            }
+            return;
         }
         // Whoever is woken very late finds the line idle, and may not fill the system's buffer for that.
         let owed = if self.waited { PIECE } else { Duration::ZERO };
@@ -208,5 +206,21 @@ mod tests {
     fn a_device_with_a_line_behind_it_is_found_out_and_its_memory_left_empty() {
         let sum = taken_by(10, 200 * MS, 1);
         assert!((9_500 * MS..9_990 * MS).contains(&sum), "{sum:?} in ten seconds");
+    }
+
+    #[test]
+    fn at_each_trial_a_device_with_a_line_is_found_out_as_soon_as_at_the_first() {
+        let (mut pace, mut now, mut tried) = (Pace::of_device(), at(0), Duration::ZERO);
+        while now < at(130_000) {
+            let held = if pace.is_free() { Held::Little } else { Held::Nothing };
+            match pace.due(held, now) {
+                Some(due) => {
+                    tried += if pace.is_free() { due - now } else { Duration::ZERO };
+                    now = due;
+                }
+                None => pace.spend(PIECE, now),
+            }
+        }
+        assert!((2 * JUDGED_AFTER..3 * JUDGED_AFTER).contains(&tried), "{tried:?} in three trials");
     }
 }

@@ -24,6 +24,11 @@ use tokio_serial::{ErrorKind, SerialPort, SerialStream};
 
 /// So many bytes are read at once: what the system holds of a terminal.
 const CHUNK: usize = 4096;
+/// So many bytes may wait in the system before an adapter whose line is slower than the bus: what is urgent
+/// waits behind them.
+const HELD_MAX: u32 = 128;
+/// How soon it is looked again whether they have gone.
+const LOOK: Duration = Duration::from_millis(1);
 
 /// A CAN adapter as a medium.
 ///
@@ -51,12 +56,6 @@ pub struct SlcanAdapter {
     config: SlcanConfig,
     line: Option<Line>,
 }
-
-/// So many bytes may wait in the system before an adapter whose line is slower than the bus: what is urgent
-/// waits behind them.
-const HELD_MAX: u32 = 128;
-/// How soon it is looked again whether they have gone.
-const LOOK: Duration = Duration::from_millis(1);
 
 /// A port that is open, and what is known of the adapter there.
 struct Line {
@@ -239,8 +238,8 @@ impl Line {
                 self.look = None;
             }
             // A port that cannot say shows by its errors soon enough what it is like.
-            let held = self.port.bytes_to_write().unwrap_or(0);
-            if !self.counts || held <= HELD_MAX {
+            let held = || self.port.bytes_to_write().unwrap_or(0);
+            if !self.counts || held() <= HELD_MAX {
                 return Poll::Ready(());
             }
             self.look = Some(Box::pin(tokio::time::sleep(LOOK)));

@@ -131,7 +131,7 @@ const WIDEST: usize = 60;
 pub(crate) fn draw(picture: &Value) -> String {
     let mut text = format!("{} {}", cell("", &picture["node"]), cell("", &picture["state"]));
     if let Some(reason) = picture["reason"].as_str() {
-        let _ = write!(text, ": {reason}");
+        let _ = write!(text, ": {}", plain(reason));
     }
     text.push('\n');
     for (title, name, columns) in TABLES {
@@ -159,6 +159,11 @@ fn table(text: &mut String, columns: &[Column], rows: &[Value]) {
     }
 }
 
+/// On one line, and without what a terminal would take for orders: texts come from other nodes, too.
+fn plain(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+}
+
 fn cell(name: &str, value: &Value) -> String {
     let text = match value {
         Value::Null => "-".to_owned(),
@@ -168,7 +173,7 @@ fn cell(name: &str, value: &Value) -> String {
             format!("{:.0} %", number.as_f64().unwrap_or_default() * 100.0)
         }
         Value::Number(number) => number.to_string(),
-        Value::String(text) => text.replace('\n', " "),
+        Value::String(text) => plain(text),
         Value::Array(parts) if parts.is_empty() => "-".to_owned(),
         Value::Array(parts) => {
             parts.iter().map(|part| cell(name, part)).collect::<Vec<_>>().join(", ")
@@ -222,6 +227,7 @@ faults: not answered
     #[test]
     fn long_texts_are_cut_with_a_sign_and_keep_to_one_line() {
         assert_eq!(cell("note", &json!("one\ntwo")), "one two");
+        assert_eq!(cell("note", &json!("\u{1b}[2Jnothing is cleared")), " [2Jnothing is cleared");
         let long = cell("note", &json!("ä".repeat(100)));
         assert_eq!((long.chars().count(), long.ends_with('…')), (WIDEST + 1, true));
         assert_eq!(cell("differences", &json!(["a", "b"])), "a, b");

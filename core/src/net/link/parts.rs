@@ -4,7 +4,8 @@ use crate::net::frame::{FRAME_HEADER, Frame, RoutingPart};
 use crate::net::wire::WireError;
 use bytes::{Bytes, BytesMut};
 
-/// The most bytes that are put together: two advertisements with all neighbours.
+/// The most bytes that are put together: one advertisement with all neighbours, and what it takes back, are
+/// 677, and of more a router makes several.
 const WHOLE_MAX: usize = 1_024;
 /// What a part's frame puts before it: which part it is.
 const PART_HEADER: usize = FRAME_HEADER + 1;
@@ -57,6 +58,9 @@ impl Parts {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::net::NodeId;
+    use crate::net::advertisement::{Advertisement, Edge, NEIGHBOURS_MAX, Routing, Stamp};
+    use crate::{Incarnation, NodeName};
 
     fn parts_of(length: usize, mtu: usize) -> Vec<RoutingPart> {
         let whole: Bytes = (0..length).map(|n| n as u8).collect();
@@ -86,6 +90,28 @@ mod tests {
             let whole: Bytes = (0..length).map(|n| n as u8).collect();
             assert_eq!(parts.handle(last), Ok(Some(whole)));
         }
+    }
+
+    #[test]
+    fn the_most_that_a_router_says_of_a_node_at_once_is_put_together() {
+        let edge = Edge { to: NodeId(1), life: 1, cost: 1, mtu: 96 };
+        let told = Advertisement {
+            stamp: Stamp { origin: NodeId(2), incarnation: Incarnation(1), sequence: 1 },
+            node: NodeName::new(&"n".repeat(32)).unwrap(),
+            edges: vec![edge; NEIGHBOURS_MAX],
+            withdrawn: false,
+        };
+        let one = Routing::Announce(vec![told.clone()]).encode();
+        let most = Routing::Announce(vec![told.withdrawal(), told]).encode();
+        assert_eq!((one.len(), most.len()), (627, 677));
+
+        let mut parts = Parts::default();
+        let mut frames = frames_of(most.clone(), 96).into_iter();
+        let whole = frames.find_map(|frame| match frame {
+            Frame::RoutingPart(part) => parts.handle(&part).unwrap(),
+            other => panic!("{other:?}"),
+        });
+        assert_eq!(whole, Some(most));
     }
 
     #[test]

@@ -19,8 +19,10 @@ impl Router {
         if self.barred.contains_key(&link) || self.kept_out.contains(&packet.source) {
             self.refusals.isolated += 1;
         } else if packet.source == self.id {
-            // It went in a circle, or somebody uses our name.
+            // It went in a circle, as packets may while nodes hear of a change one after the other, and is
+            // repeated. Or somebody uses our name; then the session asks no more often than it would.
             self.refusals.unexpected += 1;
+            self.give_back(&packet, Undelivered::TooManyHops);
         } else if packet.destination != self.id {
             match packet.payload {
                 Payload::Copy { .. } => self.follow(packet),

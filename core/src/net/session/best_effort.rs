@@ -2,12 +2,17 @@
 
 use super::assembly::{Assembly, pieces_of};
 use crate::Instant;
-use crate::net::segment::Datagram;
+use crate::net::segment::{Datagram, PIECES_MAX};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 
 /// The bytes that a datagram puts before its payload, at most.
 const DATAGRAM_HEADER: usize = 28;
+
+/// What a datagram of this size carries at least.
+fn payload_room(room: usize) -> usize {
+    room.saturating_sub(DATAGRAM_HEADER).max(1)
+}
 
 /// Both directions of all channels of one session.
 #[derive(Debug)]
@@ -40,6 +45,11 @@ impl BestEffort {
         BestEffort { sent: BTreeMap::new(), delivered: BTreeMap::new(), channels_max, pieces }
     }
 
+    /// The most bytes of a message whose datagrams are no larger than `room` with their headers.
+    pub(crate) fn most(room: usize) -> usize {
+        payload_room(room) * usize::from(PIECES_MAX)
+    }
+
     /// The datagrams of one message, none larger than `room` with its header.
     pub(crate) fn cut(
         &mut self,
@@ -51,8 +61,7 @@ impl BestEffort {
         let sequence = self.sent.entry(channel).or_insert(0);
         *sequence += 1;
         let sequence = *sequence;
-        let room = room.saturating_sub(DATAGRAM_HEADER).max(1);
-        let pieces = pieces_of(message, room).into_iter();
+        let pieces = pieces_of(message, payload_room(room)).into_iter();
         pieces.map(move |(piece, payload)| Datagram { tag, channel, sequence, piece, payload })
     }
 

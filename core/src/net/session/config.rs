@@ -24,7 +24,8 @@ pub struct SessionConfig {
     /// of its node must be given a greater number than the one before ever used.
     pub number: u32,
     /// How long the peer may owe an answer, or be without a path, before the session ends. Longer
-    /// rides out longer outages; shorter gives messages back sooner.
+    /// rides out longer outages; shorter gives messages back sooner. While there is a path whose answers
+    /// take long, it is three of the present timeouts instead, if these are longer.
     pub patience: Duration,
     /// The most bytes of one message. Bounds what a peer can make us collect.
     pub message_max: usize,

@@ -19,7 +19,8 @@ pub(crate) struct Inbound {
     /// Arrived ahead of their turn; all within the window.
     ahead: BTreeMap<u64, Part>,
     partial: Option<Partial>,
-    /// Where large messages were put together before: taken again once nobody holds those any more.
+    /// Where large messages were put together before: taken again once nobody holds those any more. Two of
+    /// the largest message for each stream at most, once such have come.
     spare: VecDeque<BytesMut>,
     window: u32,
     message_max: usize,
@@ -121,7 +122,8 @@ impl Inbound {
                 return Err(WireError::TooLarge { what: "a message" });
             }
             // Room is taken as bytes arrive, four times as much at most, and not as they are promised.
-            let spare = self.spare.iter_mut().position(|spare| spare.try_reclaim(length));
+            let large = length >= SPARE_FROM;
+            let spare = self.spare.iter_mut().position(|spare| large && spare.try_reclaim(length));
             let bytes = spare.and_then(|at| self.spare.remove(at)).unwrap_or_default();
             self.partial = Some(Partial { length, bytes });
         }
@@ -174,5 +176,40 @@ impl Inbound {
             }
         }
         Ack { next: self.next, window: self.window, ranges }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::net::wire::Write;
+
+    /// A message of this length, in two parts.
+    fn arrive(inbound: &mut Inbound, length: usize) -> Bytes {
+        let mut bytes = BytesMut::new();
+        bytes.varint(length as u64);
+        bytes.resize(bytes.len() + length, 7);
+        let mut second = bytes.freeze();
+        let first = second.split_to(length / 2);
+        let (now, mut deliver) = ((Instant::ORIGIN, Duration::ZERO), Vec::new());
+        inbound.handle(inbound.next, (true, false, first), now, &mut deliver).unwrap();
+        inbound.handle(inbound.next, (false, true, second), now, &mut deliver).unwrap();
+        deliver.pop().unwrap()
+    }
+
+    #[test]
+    fn the_memory_of_a_large_message_is_taken_again_when_nobody_holds_it_any_more() {
+        let mut inbound = Inbound::new(64, 1 << 20);
+        let first = arrive(&mut inbound, 1 << 20);
+        let place = first.as_ptr();
+        let second = arrive(&mut inbound, 1 << 20);
+        assert_ne!(second.as_ptr(), place, "the first is still held");
+
+        drop(first);
+        let small = arrive(&mut inbound, 1000);
+        assert_ne!(small.as_ptr(), place, "little holds no large memory");
+        let third = arrive(&mut inbound, 1 << 19);
+        assert_eq!((third.as_ptr(), third.len()), (place, 1 << 19));
+        assert!(second.iter().chain(&third).all(|byte| *byte == 7));
     }
 }

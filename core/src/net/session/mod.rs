@@ -226,8 +226,9 @@ impl Session {
     /// Sends a message once, if at all: of one channel, the newest that arrives counts.
     ///
     /// # Errors
-    /// [`Why::Restarting`] while there is no session yet, otherwise as
-    /// [`handle_send`](Session::handle_send). The message comes back.
+    /// [`Why::Restarting`] while there is no session yet, [`Why::TooLargeForSession`] also for what the
+    /// path's segments would carry in more than [`PIECES_MAX`](crate::net::segment::PIECES_MAX) pieces,
+    /// otherwise as [`handle_send`](Session::handle_send). The message comes back.
     pub fn handle_send_newest(
         &mut self,
         channel: u32,
@@ -239,6 +240,10 @@ impl Session {
         let (State::Open { peer }, Some(room)) = (self.state, self.path) else {
             return Err((Why::Restarting, message));
         };
+        let limit = BestEffort::most(room);
+        if message.len() > limit {
+            return Err((Why::TooLargeForSession { limit }, message));
+        }
         for datagram in self.best_effort.cut(peer.tag, channel, &message, room) {
             self.transmit(Class::Data, Segment::Datagram(datagram));
         }

@@ -85,7 +85,8 @@ impl RoundTrip {
         self.backoff = (self.backoff + 1).min(10);
     }
 
-    /// The peer answers, or another session begins.
+    /// There is a measurement, another path, or another session. An answer that measures nothing is no
+    /// progress: it may have been on its way since the first sending.
     pub(crate) fn progress(&mut self) {
         self.backoff = 0;
     }

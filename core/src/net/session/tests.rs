@@ -262,6 +262,31 @@ fn a_path_that_became_smaller_gets_pieces() {
 }
 
 #[test]
+fn a_piece_with_an_acknowledgement_on_board_is_no_larger_than_the_narrow_path() {
+    let mut pair = Pair::open();
+    pair.lose = Box::new(|_, segment| matches!(segment, Segment::Data(_)));
+    pair.send(0, Bytes::from(vec![7; 5000]));
+    pair.run(5);
+    let tag = pair.ends[0].tag;
+    for sequence in [1, 3, 5] {
+        let payload = Bytes::from_static(b"\x02hi");
+        let (first, last, again) = (true, true, false);
+        let stream = Stream::Data;
+        let data =
+            Data { tag, stream, sequence, first, last, again, piece: None, ack: None, payload };
+        pair.ends[0].handle_segment(Segment::Data(data).encode(), at(pair.now));
+    }
+    pair.sent.clear();
+
+    pair.ends[0].handle_path(85, at(pair.now));
+    pair.drain();
+
+    let lengths: Vec<_> = pair.sent.iter().map(|(_, segment)| segment.encode().len()).collect();
+    assert!(pair.parts(0) > 20, "{lengths:?}");
+    assert!(lengths.iter().all(|length| *length <= 85), "{lengths:?}");
+}
+
+#[test]
 fn a_short_outage_is_ridden_out_and_a_long_one_gives_everything_back() {
     let mut pair = Pair::open();
     pair.ends[0].handle_no_path(at(pair.now));
@@ -516,6 +541,28 @@ fn a_large_best_effort_message_comes_whole_or_not_at_all() {
 }
 
 #[test]
+fn a_best_effort_message_of_too_many_pieces_is_refused_and_no_piece_is_larger_than_the_path() {
+    let mut pair = Pair::new();
+    pair.connect_over(85);
+    pair.take(1);
+    let limit = (85 - 28) * 4096;
+    let mut send = |bytes| {
+        let message = Bytes::from(vec![7; bytes]);
+        pair.ends[0].handle_send_newest(1, message, at(pair.now))
+    };
+
+    let refused = send(limit + 1).unwrap_err();
+    assert_eq!(refused.0, Why::TooLargeForSession { limit });
+    assert_eq!(refused.1.len(), limit + 1);
+
+    send(limit).unwrap();
+    pair.run(5);
+    assert!(pair.sent.iter().all(|(_, segment)| segment.encode().len() <= 85));
+    let message = Bytes::from(vec![7; limit]);
+    assert_eq!(pair.take(1), [SessionOutput::Newest { channel: 1, message }]);
+}
+
+#[test]
 fn a_message_larger_than_the_limit_is_refused_before_it_is_sent() {
     let mut pair = Pair::open();
     let limit = pair.ends[0].config.message_max;
@@ -700,6 +747,15 @@ fn over_9600_baud(mtu: usize) -> u64 {
     let parts = Duration::from_secs_f64(4.0 * mtu as f64 / 960.0);
     assert!(pair.ends[0].round_trip().unwrap() < parts, "{:?}", pair.ends[0].round_trip());
     [0, 1].map(|end| pair.ends[end].counters().repeated).iter().sum()
+}
+
+#[test]
+fn a_session_takes_a_path_for_narrow_by_its_frames_as_the_router_does() {
+    for mtu in [1_199, 1_200, 1_210, 1_211] {
+        let mut session = Session::new(config("left", 1, "right"), at(0));
+        session.handle_path(crate::net::topology::segment_limit(mtu), at(0));
+        assert_eq!(session.is_narrow(), mtu < 1_200, "frames of {mtu} bytes");
+    }
 }
 
 #[test]

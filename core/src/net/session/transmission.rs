@@ -3,9 +3,9 @@
 use super::assembly::pieces_of;
 use super::outbound::Part;
 use super::{STREAMS, Session, SessionConfig, SessionOutput, State, lane};
-use crate::net::NARROW;
+use crate::net::is_narrow;
 use crate::net::packet::{Class, Undelivered, WAY_MAX};
-use crate::net::segment::{Ack, Data, Segment, Stream, data_header};
+use crate::net::segment::{Ack, Data, PIECE_HEADER, Segment, Stream, data_header};
 use crate::{Instant, Why};
 
 /// Which stream goes first when several wait.
@@ -36,7 +36,7 @@ impl Session {
 
     /// The path leads over a medium that is taken for slow until it is measured: a serial line, or CAN.
     pub(super) fn is_narrow(&self) -> bool {
-        self.path.is_some_and(|mtu| mtu < NARROW)
+        self.path.is_some_and(is_narrow)
     }
 
     /// Parts that may always be on their way: fewer would wait for a timer at every loss. Of a narrow path
@@ -88,8 +88,10 @@ impl Session {
             {
                 let owed = state.inbound.owed().is_some();
                 let ack = owed.then(|| state.inbound.acknowledge());
+                // What was cut for a larger path says of each piece which it is.
+                let place = if part.payload.len() > room { PIECE_HEADER } else { 0 };
                 let (ack, alone) = match ack {
-                    Some(ack) if ack.length() > ack_room => (None, Some(ack)),
+                    Some(ack) if ack.length() + place > ack_room => (None, Some(ack)),
                     ack => (ack, None),
                 };
                 if let Some(ack) = alone {

@@ -173,6 +173,12 @@ pub enum SupervisorAction {
         /// The child.
         child: ObjectName,
     },
+    /// The root's restarts are not worth it any more: what must be safe is made safe now. All children are
+    /// ended next, which takes its time.
+    GiveUp {
+        /// Which limit was exceeded, by whom.
+        reason: String,
+    },
     /// Restarts are not worth it any more; all children have ended. The next authority decides.
     Escalate {
         /// Which limit was exceeded, by whom.

@@ -344,6 +344,9 @@ impl Supervision {
         for child in self.children.values_mut() {
             child.failed = None;
         }
+        if let (Some(reason), true) = (&escalation, self.rules.root) {
+            self.outputs.push_back(SupervisorAction::GiveUp { reason: reason.clone() });
+        }
         self.phase = Phase::Ending { escalation };
     }
 

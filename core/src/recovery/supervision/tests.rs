@@ -79,6 +79,7 @@ impl Rig {
                 SupervisorAction::Overdue { child, .. } => format!("overdue {child}"),
                 SupervisorAction::Retire { child } => format!("retire {child}"),
                 SupervisorAction::Left { child } => format!("left {child}"),
+                SupervisorAction::GiveUp { reason } => format!("give up: {reason}"),
                 SupervisorAction::Escalate { reason } => format!("escalate: {reason}"),
                 SupervisorAction::AllStarted => "all started".into(),
                 SupervisorAction::AllStopped => "all stopped".into(),
@@ -451,6 +452,7 @@ fn the_end_of_the_root_is_the_end_of_hope() {
     assert_eq!(
         rig.restart("a", Cause::Died, 1),
         [
+            "give up: a needed more than 0 restarts in 10s",
             "escalate: a needed more than 0 restarts in 10s",
             "1 gave a up: given up: a needed more than 0 restarts in 10s"
         ]
