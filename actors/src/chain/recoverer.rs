@@ -166,7 +166,10 @@ impl Handler<NodeRests> for Recoverer {
     type Result = ();
 
     fn handle(&mut self, message: NodeRests, context: &mut Context<Self>) {
-        self.machine.handle_rest(message.reason.is_some(), platform::now());
+        match message.reason {
+            Some(_) => self.machine.handle_rest(platform::now()),
+            None => self.machine.handle_work(),
+        }
         self.drive(context);
     }
 }

@@ -65,11 +65,19 @@ impl Drop for Open {
 }
 
 /// Why a service that its nodes were told different things of does not serve.
-fn disputed(difference: String, asked: bool) -> Why {
-    match asked {
-        true => Why::OutcomeUnknown { reason: difference },
-        false => Why::ContractDiffers { difference },
+fn disputed(difference: String, begun: Begun) -> Why {
+    match begun {
+        Begun::Perhaps => Why::OutcomeUnknown { reason: difference },
+        Begun::No => Why::ContractDiffers { difference },
     }
+}
+
+/// Whether anybody may have begun what was asked for.
+#[derive(Clone, Copy)]
+enum Begun {
+    No,
+    /// One was asked, and does not say.
+    Perhaps,
 }
 
 /// What came of asking one node.
@@ -163,8 +171,7 @@ impl<M: Request> ServiceRef<M> {
         let mut primary = self.primary();
         // Who has not answered, and what became of the request there if that is not known.
         let (mut failed, mut uncertain) = (None, None);
-        // One that was asked may have begun it, and does not say.
-        let mut asked = false;
+        let mut begun = Begun::No;
         loop {
             let node = match primary.take() {
                 Some(node) => node,
@@ -173,7 +180,7 @@ impl<M: Request> ServiceRef<M> {
                         return Err(Why::OutcomeUnknown { reason: uncertain.unwrap_or_default() });
                     }
                     Ok(Found { primary, .. }) => primary,
-                    Err(Missing::Disputed(difference)) => return Err(disputed(difference, asked)),
+                    Err(Missing::Disputed(difference)) => return Err(disputed(difference, begun)),
                     Err(Missing::Nobody) => {
                         tokio::time::sleep(PROBE).await;
                         continue;
@@ -191,11 +198,11 @@ impl<M: Request> ServiceRef<M> {
                         primary = Some(node);
                         tokio::time::sleep(PROBE).await;
                     }
-                    Why::ContractDiffers { difference } => return Err(disputed(difference, asked)),
+                    Why::ContractDiffers { difference } => return Err(disputed(difference, begun)),
                     why => return Err(why),
                 },
                 Turn::Answered(Answered::Elsewhere { primary: told }) => {
-                    asked = true;
+                    begun = Begun::Perhaps;
                     primary = told.and_then(|told| NodeName::new(&told).ok());
                     if primary.is_none() || primary.as_ref() == Some(&node) {
                         tokio::time::sleep(PROBE).await;
@@ -206,9 +213,9 @@ impl<M: Request> ServiceRef<M> {
                     let reason = "the primary has changed, and its standbys are cold".into();
                     return Err(Why::OutcomeUnknown { reason });
                 }
-                Turn::Moved(found) => (primary, asked) = (Some(found.primary), true),
+                Turn::Moved(found) => (primary, begun) = (Some(found.primary), Begun::Perhaps),
                 Turn::Failed(why) => {
-                    asked = true;
+                    begun = Begun::Perhaps;
                     // It was taken there, perhaps; those that follow may not know.
                     if matches!(why, Why::PeerDied { .. } | Why::OutcomeUnknown { .. }) {
                         uncertain = Some(why.to_string());

@@ -4,11 +4,11 @@ use super::{Place, Recoverer, Settled};
 use crate::{Fault, Instant};
 
 impl Recoverer {
-    /// The node has come to safe rest, or is at work again. Where everything was stopped nothing is treated:
-    /// what was under way is given up, and so is what comes. Links and other nodes go on being treated.
-    pub fn handle_rest(&mut self, resting: bool, now: Instant) {
-        self.resting = resting;
-        let rests = |place: &&Place| resting && matches!(place, Place::Object(_));
+    /// The node has come to safe rest. Where everything was stopped nothing is treated: what was under way is given
+    /// up, and so is what comes. Links and other nodes go on being treated.
+    pub fn handle_rest(&mut self, now: Instant) {
+        self.resting = true;
+        let rests = |place: &&Place| matches!(place, Place::Object(_));
         let places: Vec<Place> = self.cases.keys().filter(rests).cloned().collect();
         for place in places {
             let told = self.cases[&place].given_up;
@@ -16,6 +16,11 @@ impl Recoverer {
                 self.tell_rest(fault);
             }
         }
+    }
+
+    /// The node is at work again.
+    pub fn handle_work(&mut self) {
+        self.resting = false;
     }
 
     pub(super) fn tell_rest(&mut self, fault: &Fault) {

@@ -465,7 +465,7 @@ fn at_safe_rest_nothing_of_the_node_is_treated_and_everything_is_settled() {
     let given_up = "given up: the node is at safe rest, where nothing is restarted";
     rig.find(panic_of(1, "laser", 1));
     rig.find(symptom(2, "map", 1));
-    rig.machine.handle_rest(true, rig.now);
+    rig.machine.handle_rest(rig.now);
     assert_eq!(rig.said(), ["2 may pass".to_owned(), format!("1 {given_up}")]);
 
     assert_eq!(rig.outcome(1, fails()), [""; 0], "what was under way is over");
@@ -482,7 +482,7 @@ fn at_safe_rest_nothing_of_the_node_is_treated_and_everything_is_settled() {
     rig.machine = rig.machine.begun_anew(rig.now);
     rig.said();
     assert_eq!(rig.find(panic_of(6, "lamp", 1)), [format!("6 {given_up}")]);
-    rig.machine.handle_rest(false, rig.now);
+    rig.machine.handle_work();
     let again = rig.find(panic_of(7, "lamp", 2));
     assert_eq!(again, ["#4 restart here:lamp against panic, 1"]);
 }
