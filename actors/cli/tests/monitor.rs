@@ -54,7 +54,7 @@ fn a_running_node_is_shown_as_tables_and_as_json_and_no_more_once_it_has_stopped
         let gone = monitor(&[text(&window)]).await;
         let told = String::from_utf8(gone.stderr).expect("text");
         assert_eq!(gone.status.code(), Some(2), "{told}");
-        assert!(told.contains("no node is shown at") && told.contains("shown_at"), "{told}");
+        assert!(told.contains("no node answers at") && told.contains("shown_at"), "{told}");
     });
 }
 

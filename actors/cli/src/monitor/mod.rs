@@ -18,7 +18,7 @@ const LONGEST: u64 = 16 << 20;
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum MonitorError {
     /// Nobody shows anything there.
-    #[error("no node is shown at {}: {error}{}", path.display(), advice(error))]
+    #[error("no node answers at {}: {error}{}", path.display(), advice(error))]
     Nobody {
         /// The path.
         path: PathBuf,
@@ -41,7 +41,12 @@ pub(crate) enum MonitorError {
 fn advice(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::NotFound => "; give a node its window by NodeBuilder::shown_at",
-        io::ErrorKind::ConnectionRefused => "; the node that was shown there has died",
+        io::ErrorKind::ConnectionRefused => {
+            "; the node that was shown there has died, or this is no window"
+        }
+        io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
+            "; it stands still, or shows itself to others: try again"
+        }
         io::ErrorKind::PermissionDenied => "; only the user who runs the node may look",
         _ => "",
     }
