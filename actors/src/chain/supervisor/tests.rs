@@ -101,6 +101,8 @@ fn the_root_gives_up_when_restarts_are_not_worth_it_any_more() {
         assert!(matches!(why, GiveUpReason::Escalated { .. }), "{why}");
         assert_eq!(bench.faults.expect().await.kind, FaultKind::RestartStorm);
         let event = bench.above.expect().await.event;
+        assert!(matches!(event, ChildEvent::GivesUp { .. }), "{event:?}");
+        let event = bench.above.expect().await.event;
         assert!(matches!(event, ChildEvent::Escalated { .. }), "{event:?}");
         assert_eq!(bench.script.done(), ["start a", "stop b"]);
     });
