@@ -4,6 +4,7 @@ mod accord;
 mod component;
 mod exposure;
 mod primary;
+mod rivals;
 mod standby;
 #[cfg(test)]
 mod tests;
@@ -304,11 +305,8 @@ impl Replica {
         };
         self.handle_timeout(now);
         match message {
-            // Whoever differs with somebody promises nothing, and helps nobody to serve.
-            Message::Hello { .. } | Message::Claim { .. } | Message::Vote { .. }
-                if self.accord.is_disputed() => {}
-            Message::Hello { epoch, number, position, answered } => {
-                self.hear_hello(from, epoch, (number, position, answered), now);
+            Message::Hello { epoch, number, position, answered, heard } => {
+                self.hear_hello(from, epoch, (number, position, answered), &heard, now);
             }
             Message::Promise { epoch, number, position, answered, standing } => {
                 self.hear_loss(epoch, answered);
@@ -321,7 +319,10 @@ impl Replica {
             },
             // That somebody has claimed in vain deposes nobody.
             Message::Voted { epoch } => self.claimed = self.claimed.max(epoch),
-            Message::Claim { epoch, position } => self.hear_claim(from, epoch, position, now),
+            Message::Claim { epoch, position, heard } => {
+                self.hear_claim(from, epoch, position, heard, now);
+            }
+            Message::Rival { terms } => self.hear_rival(&terms, now),
             Message::Vote { epoch, in_step, answered } => {
                 self.hear_vote(from, epoch, (in_step, answered), now);
             }
@@ -455,7 +456,7 @@ impl Machine for Replica {
 
     fn poll_timeout(&self) -> Option<Instant> {
         match &self.role {
-            Acting::Primary(primary) => Some(primary.due(&self.config)),
+            Acting::Primary(primary) => Some(primary.due(&self.config, &self.accord)),
             Acting::Standby(standby) => Some(standby.due()),
         }
     }
@@ -463,7 +464,7 @@ impl Machine for Replica {
     fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
         match &self.role {
-            Acting::Primary(primary) if !primary.holds(&self.config, now) => {
+            Acting::Primary(primary) if !primary.holds(&self.config, &self.accord, now) => {
                 self.step_down(None, now);
             }
             Acting::Primary(primary) if now >= primary.hello_at => {

@@ -80,12 +80,26 @@ impl Primary {
         promised.get(needed - 1).map(|at| *at + config.lease())
     }
 
-    pub(super) fn holds(&self, config: &ReplicaConfig, now: Instant) -> bool {
+    pub(super) fn holds(&self, config: &ReplicaConfig, accord: &Accord, now: Instant) -> bool {
+        let supports = |node: &NodeName| {
+            let follower = self.standbys.get(node);
+            *node == config.own
+                || follower.is_some_and(|known| now < known.promised + config.lease())
+        };
         self.lease_until(config).is_none_or(|until| now < until)
+            && (accord.is_undisputed() || accord.allows(supports, now))
     }
 
-    pub(super) fn due(&self, config: &ReplicaConfig) -> Instant {
-        self.lease_until(config).map_or(self.hello_at, |until| until.min(self.hello_at))
+    pub(super) fn due(&self, config: &ReplicaConfig, accord: &Accord) -> Instant {
+        let until =
+            self.lease_until(config).map_or(self.hello_at, |until| until.min(self.hello_at));
+        if accord.is_undisputed() {
+            return until;
+        }
+        // Each single promise may be needed.
+        let last_hello = self.said.back().map_or(self.began, |(_, at)| *at);
+        let ends = self.standbys.values().map(|known| known.promised + config.lease());
+        ends.filter(|end| *end > last_hello).fold(until, Instant::min)
     }
 
     pub(super) fn callers(self) -> impl Iterator<Item = u64> {
@@ -94,21 +108,26 @@ impl Primary {
 }
 
 impl Replica {
-    /// A majority wants this replica to serve; it was asked at `asked`. Of those who voted, these have
-    /// what it has.
+    /// A majority wants this replica to serve; it was asked at `asked`. Whoever voted may have what it has.
     pub(super) fn take_over(
         &mut self,
         epoch: u64,
         asked: Instant,
-        in_step: impl IntoIterator<Item = NodeName>,
+        voters: impl IntoIterator<Item = (NodeName, bool)>,
         now: Instant,
     ) {
         let lost = self.begin_without(epoch);
         let mut primary = Primary::new(epoch, self.position, asked);
         let position = self.position;
-        let abreast = Follower { promised: asked, step: Step::Abreast, position };
-        let in_step = in_step.into_iter().filter(|_| !lost);
-        primary.standbys.extend(in_step.map(|node| (node, abreast)));
+        primary.standbys.extend(voters.into_iter().map(|(node, in_step)| {
+            let follower = match in_step && !lost {
+                true => Follower { promised: asked, step: Step::Abreast, position },
+                false => {
+                    Follower { promised: asked, step: Step::Behind, position: Position::default() }
+                }
+            };
+            (node, follower)
+        }));
         self.role = Acting::Primary(primary);
         self.see(epoch);
         self.tell_role();
@@ -143,7 +162,8 @@ impl Replica {
         }
         let (epoch, number, position) = (primary.epoch, primary.number, self.position);
         let answered = self.answered;
-        let hello = Message::Hello { epoch, number, position, answered };
+        let heard = self.accord.reckons_with(now);
+        let hello = Message::Hello { epoch, number, position, answered, heard };
         self.tell_others(&hello);
     }
 
@@ -269,7 +289,7 @@ impl Replica {
         let exposed = self.judge_exposure(now);
         let config = &self.config;
         let Acting::Primary(primary) = &mut self.role else { return };
-        if !primary.holds(config, now) {
+        if !primary.holds(config, &self.accord, now) {
             return;
         }
         let mut answers = Vec::new();

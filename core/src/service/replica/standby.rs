@@ -22,7 +22,7 @@ pub(super) struct Standby {
     /// They are; good for one claim.
     pub(super) ready: bool,
     /// Somebody claims while our promise still lasts: it is answered when that is over.
-    asked: Option<(NodeName, u64, Position)>,
+    asked: Option<(NodeName, u64, Position, Vec<u64>)>,
 }
 
 /// An epoch that was claimed.
@@ -112,6 +112,7 @@ impl Replica {
         from: &NodeName,
         epoch: u64,
         (number, position, answered): (u64, Position, Position),
+        heard: &[u64],
         now: Instant,
     ) {
         if epoch < self.epoch {
@@ -123,6 +124,9 @@ impl Replica {
                 return;
             }
             self.step_down(Some(from.clone()), now);
+        }
+        if !self.is_reckoned_with(from, heard) {
+            return;
         }
         self.see(epoch);
         self.answered = self.answered.max(answered);
@@ -157,7 +161,9 @@ impl Replica {
         let Acting::Standby(standby) = &mut self.role else { return };
         standby.claim_at = now + again;
         standby.primary = None;
-        if self.accord.is_disputed() {
+        if self.accord.is_hopeless()
+            || !self.accord.allows(|node| self.accord.may_support(node), now)
+        {
             standby.inquiring = false;
             return self.tell_role();
         }
@@ -179,9 +185,13 @@ impl Replica {
         let Acting::Standby(standby) = &mut self.role else { return };
         standby.claiming = Some(Claiming { epoch, asked: now, position, votes: BTreeMap::new() });
         if self.config.majority() == 1 || self.config.on_partition == OnPartition::Continue {
-            return self.take_over(epoch, now, [], now);
+            if self.accord.allows(|node| *node == self.config.own, now) {
+                self.take_over(epoch, now, [], now);
+            }
+            return;
         }
-        self.tell_others(&Message::Claim { epoch, position });
+        let heard = self.accord.reckons_with(now);
+        self.tell_others(&Message::Claim { epoch, position, heard });
     }
 
     pub(super) fn hear_claim(
@@ -189,6 +199,7 @@ impl Replica {
         from: &NodeName,
         epoch: u64,
         position: Position,
+        heard: Vec<u64>,
         now: Instant,
     ) {
         if let Acting::Primary(_) = self.role {
@@ -214,9 +225,13 @@ impl Replica {
             return self.handle_timeout(now);
         }
         if now < standby.promised_until {
-            standby.asked = Some((from.clone(), epoch, position));
+            standby.asked = Some((from.clone(), epoch, position, heard));
             return;
         }
+        if !self.is_reckoned_with(from, &heard) {
+            return;
+        }
+        let Acting::Standby(standby) = &mut self.role else { return };
         // A vote is a promise as well.
         (standby.claiming, standby.asked) = (None, None);
         standby.promised_until = now + self.config.lease() + self.config.margin();
@@ -247,8 +262,8 @@ impl Replica {
     /// Our promise is over, and somebody claims.
     pub(super) fn vote_late(&mut self, now: Instant) {
         let Acting::Standby(standby) = &mut self.role else { return };
-        if let Some((from, epoch, position)) = standby.asked.take() {
-            self.hear_claim(&from, epoch, position, now);
+        if let Some((from, epoch, position, heard)) = standby.asked.take() {
+            self.hear_claim(&from, epoch, position, heard, now);
         }
     }
 
@@ -288,13 +303,14 @@ impl Replica {
             return;
         }
         claiming.votes.insert(from.clone(), in_step);
-        if claiming.votes.len() + 1 >= self.config.majority() {
+        let votes = &claiming.votes;
+        let supports = |node: &NodeName| *node == self.config.own || votes.contains_key(node);
+        if votes.len() + 1 >= self.config.majority() && self.accord.allows(supports, now) {
             let (asked, votes) = (claiming.asked, std::mem::take(&mut claiming.votes));
             // Those who voted have what we had then.
             let still = claiming.position == self.position;
-            let in_step = votes.into_iter().filter(|(_, in_step)| still && *in_step);
-            let in_step = in_step.map(|(node, _)| node);
-            self.take_over(epoch, asked, in_step, now);
+            let voters = votes.into_iter().map(|(node, in_step)| (node, still && in_step));
+            self.take_over(epoch, asked, voters, now);
         }
     }
 
