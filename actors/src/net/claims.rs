@@ -11,7 +11,7 @@ use blastema_contract::reports::{AreYouAlive, FaultDeclared, FaultMended};
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::PeerSeen;
 use blastema_core::net::claims::{
-    ClaimRefused, Claims, ClaimsConfig, ClaimsOutput, Holder, NameHeld, Wanted,
+    ClaimRefused, Claims, ClaimsConfig, ClaimsOutput, Holder, NameHeld, Wanted, Without,
 };
 use blastema_core::net::complaints::Complaints;
 use blastema_core::net::latch::Latch;
@@ -56,8 +56,8 @@ struct Own {
 enum Trouble {
     /// Somebody claims what must be refused.
     Refusals,
-    /// Somebody else has this name, without which the component of this claim goes.
-    Taken(ObjectName, u64),
+    /// This name was lost to another, who had claimed it out of sight.
+    Lost(ObjectName, u64),
 }
 
 /// The body.
@@ -70,8 +70,11 @@ pub(crate) struct ClaimsBody {
     /// Nodes that a session is open with.
     peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
     complaints: Complaints<NodeName>,
-    /// As many names as components here claim.
+    /// As many as names are claimed here.
     troubles: Latch<Trouble>,
+    /// Who goes without a name, and what was said of that last.
+    without: Without,
+    said: Option<String>,
 }
 
 /// Where the body is told and asked.
@@ -101,6 +104,8 @@ impl ClaimsBody {
                 peers: BTreeMap::new(),
                 complaints: Complaints::default(),
                 troubles: Latch::default(),
+                without: Without::default(),
+                said: None,
                 setup,
             }
         };
@@ -147,15 +152,34 @@ impl ClaimsBody {
     }
 
     /// Something is over: a fault is, once nothing else of its kind is left.
-    fn mend(&self, over: &Trouble) {
-        let kind = match over {
-            Trouble::Refusals => FaultKind::CheckFailed,
-            Trouble::Taken(..) => FaultKind::NameTaken,
-        };
+    fn mend(&mut self, over: &Trouble) {
         let same = |left: &&Trouble| std::mem::discriminant(*left) == std::mem::discriminant(over);
         if self.troubles.iter().any(|left| same(&left)) {
             return;
         }
+        match over {
+            Trouble::Refusals => self.mended(FaultKind::CheckFailed),
+            // Of those who go without, it is said again.
+            Trouble::Lost(..) if self.said.take().is_some() => self.say_who_goes_without(),
+            Trouble::Lost(..) => self.mended(FaultKind::NameTaken),
+        }
+    }
+
+    /// As it is now.
+    fn say_who_goes_without(&mut self) {
+        let text = self.without.text();
+        let lost = self.troubles.iter().any(|trouble| matches!(trouble, Trouble::Lost(..)));
+        match text {
+            Some(text) if self.said.as_ref() != Some(&text) => {
+                self.said = Some(text.clone());
+                self.declare(FaultKind::NameTaken, text);
+            }
+            None if self.said.take().is_some() && !lost => self.mended(FaultKind::NameTaken),
+            Some(_) | None => {}
+        }
+    }
+
+    fn mended(&self, kind: FaultKind) {
         if let Some(mended) = &self.setup.mended {
             let incarnation = crate::guardian::alive().incarnation;
             mended.do_send(FaultMended { object: super::named("claims"), incarnation, kind });
@@ -168,14 +192,19 @@ impl ClaimsBody {
         }
     }
 
+    /// A claim is granted, or given back.
+    fn end_troubles(&mut self, name: ObjectName, number: u64) {
+        self.without.handle_end(&name, number);
+        self.end_trouble(&Trouble::Lost(name, number));
+        self.say_who_goes_without();
+    }
+
     fn refused(&mut self, name: &ObjectName, refused: ClaimRefused) {
         warn!(%name, "a claim is refused: {refused}");
-        let unattended = self.own.get(name).filter(|own| own.unattended);
-        let without = unattended.map(|own| (own.wanted.object.clone(), own.number));
-        if let Some((object, number)) = without {
-            let detail = format!("{object} goes without the name {name}: {refused}");
-            self.declare(FaultKind::NameTaken, detail);
-            self.troubles.hold(Trouble::Taken(name.clone(), number));
+        if let Some(own) = self.own.get(name).filter(|own| own.unattended) {
+            let object = own.wanted.object.clone();
+            self.without.handle_refused((name.clone(), own.number), object, &refused);
+            self.say_who_goes_without();
         }
         self.end(name, ClaimState::Refused(refused.into()));
     }
@@ -258,7 +287,7 @@ impl Body for ClaimsBody {
                 info!(%name, epoch, "a name is ours");
                 self.tell(&name, ClaimState::Held { epoch });
                 if let Some(number) = self.own.get(&name).map(|own| own.number) {
-                    self.end_trouble(&Trouble::Taken(name, number));
+                    self.end_troubles(name, number);
                 }
             }
             ClaimsOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
@@ -279,13 +308,15 @@ impl Body for ClaimsBody {
                 self.declare(FaultKind::NameTaken, detail);
                 // Each of the two knows it now, and what becomes of it.
                 let number = self.own.get(&name).map_or(0, |own| own.number);
-                self.troubles.begin(Trouble::Taken(name.clone(), number), platform::now());
+                self.troubles.begin(Trouble::Lost(name.clone(), number), platform::now());
                 match stands_by {
                     true => self.tell(&name, ClaimState::StandsBy),
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
                 }
             }
             ClaimsOutput::Held { name, holder } => {
+                self.without.handle_holder(&name, holder.as_ref());
+                self.say_who_goes_without();
                 let life = |holder: Holder| {
                     let incarnation = self.incarnation_of(&holder.node);
                     (holder, incarnation)
@@ -306,15 +337,15 @@ impl Handler<Wish> for ClaimsBody {
                 match self.own.get(&name) {
                     // The next life of the same component.
                     Some(own) if own.number == number => return,
-                    Some(_) => {
+                    Some(Own { wanted: own, .. }) => {
+                        let other = own.object.clone();
                         let holder = self.setup.node.clone();
                         let epoch = self.machine.holder(&name).map_or(0, |held| held.epoch);
                         let held = NameHeld { name, holder, epoch };
                         if unattended {
-                            let object = wanted.object;
-                            let detail = format!("{object} goes without a name: {held}");
-                            self.declare(FaultKind::NameTaken, detail);
-                            self.troubles.hold(Trouble::Taken(held.name.clone(), number));
+                            let claim = (held.name.clone(), number);
+                            self.without.handle_doubled(claim, wanted.object, &other);
+                            self.say_who_goes_without();
                         }
                         told.send_replace(ClaimState::Refused(held.into()));
                         return;
@@ -333,7 +364,7 @@ impl Handler<Wish> for ClaimsBody {
                     self.machine.handle_withdrawn(&name);
                 }
                 // Also of one that was refused, and goes without.
-                self.end_trouble(&Trouble::Taken(name, number));
+                self.end_troubles(name, number);
             }
         }
         self.drive(context);

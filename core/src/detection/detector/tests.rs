@@ -286,6 +286,17 @@ fn the_same_fault_again_is_counted_and_told_at_powers_of_two() {
 }
 
 #[test]
+fn a_fault_that_is_seen_again_stands_as_it_is_now() {
+    let mut bench = Bench::new();
+    for detail in ["two go without", "three go without", "one goes without"] {
+        let detail = detail.to_owned();
+        bench.see("arm", ONE, Finding::Declared { kind: FaultKind::NameTaken, detail });
+    }
+
+    assert_eq!((bench.fault(1).count, &*bench.fault(1).detail), (3, "one goes without"));
+}
+
+#[test]
 fn a_repetition_of_a_hand_over_is_not_a_repetition_of_the_fault() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, declared());
