@@ -10,6 +10,7 @@ pub(super) use errand::{Notify, Ship};
 use super::NetEnvironment;
 use super::door::{Condition, Doors, Gate};
 use super::notice;
+use super::own_faults::OwnFaults;
 use super::wardens::{Told, Wardens};
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
@@ -20,7 +21,6 @@ use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
-use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::KeepOut;
 use blastema_contract::session::{BeginAnew, Credit, Leave, PeerSeen, Say, SayNewest};
 use blastema_core::detection::NodeCondition;
@@ -54,7 +54,7 @@ struct Wiring {
     topics: Topics,
     recoverer: Option<Recipient<Recover>>,
     nodes: Option<Recipient<NodeReported>>,
-    faults: Option<Recipient<FaultDeclared>>,
+    faults: OwnFaults,
     sessions: SessionPorts,
     doors: Arc<Doors>,
     wardens: Wardens,
@@ -124,11 +124,11 @@ impl Gateway {
             topics,
             recoverer,
             nodes,
-            faults,
             dead_letters,
             envoys,
             ..
         } = environment.clone();
+        let faults = environment.own_faults("gateway");
         move |context| {
             let machine = Isolation::new(node, incarnation, judges);
             let told_of = Told {
@@ -363,7 +363,8 @@ impl Gateway {
         }
         let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
         error!(node, "a contract differs: {difference}");
-        self.declare(FaultKind::ContractMismatch, format!("with node {node}: {difference}"));
+        let detail = format!("with node {node}: {difference}");
+        self.wiring.faults.declare(FaultKind::ContractMismatch, detail);
     }
 
     /// What a peer has done does harm; several times are a fault of that node.
@@ -372,15 +373,6 @@ impl Gateway {
             let (node, incarnation) = (peer.node.clone(), peer.incarnation);
             let condition = NodeCondition::Offends { what: what.to_owned() };
             nodes.do_send(NodeReported { node, incarnation, condition });
-        }
-    }
-
-    /// A fault of the traffic with other nodes, at the gateway.
-    fn declare(&self, kind: FaultKind, detail: String) {
-        if let Some(faults) = &self.wiring.faults {
-            let object = super::named("gateway");
-            let incarnation = crate::guardian::alive().incarnation;
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
         }
     }
 
