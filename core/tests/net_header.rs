@@ -16,9 +16,9 @@ fn frame(segment: &Segment) -> usize {
         hops: 16,
         destination: NodeId(1),
         source: NodeId(2),
-        payload: Payload::Segment(segment.encode()),
+        payload: Payload::Segment(segment.encode().into()),
     };
-    Frame::Data(packet.encode()).encode().len() - PAYLOAD.len()
+    Frame::Data(packet.encode().into()).encode().len() - PAYLOAD.len()
 }
 
 /// The overhead of one message alone in its part, without and with an acknowledgement on board.
@@ -36,7 +36,7 @@ fn reliable(message: &Message, stream: Stream, sequence: u64) -> [usize; 2] {
         again: false,
         piece: None,
         ack: None,
-        payload: payload.freeze(),
+        payload: payload.freeze().into(),
     };
     let ack = Some(Ack { next: sequence, window: 256, ranges: vec![] });
     let acking = Data { ack, ..data.clone() };
@@ -82,7 +82,13 @@ fn a_small_reading_of_which_the_newest_counts_has_the_overhead_that_is_stated() 
     let overhead = TIMES.map(|(sequence, stamp_us)| {
         let message = Message::Event { subscription: 5, stamp_us, payload: payload.clone() };
         let payload = message.encode().into_bytes();
-        frame(&Segment::Datagram(Datagram { tag: 7, channel: 10, sequence, piece: None, payload }))
+        frame(&Segment::Datagram(Datagram {
+            tag: 7,
+            channel: 10,
+            sequence,
+            piece: None,
+            payload: payload.into(),
+        }))
     });
     assert_eq!(overhead, [22, 27]);
 }

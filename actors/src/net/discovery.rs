@@ -172,7 +172,7 @@ impl DiscoveryBody {
             };
             let frame = beacon(&self.wiring.node, *port);
             let to = MediumAddress::Ip(*group);
-            transport.transmit.do_send(Transmit::new(to, frame));
+            transport.transmit.do_send(Transmit::new(to, frame.into()));
         }
     }
 

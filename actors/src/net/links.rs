@@ -22,12 +22,12 @@ use blastema_core::detection::LinkCondition;
 use blastema_core::net::complaints::Complaints;
 use blastema_core::net::frame::{is_hello, is_urgent};
 use blastema_core::net::link::LinkRefusal;
+use blastema_core::net::parcel::Parcel;
 use blastema_core::net::router::{Health, LinkStatus};
 use blastema_core::net::{
     Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
 };
 use blastema_core::{FaultKind, Incarnation, Instant, NodeName};
-use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -254,8 +254,8 @@ impl Links {
         }
     }
 
-    fn transmit(&self, to: MediumAddress, frame: Bytes) {
-        let lane = match &frame[..] {
+    fn transmit(&self, to: MediumAddress, frame: Parcel) {
+        let lane = match &frame {
             frame if is_hello(frame) => Lane::Hello,
             frame if is_urgent(frame) => Lane::Urgent,
             _ => Lane::Usual,
@@ -345,7 +345,7 @@ impl Body for Links {
                 }
             }
             LinkOutput::Routing(bytes) => arrived(Load::Routing(bytes)),
-            LinkOutput::Packet(bytes) => arrived(Load::Packet(bytes)),
+            LinkOutput::Packet(bytes) => arrived(Load::Packet(bytes.into())),
             LinkOutput::Changed { state, reason, .. } => self.changed(link, state, reason),
             LinkOutput::Missing { heard } => self.missing(link, heard),
             LinkOutput::Quality(quality) => self.quality(link, quality),
@@ -435,7 +435,7 @@ impl Handler<Carry> for Links {
         let Some(link) = self.bundle.get_mut(link) else { return };
         match load {
             Load::Routing(bytes) => link.handle_routing(bytes),
-            Load::Packet(bytes) => link.handle_packet(bytes),
+            Load::Packet(packet) => link.handle_packet(packet),
         }
         self.drive_soon(context);
     }

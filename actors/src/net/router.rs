@@ -264,7 +264,7 @@ impl Handler<Arrived> for Router {
         let now = platform::now();
         match load {
             Load::Routing(bytes) => self.machine.handle_routing(link, bytes, now),
-            Load::Packet(packet) => self.machine.handle_packet(link, packet, now),
+            Load::Packet(packet) => self.machine.handle_packet(link, packet.into_bytes(), now),
         }
         self.drive_soon(context);
     }

@@ -331,7 +331,6 @@ impl Handler<SegmentArrived> for Sessions {
         if !direct && let Some(peer) = self.peers.get_mut(&source) {
             peer.relayed = true;
         }
-        self.drive(context);
     }
 }
 

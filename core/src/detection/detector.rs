@@ -248,7 +248,7 @@ impl Detector {
     /// A fault was seen: it is counted if it stands already, else recorded and handed over.
     fn find(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
         if let Some(id) = self.chronicle.standing(&scene.place, &kind)
-            && self.repeat(id, scene)
+            && self.repeat(id, scene, &detail)
         {
             return id;
         }
@@ -262,8 +262,8 @@ impl Detector {
         id
     }
 
-    /// Counts a fault once more; no, if what stands was given up in another life.
-    fn repeat(&mut self, id: FaultId, scene: &Scene) -> bool {
+    /// Counts a fault once more, in its newest words; no, if what stands was given up in another life.
+    fn repeat(&mut self, id: FaultId, scene: &Scene, detail: &str) -> bool {
         let Some(entry) = self.chronicle.entry_mut(id) else { return false };
         let another = scene.incarnation != entry.fault.incarnation;
         if another && matches!(entry.ended, Some((_, End::GaveUp { .. }))) {
@@ -271,6 +271,9 @@ impl Detector {
         }
         entry.fault.count = entry.fault.count.saturating_add(1);
         entry.fault.incarnation = scene.incarnation;
+        if entry.fault.detail != detail {
+            detail.clone_into(&mut entry.fault.detail);
+        }
         if entry.fault.count.is_power_of_two() {
             let fault = entry.fault.clone();
             let tell = DetectorOutput::Tell { fault, at: scene.at, turn: Turn::Repeated };

@@ -34,6 +34,7 @@ use self::quality::{Gauge, Limits};
 
 use super::arrival::{Arrival, Arrivals};
 use super::frame::{Echo, Frame, Hello, Stance};
+use super::parcel::Parcel;
 use super::wire::{Refusals, WireError};
 use crate::{Incarnation, Instant, Machine};
 use bytes::Bytes;
@@ -181,13 +182,13 @@ impl Link {
     }
 
     /// Sends a packet. Dropped and counted when the link is not up.
-    pub fn handle_packet(&mut self, packet: Bytes) {
-        self.carry(Frame::Data(packet));
+    pub fn handle_packet(&mut self, packet: impl Into<Parcel>) {
+        self.carry(Frame::Data(packet.into()));
     }
 
     fn carry(&mut self, frame: Frame) {
         if self.carries() {
-            self.outputs.push_back(LinkOutput::Transmit(frame.encode()));
+            self.outputs.push_back(LinkOutput::Transmit(frame.parcel()));
         } else {
             self.refusals.unexpected += 1;
         }
@@ -224,7 +225,9 @@ impl Link {
                 Ok(whole) => self.outputs.extend(whole.map(LinkOutput::Routing)),
                 Err(error) => self.refusals.count(&error),
             },
-            Ok(Frame::Data(packet)) => self.outputs.push_back(LinkOutput::Packet(packet)),
+            Ok(Frame::Data(packet)) => {
+                self.outputs.push_back(LinkOutput::Packet(packet.into_bytes()))
+            }
             Err(error) => self.refusals.count(&error),
         }
     }
@@ -448,7 +451,7 @@ impl Link {
         if self.on_bus {
             self.greeting = Some(hello.sequence);
         } else {
-            self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).encode()));
+            self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).parcel()));
         }
     }
 

@@ -18,6 +18,7 @@
 //! node may stand on it twice, so that a copy cannot go in a circle whatever the nodes know of each other.
 
 use super::node_id::NodeId;
+use super::parcel::Parcel;
 use super::wire::{Reader, WireError};
 use bytes::{BufMut, Bytes, BytesMut};
 use std::fmt;
@@ -67,7 +68,7 @@ pub struct Packet {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Payload {
     /// For the destination's session with the source.
-    Segment(Bytes),
+    Segment(Parcel),
     /// The same, one of several that go different ways, and by no other than its own.
     Copy {
         /// Which, below [`COPIES_MAX`].
@@ -75,7 +76,7 @@ pub enum Payload {
         /// The nodes that it is still to pass after the one that has it, at most [`RELAYS_MAX`].
         relays: Vec<NodeId>,
         /// The segment.
-        segment: Bytes,
+        segment: Parcel,
     },
     /// A packet of the receiver's could not be delivered.
     Return {
@@ -121,12 +122,17 @@ impl fmt::Display for Undelivered {
 }
 
 impl Packet {
-    /// The packet's bytes.
+    /// The packet's bytes, in one piece.
     pub fn encode(&self) -> Bytes {
+        self.parcel().into_bytes()
+    }
+
+    /// The packet's bytes. What is large of what it carries is not copied.
+    pub fn parcel(&self) -> Parcel {
         let class = (self.class as u8) << 6;
         let (kind, length) = match &self.payload {
-            Payload::Segment(segment) => (class, segment.len()),
-            Payload::Copy { segment, .. } => (COPY, WAY_MAX + segment.len()),
+            Payload::Segment(segment) => (class, segment.copied()),
+            Payload::Copy { segment, .. } => (COPY, WAY_MAX + segment.copied()),
             Payload::Return { .. } => (class | RETURN, 5),
         };
         let mut bytes = BytesMut::with_capacity(PACKET_HEADER + length);
@@ -134,19 +140,19 @@ impl Packet {
         bytes.put_u32(self.destination.0);
         bytes.put_u32(self.source.0);
         match &self.payload {
-            Payload::Segment(segment) => bytes.put_slice(segment),
+            Payload::Segment(segment) => segment.behind(bytes),
             Payload::Copy { copy, relays, segment } => {
                 debug_assert!(usize::from(*copy) < COPIES_MAX && relays.len() <= RELAYS_MAX);
                 bytes.put_u8(class | copy << 4 | relays.len() as u8);
                 relays.iter().for_each(|relay| bytes.put_u32(relay.0));
-                bytes.put_slice(segment);
+                segment.behind(bytes)
             }
             Payload::Return { destination, reason } => {
                 bytes.put_u32(destination.0);
                 bytes.put_u8(*reason as u8);
+                bytes.freeze().into()
             }
         }
-        bytes.freeze()
     }
 
     /// Reads a packet.
@@ -168,7 +174,7 @@ impl Packet {
         }
         let class = read_class(first)?;
         let payload = if first & RETURN == 0 {
-            Payload::Segment(reader.rest())
+            Payload::Segment(reader.rest().into())
         } else {
             let destination = NodeId(reader.u32()?);
             let reason = match reader.u8()? {
@@ -184,7 +190,7 @@ impl Packet {
     }
 }
 
-/// Whether the bytes of a packet say that it is of the class [`Control`](Class::Control).
+/// Whether the first bytes of a packet say that it is of the class [`Control`](Class::Control).
 pub(crate) fn is_control(packet: &[u8]) -> bool {
     let class = match packet.first() {
         Some(first) if first & COPY == COPY => packet.get(PACKET_HEADER),
@@ -218,7 +224,7 @@ fn read_copy(
         }
         relays.push(relay);
     }
-    Ok((class, Payload::Copy { copy, relays, segment: reader.rest() }))
+    Ok((class, Payload::Copy { copy, relays, segment: reader.rest().into() }))
 }
 
 #[cfg(test)]
@@ -237,12 +243,12 @@ mod tests {
 
     fn copy_over(relays: &[u32]) -> Payload {
         let relays = relays.iter().map(|relay| NodeId(*relay)).collect();
-        Payload::Copy { copy: 1, relays, segment: Bytes::from_static(b"hi") }
+        Payload::Copy { copy: 1, relays, segment: Bytes::from_static(b"hi").into() }
     }
 
     #[test]
     fn the_bytes_of_a_packet_are_these_for_ever() {
-        let segment = packet(Payload::Segment(Bytes::from_static(b"hi")));
+        let segment = packet(Payload::Segment(Bytes::from_static(b"hi").into()));
         assert_eq!(&segment.encode()[..], b"\x48\x01\x02\x03\x04\0\0\0\x05hi");
         let returned = Payload::Return { destination: NodeId(7), reason: Undelivered::TooManyHops };
         assert_eq!(&packet(returned).encode()[..], b"\x68\x01\x02\x03\x04\0\0\0\x05\0\0\0\x07\x01");
@@ -253,7 +259,7 @@ mod tests {
     #[test]
     fn a_packet_comes_back_as_it_was_and_nothing_else_does() {
         let returned = Payload::Return { destination: NodeId(7), reason: Undelivered::NoRoute };
-        for payload in [Payload::Segment(Bytes::from_static(b"hi")), returned] {
+        for payload in [Payload::Segment(Bytes::from_static(b"hi").into()), returned] {
             let packet = packet(payload);
             assert_eq!(Packet::decode(packet.encode()), Ok(packet.clone()));
             for cut in 0..PACKET_HEADER {

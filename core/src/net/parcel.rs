@@ -1,11 +1,12 @@
-//! An encoded message on its way to the wire.
+//! Bytes on their way to the wire: a message, a segment, a packet, a frame.
 
 use bytes::{BufMut, Bytes, BytesMut};
 use std::ops::Range;
 
-/// The bytes of a message, in one piece or two.
+/// Bytes in one piece or two.
 ///
-/// A large payload is not copied behind what stands before it: it is cut into parts as it is.
+/// A large payload is not copied behind what stands before it: it is cut into parts as it is, each layer puts
+/// its header before that, and the medium writes both pieces.
 #[derive(Clone, Debug, Default)]
 pub struct Parcel {
     head: Bytes,
@@ -41,29 +42,71 @@ impl Parcel {
         bytes.freeze()
     }
 
-    /// Some of it, not copied where it lies within the payload.
-    pub(crate) fn slice(&self, range: Range<usize>) -> Bytes {
-        let head = self.head.len();
-        if range.start >= head {
-            return self.body.slice(range.start - head..range.end - head);
-        }
-        let mut bytes = BytesMut::with_capacity(range.len());
-        self.put(range, &mut bytes);
-        bytes.freeze()
+    /// Makes one piece of it, which may take a copy.
+    pub fn make_whole(&mut self) -> &mut Bytes {
+        *self = std::mem::take(self).into_bytes().into();
+        &mut self.head
+    }
+
+    /// Its pieces, in order; one may be empty.
+    pub fn pieces(&self) -> [&[u8]; 2] {
+        [&self.head, &self.body]
+    }
+
+    /// Some of it, not copied.
+    pub(crate) fn slice(&self, range: Range<usize>) -> Parcel {
+        let (head, body) = self.within(range);
+        Parcel { head: self.head.slice(head), body: self.body.slice(body) }
     }
 
     /// Writes some of it.
     pub(crate) fn put(&self, range: Range<usize>, to: &mut BytesMut) {
+        let (head, body) = self.within(range);
+        to.put_slice(&self.head[head]);
+        to.put_slice(&self.body[body]);
+    }
+
+    /// Which bytes of each piece these are of the whole.
+    fn within(&self, Range { start, end }: Range<usize>) -> (Range<usize>, Range<usize>) {
         let head = self.head.len();
-        to.put_slice(&self.head[range.start.min(head)..range.end.min(head)]);
-        let (start, end) = (range.start.max(head) - head, range.end.max(head) - head);
-        to.put_slice(&self.body[start..end]);
+        (start.min(head)..end.min(head), start.max(head) - head..end.max(head) - head)
+    }
+
+    /// Where one piece is so large that it stays where it is, nothing stands before it yet.
+    fn is_bare(&self) -> bool {
+        self.body.is_empty() && self.head.len() >= Self::APART
+    }
+
+    /// How many bytes [`behind`](Parcel::behind) copies behind the header.
+    pub(crate) fn copied(&self) -> usize {
+        if self.is_bare() { 0 } else { self.head.len() }
+    }
+
+    /// The same behind a header.
+    pub(crate) fn behind(&self, mut header: BytesMut) -> Parcel {
+        if self.is_bare() {
+            return Parcel { head: header.freeze(), body: self.head.clone() };
+        }
+        header.put_slice(&self.head);
+        Parcel { head: header.freeze(), body: self.body.clone() }
     }
 }
 
 impl From<Bytes> for Parcel {
     fn from(bytes: Bytes) -> Self {
         Parcel { head: bytes, body: Bytes::new() }
+    }
+}
+
+impl From<Vec<u8>> for Parcel {
+    fn from(bytes: Vec<u8>) -> Self {
+        Bytes::from(bytes).into()
+    }
+}
+
+impl From<&'static str> for Parcel {
+    fn from(bytes: &'static str) -> Self {
+        Bytes::from(bytes).into()
     }
 }
 
@@ -86,11 +129,27 @@ mod tests {
         for cut in 0..=whole.len() {
             let parcel = Parcel::apart(whole.slice(..cut), whole.slice(cut..));
             assert_eq!(parcel, Parcel::from(whole.clone()));
+            assert_eq!(parcel.pieces().concat(), whole);
             for start in 0..=whole.len() {
                 for end in start..=whole.len() {
-                    assert_eq!(parcel.slice(start..end), whole.slice(start..end));
+                    assert_eq!(parcel.slice(start..end), whole.slice(start..end).into());
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_large_payload_stays_where_it_is_behind_any_number_of_headers() {
+        for length in [1, 10, Parcel::APART - 1, Parcel::APART, 100_000] {
+            let payload = Bytes::from(vec![7; length]);
+            let place = payload.as_ptr();
+
+            let one = Parcel::from(payload.clone()).behind(BytesMut::from("inner"));
+            let two = one.behind(BytesMut::from("outer "));
+
+            assert_eq!(two.pieces().concat(), [b"outer inner", &payload[..]].concat());
+            let stays = two.pieces().iter().any(|piece| piece.as_ptr() == place);
+            assert_eq!(stays, length >= Parcel::APART, "{length}");
         }
     }
 }

@@ -203,7 +203,7 @@ async fn garbage(sender: &Addr<Memory>, seconds: &[usize]) {
     for count in seconds {
         for _ in 0..*count {
             let frame = Bytes::from_static(b"\xffgarbage");
-            sender.do_send(blastema_contract::transport::Transmit::new(to.clone(), frame));
+            sender.do_send(blastema_contract::transport::Transmit::new(to.clone(), frame.into()));
         }
         advance(1000 * MS).await;
     }

@@ -191,6 +191,21 @@ fn everything_on_the_list_is_found_under_its_kind() {
 }
 
 #[test]
+fn a_fault_that_is_found_again_is_told_in_its_newest_words() {
+    let mut bench = Bench::new();
+    let down = |reason: &str| Finding::Link(LinkCondition::Down { reason: reason.into() });
+
+    bench.see("-eth-n", ONE, down("the adapter does not answer"));
+    bench.see("-eth-n", ONE, down("node a has the address"));
+
+    assert_eq!(bench.said(), ["Found 1", "Repeated 1", "+1"]);
+    assert_eq!(
+        (bench.fault(1).detail.as_str(), bench.fault(1).count),
+        ("node a has the address", 2)
+    );
+}
+
+#[test]
 fn what_is_no_fault_is_not_recorded() {
     let harmless = [
         ("arm", exited(Exit::Stopped)),

@@ -2,6 +2,7 @@
 
 use super::quality::Quality;
 use crate::net::node_id::NodeId;
+use crate::net::parcel::Parcel;
 use crate::{Incarnation, NodeName};
 use bytes::Bytes;
 use std::fmt;
@@ -126,7 +127,7 @@ pub enum LinkRefusal {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LinkOutput {
     /// Give this frame to the transport.
-    Transmit(Bytes),
+    Transmit(Parcel),
     /// The link is now in another state.
     Changed {
         /// Which.

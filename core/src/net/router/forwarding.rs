@@ -5,6 +5,7 @@ use crate::Instant;
 use crate::net::frame::FRAME_HEADER;
 use crate::net::node_id::NodeId;
 use crate::net::packet::{Class, HOPS_MAX, Packet, Payload, Undelivered};
+use crate::net::parcel::Parcel;
 use crate::net::topology::{self, Way};
 use bytes::Bytes;
 
@@ -37,7 +38,7 @@ impl Router {
                 Payload::Segment(segment) | Payload::Copy { segment, .. } => {
                     let source = packet.source;
                     let direct = self.links.get(&link).is_some_and(|link| link.id == source);
-                    RouterOutput::Segment { source, segment, direct }
+                    RouterOutput::Segment { source, segment: segment.into_bytes(), direct }
                 }
                 Payload::Return { destination, reason } => {
                     RouterOutput::Undelivered { destination, reason }
@@ -47,7 +48,7 @@ impl Router {
     }
 
     /// Our session with `destination` wants this sent.
-    pub fn handle_segment(&mut self, destination: NodeId, class: Class, segment: Bytes) {
+    pub fn handle_segment(&mut self, destination: NodeId, class: Class, segment: Parcel) {
         let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
         let payload = Payload::Segment(segment);
         let packet = Packet { class, hops, destination, source, payload };
@@ -59,7 +60,7 @@ impl Router {
 
     /// The same over ways that have as little in common as can be, each written into its copy: the first
     /// one that arrives counts. A way that is too small for it is left out.
-    pub fn handle_copies(&mut self, destination: NodeId, class: Class, segment: &Bytes) {
+    pub fn handle_copies(&mut self, destination: NodeId, class: Class, segment: &Parcel) {
         if self.routes.contains_key(&destination) && !self.ways.contains_key(&destination) {
             let ways = self.topology().ways(destination);
             self.ways.insert(destination, ways);
@@ -73,7 +74,7 @@ impl Router {
                 None => Payload::Segment(segment),
                 Some((_, relays)) => Payload::Copy { copy, relays: relays.to_vec(), segment },
             };
-            let packet = Packet { class, hops, destination, source, payload }.encode();
+            let packet = Packet { class, hops, destination, source, payload }.parcel();
             let fits = packet.len() + FRAME_HEADER <= adjacent.mtu.min(way.mtu).into();
             let near = way.relays.len() <= hops.into();
             (fits && near).then_some(RouterOutput::Packet { link: way.link, packet })
@@ -98,7 +99,7 @@ impl Router {
         let next = if relays.is_empty() { destination } else { relays.remove(0) };
         let payload = Payload::Copy { copy, relays, segment };
         let link = hops.checked_sub(1).and_then(|hops| {
-            let packet = Packet { class, hops, destination, source, payload }.encode();
+            let packet = Packet { class, hops, destination, source, payload }.parcel();
             Some((self.parallel(next, copy, packet.len() + FRAME_HEADER)?, packet))
         });
         match link {
@@ -134,12 +135,12 @@ impl Router {
     }
 
     pub(super) fn pass(&mut self, link: LinkNumber, packet: &Packet) {
-        let bytes = packet.encode();
+        let encoded = packet.parcel();
         let mtu = self.links.get(&link).map_or(0, |adjacent| usize::from(adjacent.mtu));
-        if bytes.len() + FRAME_HEADER > mtu {
+        if encoded.len() + FRAME_HEADER > mtu {
             return self.give_back(packet, Undelivered::TooLarge);
         }
-        self.outputs.push_back(RouterOutput::Packet { link, packet: bytes });
+        self.outputs.push_back(RouterOutput::Packet { link, packet: encoded });
     }
 
     /// Tells a packet's source that it went no further. Nothing is said about a return.

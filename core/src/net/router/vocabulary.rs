@@ -4,6 +4,7 @@ use super::LinkNumber;
 use crate::net::link::Neighbour;
 use crate::net::node_id::NodeId;
 use crate::net::packet::Undelivered;
+use crate::net::parcel::Parcel;
 use crate::{Incarnation, NodeName};
 use bytes::Bytes;
 use std::time::Duration;
@@ -98,7 +99,7 @@ pub enum RouterOutput {
         /// Which link.
         link: LinkNumber,
         /// The packet.
-        packet: Bytes,
+        packet: Parcel,
     },
     /// A segment arrived for our session with the source.
     Segment {

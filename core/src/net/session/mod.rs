@@ -236,13 +236,13 @@ impl Session {
         now: Instant,
     ) -> Result<(), Refused> {
         self.now = now;
-        let message = self.check(message.into())?.into_bytes();
+        let message = self.check(message.into())?;
         let (State::Open { peer }, Some(room)) = (self.state, self.path) else {
-            return Err((Why::Restarting, message));
+            return Err((Why::Restarting, message.into_bytes()));
         };
         let limit = BestEffort::most(room);
         if message.len() > limit {
-            return Err((Why::TooLargeForSession { limit }, message));
+            return Err((Why::TooLargeForSession { limit }, message.into_bytes()));
         }
         for datagram in self.best_effort.cut(peer.tag, channel, &message, room) {
             self.transmit(Class::Data, Segment::Datagram(datagram));
@@ -454,12 +454,12 @@ impl Session {
     }
 
     fn transmit(&mut self, class: Class, segment: Segment) {
-        let segment = segment.encode();
+        let segment = segment.parcel();
         self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: false });
     }
 
     fn transmit_everywhere(&mut self, class: Class, segment: Segment) {
-        let segment = segment.encode();
+        let segment = segment.parcel();
         self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: true });
     }
 

@@ -166,7 +166,7 @@ fn of_two_lives_that_both_answer_the_first_has_the_link() {
             }
             while let Some(output) = other.poll_output() {
                 if let LinkOutput::Transmit(frame) = output {
-                    cable.ends[0].handle_frame(frame, at(cable.now));
+                    cable.ends[0].handle_frame(frame.into_bytes(), at(cable.now));
                 }
             }
         }

@@ -38,7 +38,7 @@ fn wary_on_the_right() -> Cable {
 #[test]
 fn traffic_of_the_past_neither_brings_a_link_up_nor_keeps_it_down() {
     let calm = healed(&mut wary_on_the_right(), || None);
-    let packet = || Some(Frame::Data(Bytes::from_static(b"packet")).encode());
+    let packet = || Some(Frame::Data(Bytes::from_static(b"packet").into()).encode());
     let routing = || Some(Frame::Routing(Bytes::from_static(b"routing")).encode());
     for again in [packet, routing] {
         let mut cable = wary_on_the_right();
