@@ -15,7 +15,7 @@ use blastema_contract::reports::{FaultDeclared, FaultMended};
 use blastema_core::net::NodeId;
 use blastema_core::{
     Contract, ContractIdentity, FaultKind, Former, Incarnation, Instant, MessageId, NodeName,
-    ObjectAddress, ObjectName, PeerIdentity, Why, codec,
+    ObjectAddress, ObjectName, Parcel, PeerIdentity, Why, codec,
 };
 use bytes::Bytes;
 use std::any::{Any, type_name};
@@ -100,7 +100,7 @@ pub(crate) trait RemoteDoor: Send + Sync {
     ///
     /// # Errors
     /// Why the message was not taken.
-    fn send(&self, message: Bytes, asked: Option<Asked>) -> Result<(), Why>;
+    fn send(&self, message: Parcel, asked: Option<Asked>) -> Result<(), Why>;
 
     /// Completes when there may be room for a message that was refused as [`Why::Full`].
     fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>>;
@@ -287,9 +287,8 @@ impl<M: Contract> Outlet<M> {
         if let Some(why) = crate::host::pulse::forbidden() {
             return Err(why);
         }
-        let mut bytes = Vec::new();
-        codec::encode(message, &mut bytes).map_err(|error| encoding(error, M::MAX_SIZE))?;
-        self.door.send(bytes.into(), asked)
+        let parcel = codec::encode_parcel(message).map_err(|error| encoding(error, M::MAX_SIZE))?;
+        self.door.send(parcel, asked)
     }
 }
 

@@ -49,16 +49,21 @@ const TIMES: [(u64, u64); 2] = [(100, 10_000), (1_000_000, 3_600_000_000)];
 #[test]
 fn a_small_message_has_the_overhead_that_the_documentation_states() {
     let payload = Bytes::from_static(PAYLOAD);
-    let tell =
-        |stamp_us| Message::Tell { binding: 5, stamp_us, id: None, payload: payload.clone() };
-    let event = |stamp_us| Message::Event { subscription: 5, stamp_us, payload: payload.clone() };
+    let tell = |stamp_us| Message::Tell {
+        binding: 5,
+        stamp_us,
+        id: None,
+        payload: payload.clone().into(),
+    };
+    let event =
+        |stamp_us| Message::Event { subscription: 5, stamp_us, payload: payload.clone().into() };
     let request = |call, stamp_us: u64| Message::Request {
         binding: 5,
         call,
         stamp: stamp_us / 100,
         within: 10_000,
         id: None,
-        payload: payload.clone(),
+        payload: payload.clone().into(),
     };
     let reply = |call| Message::Reply { call, result: Ok(payload.clone()) };
 
@@ -80,7 +85,7 @@ fn a_small_message_has_the_overhead_that_the_documentation_states() {
 fn a_small_reading_of_which_the_newest_counts_has_the_overhead_that_is_stated() {
     let payload = Bytes::from_static(PAYLOAD);
     let overhead = TIMES.map(|(sequence, stamp_us)| {
-        let message = Message::Event { subscription: 5, stamp_us, payload: payload.clone() };
+        let message = Message::Event { subscription: 5, stamp_us, payload: payload.clone().into() };
         let payload = message.encode().into_bytes();
         frame(&Segment::Datagram(Datagram {
             tag: 7,

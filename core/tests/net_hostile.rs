@@ -101,11 +101,13 @@ fn genuine() -> Vec<Bytes> {
             stamp: 1,
             within: 9,
             id: None,
-            payload: payload.clone(),
+            payload: payload.clone().into(),
         }
         .encode()
         .into_bytes(),
-        Message::Event { subscription: 1, stamp_us: 5, payload }.encode().into_bytes(),
+        Message::Event { subscription: 1, stamp_us: 5, payload: payload.into() }
+            .encode()
+            .into_bytes(),
         names.encode().into_bytes(),
     ]
 }

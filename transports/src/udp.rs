@@ -10,7 +10,7 @@ use crate::part::part_frame;
 use crate::reopening::Reopening;
 use actix::Context;
 use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
-use blastema_core::net::parcel::Parcel;
+use blastema_core::Parcel;
 use bytes::{BufMut, BytesMut};
 use socket2::{Domain, Protocol, SockRef, Socket, Type};
 use std::io::{self, IoSlice};

@@ -4,10 +4,10 @@ use actix::Actor;
 use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
+use blastema_core::Parcel;
 use blastema_core::net::frame::{FRAME_HEADER, Frame, is_hello, is_urgent};
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
 use blastema_core::net::packet::{PACKET_HEADER, Packet, Payload};
-use blastema_core::net::parcel::Parcel;
 use blastema_core::net::segment::Stream;
 use blastema_core::net::session::{Session, SessionConfig, SessionOutput};
 use blastema_core::net::{Bundle, BundleOutput, Class, Link, LinkNumber, NodeId};

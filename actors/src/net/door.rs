@@ -6,8 +6,7 @@ use crate::registry::{Asked, RemoteDoor, RemoteDoors};
 use actix::Recipient;
 use blastema_contract::session::{Credit, Lender};
 use blastema_core::net::session::PAYLOAD_MAX;
-use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, ObjectName, Why};
-use bytes::Bytes;
+use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, ObjectName, Parcel, Why};
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::pin::Pin;
@@ -250,7 +249,7 @@ struct Door {
 }
 
 impl RemoteDoor for Door {
-    fn send(&self, message: Bytes, asked: Option<Asked>) -> Result<(), Why> {
+    fn send(&self, message: Parcel, asked: Option<Asked>) -> Result<(), Why> {
         if message.len() > PAYLOAD_MAX {
             return Err(Why::TooLargeForSession { limit: PAYLOAD_MAX });
         }

@@ -23,12 +23,12 @@ use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::router::KeepOut;
 use blastema_contract::session::{BeginAnew, Credit, Leave, PeerSeen, Say, SayNewest};
+use blastema_core::Parcel;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::isolation::Isolation;
 use blastema_core::net::naming::Naming;
-use blastema_core::net::parcel::Parcel;
 use blastema_core::net::segment::Stream;
 use blastema_core::{
     ContractIdentity, Delivery, FaultKind, NodeName, ObjectName, PeerIdentity, Place, Why,
@@ -318,7 +318,7 @@ impl Gateway {
         };
         let Some(known) = self.peers.get(&peer) else { return };
         let (gate, gateway) = (known.gate.clone(), context.address());
-        let forward: Forward = Arc::new(move |event: &Bytes| {
+        let forward: Forward = Arc::new(move |event: &Parcel| {
             // Publishing never waits: what a peer cannot take now is not sent.
             // Of which only the newest counts, nothing waits behind what does.
             let open = if newest { gate.has_session() } else { gate.is_open() };

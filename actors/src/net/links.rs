@@ -18,11 +18,11 @@ use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
+use blastema_core::Parcel;
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::complaints::Complaints;
 use blastema_core::net::frame::{is_hello, is_urgent};
 use blastema_core::net::link::LinkRefusal;
-use blastema_core::net::parcel::Parcel;
 use blastema_core::net::router::{Health, LinkStatus};
 use blastema_core::net::{
     Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,

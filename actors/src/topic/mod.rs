@@ -26,7 +26,7 @@ use crate::host::pulse;
 use crate::letter::{arrived_posting_time, posting_time};
 use crate::registry::difference;
 use crate::sender::SendError;
-use blastema_core::{ContractIdentity, Event, Former, ObjectName, Why, codec};
+use blastema_core::{ContractIdentity, Event, Former, ObjectName, Parcel, Why, codec};
 use bytes::Bytes;
 use hub::HubLane;
 use std::any::{Any, type_name};
@@ -40,7 +40,7 @@ use std::time::Duration;
 /// Says whether a listener wants an event.
 pub(crate) type Condition<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
 /// Ships an encoded event out of the process. Must not wait.
-pub(crate) type Forward = Arc<dyn Fn(&Bytes) + Send + Sync>;
+pub(crate) type Forward = Arc<dyn Fn(&Parcel) + Send + Sync>;
 /// Hears which topics this node listens to.
 pub(crate) type Interest = Arc<dyn Fn(&TopicKey, bool) + Send + Sync>;
 
@@ -118,12 +118,8 @@ impl<E: Event> Topic<E> {
 
     fn forward(&self, event: &E) {
         let forwards = lock(&self.forwards).clone();
-        let mut bytes = Vec::new();
-        match codec::encode(event, &mut bytes) {
-            Ok(()) => {
-                let bytes = Bytes::from(bytes);
-                forwards.iter().for_each(|forward| forward(&bytes));
-            }
+        match codec::encode_parcel(event) {
+            Ok(parcel) => forwards.iter().for_each(|forward| forward(&parcel)),
             Err(_) => self.bury(&Why::TooLarge { limit: E::MAX_SIZE }),
         }
     }

@@ -5,8 +5,8 @@
 //! ```
 
 use actix::{Message, Recipient};
+use blastema_core::Parcel;
 use blastema_core::net::packet::Undelivered;
-use blastema_core::net::parcel::Parcel;
 use blastema_core::net::{Class, NodeId, Refusals, Route};
 use blastema_core::{Incarnation, NodeName};
 use bytes::Bytes;

@@ -5,8 +5,8 @@
 //! ```
 
 use actix::{Message, Recipient};
+use blastema_core::Parcel;
 use blastema_core::net::NodeId;
-use blastema_core::net::parcel::Parcel;
 use blastema_core::net::segment::Stream;
 use blastema_core::net::session::Standing;
 use blastema_core::{Incarnation, NodeName, Why};

@@ -5,8 +5,8 @@
 
 use actix::dev::ToEnvelope;
 use actix::{Actor, Addr, Handler, Message, Recipient};
+use blastema_core::Parcel;
 use blastema_core::impairment::{Carried, Impairment, Injected};
-use blastema_core::net::parcel::Parcel;
 use bytes::Bytes;
 use std::collections::BTreeSet;
 use std::fmt;

@@ -23,6 +23,7 @@ use super::naming::Announcement;
 use super::node_id::NodeId;
 use super::segment::Stream;
 use super::wire::Refusals;
+use crate::Parcel;
 use crate::{ContractIdentity, Delivery, Incarnation, Instant, ObjectName, Why};
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
@@ -300,7 +301,7 @@ impl Exchange {
         &mut self,
         peer: NodeId,
         (subscription, delivery): (u32, Delivery),
-        payload: Bytes,
+        payload: Parcel,
         sent: Instant,
     ) {
         if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
@@ -323,7 +324,7 @@ impl Exchange {
         match self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) {
             Some(session) => {
                 session.notices.insert(number);
-                let message = Message::Notice { number, payload };
+                let message = Message::Notice { number, payload: payload.into() };
                 self.outputs.push_back(control(peer, &message));
             }
             None => self.outputs.push_back(ExchangeOutput::Noticed { number, arrived: false }),

@@ -27,8 +27,8 @@
 
 use super::greeting::Greeting;
 use super::packet;
-use super::parcel::Parcel;
 use super::wire::{Reader, WireError, Write};
+use crate::Parcel;
 use crate::{Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
 

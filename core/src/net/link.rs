@@ -34,8 +34,8 @@ use self::quality::{Gauge, Limits};
 
 use super::arrival::{Arrival, Arrivals};
 use super::frame::{Echo, Frame, Hello, Stance};
-use super::parcel::Parcel;
 use super::wire::{Refusals, WireError};
+use crate::Parcel;
 use crate::{Incarnation, Instant, Machine};
 use bytes::Bytes;
 use std::collections::VecDeque;

@@ -18,8 +18,8 @@
 //! node may stand on it twice, so that a copy cannot go in a circle whatever the nodes know of each other.
 
 use super::node_id::NodeId;
-use super::parcel::Parcel;
 use super::wire::{Reader, WireError};
+use crate::Parcel;
 use bytes::{BufMut, Bytes, BytesMut};
 use std::fmt;
 

@@ -24,9 +24,9 @@
 //! ack   next expected v │ window v │ n 1 │ n × (gap v, length v): beyond, these arrived as well
 //! ```
 
-use super::parcel::Parcel;
 use super::wire::{Reader, WireError, Write, varint_length};
 use crate::Incarnation;
+use crate::Parcel;
 use bytes::{BufMut, Bytes, BytesMut};
 
 /// The most ranges that one acknowledgement lists; the rest is listed in later ones.

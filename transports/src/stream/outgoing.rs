@@ -3,7 +3,7 @@
 use super::ByteStream;
 use super::framing::{HEADER, encode_header};
 use blastema_contract::transport::Lane;
-use blastema_core::net::parcel::Parcel;
+use blastema_core::Parcel;
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
 use std::task::{self, Poll};

@@ -1,12 +1,12 @@
 //! What is going on with one peer, as long as its session lasts.
 
 use super::vocabulary::{Call, Epoch, ExchangeOutput};
+use crate::Parcel;
 use crate::net::age::Ages;
 use crate::net::message::{Message, TICK_US};
 use crate::net::node_id::NodeId;
 use crate::net::segment::Stream;
 use crate::{ContractIdentity, Delivery, Incarnation, Instant, MessageId, ObjectName};
-use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -55,7 +55,7 @@ pub(super) struct Binding {
 pub(super) struct Waiting {
     pub(super) id: Option<MessageId>,
     pub(super) sent: Instant,
-    pub(super) payload: Bytes,
+    pub(super) payload: Parcel,
     pub(super) pending: Option<Pending>,
 }
 

@@ -62,7 +62,7 @@ impl Exchange {
                             id,
                             age,
                             until,
-                            payload,
+                            payload: payload.into_bytes(),
                         });
                     }
                     Some(Admission::Wait) => {}
@@ -83,7 +83,7 @@ impl Exchange {
                     id,
                     age,
                     until,
-                    payload,
+                    payload: payload.into_bytes(),
                 });
             }
             Message::Reply { call, result } => match session.calls.remove(&call) {
@@ -105,9 +105,10 @@ impl Exchange {
             }
             Message::Event { subscription, stamp_us, payload } => {
                 let age = session.age(stamp_us, now);
-                self.handle_peers_event(subscription, age, payload);
+                self.handle_peers_event(subscription, age, payload.into_bytes());
             }
             Message::Notice { number, payload } => {
+                let payload = payload.into_bytes();
                 self.outputs.push_back(ExchangeOutput::Notice { peer, epoch, number, payload });
             }
             Message::Confirmed { number } => {

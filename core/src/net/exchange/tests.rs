@@ -115,7 +115,7 @@ impl Pair {
             id: None,
             sent: at(self.now),
             until: None,
-            payload: payload(),
+            payload: payload().into(),
             reply_as,
         };
         self.ends[0].handle_call(call);
@@ -241,7 +241,8 @@ fn too_many_messages_for_one_binding_are_told_and_then_refused() {
         let (node, object) = (node("right"), arm());
         let (id, reply_as, contract) = (None, None, count());
         let (sent, until, payload) = (at(0), None, payload());
-        let call = Call { node, object, contract, id, sent, until, payload, reply_as };
+        let call =
+            Call { node, object, contract, id, sent, until, payload: payload.into(), reply_as };
         pair.ends[0].handle_call(call);
     }
     pair.run();
@@ -269,7 +270,7 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     };
     assert_eq!(*wanted, topic());
 
-    pair.ends[1].handle_event(*peer, (*subscription, Delivery::Reliable), payload(), at(0));
+    pair.ends[1].handle_event(*peer, (*subscription, Delivery::Reliable), payload().into(), at(0));
     pair.run();
     let event =
         ExchangeOutput::Event { topic: topic(), form: 0, age: Duration::ZERO, payload: payload() };
@@ -279,7 +280,7 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     pair.run();
     let (peer, subscription) = (*peer, *subscription);
     assert_eq!(pair.take(1), [ExchangeOutput::Unsubscribe { peer, subscription }]);
-    pair.ends[1].handle_event(peer, (subscription, Delivery::Reliable), payload(), at(0));
+    pair.ends[1].handle_event(peer, (subscription, Delivery::Reliable), payload().into(), at(0));
     pair.run();
     assert_eq!(pair.take(0), []);
     assert_eq!(pair.ends[0].refusals().stale, 1);
@@ -315,7 +316,7 @@ fn a_returned_message_resolves_its_request() {
         id: None,
         sent: at(0),
         until: None,
-        payload: payload(),
+        payload: payload().into(),
         reply_as,
     };
     let mut told = vec![];

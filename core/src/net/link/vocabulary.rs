@@ -1,8 +1,8 @@
 //! What a link is configured with, is known for, and wants done.
 
 use super::quality::Quality;
+use crate::Parcel;
 use crate::net::node_id::NodeId;
-use crate::net::parcel::Parcel;
 use crate::{Incarnation, NodeName};
 use bytes::Bytes;
 use std::fmt;

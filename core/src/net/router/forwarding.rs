@@ -2,10 +2,10 @@
 
 use super::{Health, LinkNumber, Router, RouterOutput};
 use crate::Instant;
+use crate::Parcel;
 use crate::net::frame::FRAME_HEADER;
 use crate::net::node_id::NodeId;
 use crate::net::packet::{Class, HOPS_MAX, Packet, Payload, Undelivered};
-use crate::net::parcel::Parcel;
 use crate::net::topology::{self, Way};
 use bytes::Bytes;
 

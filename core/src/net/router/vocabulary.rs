@@ -1,10 +1,10 @@
 //! What a router is configured with, is told, and wants done.
 
 use super::LinkNumber;
+use crate::Parcel;
 use crate::net::link::Neighbour;
 use crate::net::node_id::NodeId;
 use crate::net::packet::Undelivered;
-use crate::net::parcel::Parcel;
 use crate::{Incarnation, NodeName};
 use bytes::Bytes;
 use std::time::Duration;

@@ -1,7 +1,7 @@
 //! Puts pieces together, within bounds of space and time.
 
 use crate::Instant;
-use crate::net::parcel::Parcel;
+use crate::Parcel;
 use crate::net::segment::{PIECES_MAX, Piece};
 use bytes::{Bytes, BytesMut};
 use std::collections::BTreeMap;

@@ -2,7 +2,7 @@
 
 use super::assembly::{Assembly, pieces_of};
 use crate::Instant;
-use crate::net::parcel::Parcel;
+use crate::Parcel;
 use crate::net::segment::{Datagram, PIECES_MAX};
 use bytes::Bytes;
 use std::collections::BTreeMap;

@@ -1,7 +1,7 @@
 //! The sending half of an ordered stream.
 
 use crate::Instant;
-use crate::net::parcel::Parcel;
+use crate::Parcel;
 use crate::net::segment::Ack;
 use crate::net::wire::{WireError, Write, varint_length};
 use bytes::{Bytes, BytesMut};

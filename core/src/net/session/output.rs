@@ -1,7 +1,7 @@
 //! What a session wants done, and what it did.
 
+use crate::Parcel;
 use crate::net::packet::{Class, Undelivered};
-use crate::net::parcel::Parcel;
 use crate::net::segment::Stream;
 use crate::{Incarnation, Why};
 use bytes::Bytes;
