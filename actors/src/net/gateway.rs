@@ -31,7 +31,7 @@ use blastema_core::net::isolation::Isolation;
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
 use blastema_core::{
-    ContractIdentity, Delivery, FaultKind, NodeName, ObjectName, PeerIdentity, Place, Why,
+    ContractIdentity, Delivery, FaultKind, NodeName, PeerIdentity, Place, Why,
 };
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
@@ -258,8 +258,16 @@ impl Gateway {
             }
             ExchangeOutput::Full { peer } => self.set(peer, Condition::Full),
             ExchangeOutput::Room { peer } => self.set(peer, Condition::Open),
-            ExchangeOutput::ObjectFull { peer, object } => self.set_room(peer, object, false),
-            ExchangeOutput::ObjectRoom { peer, object } => self.set_room(peer, object, true),
+            ExchangeOutput::ObjectFull { peer, object } => {
+                if let Some(peer) = self.peers.get(&peer) {
+                    peer.gate.object_is_full(object);
+                }
+            }
+            ExchangeOutput::ObjectRoom { peer, object } => {
+                if let Some(peer) = self.peers.get(&peer) {
+                    peer.gate.object_has_room(&object);
+                }
+            }
             ExchangeOutput::Differs { peer, difference } => {
                 self.differs(peer, &difference);
             }
@@ -463,12 +471,6 @@ impl Gateway {
         }
     }
 
-    fn set_room(&self, peer: NodeId, object: ObjectName, room: bool) {
-        if let Some(peer) = self.peers.get(&peer) {
-            peer.gate.set_room(object, room);
-        }
-    }
-
     fn look_for_names(&mut self, context: &mut Context<Self>) {
         let revision = Some(self.wiring.registry.revision());
         if std::mem::replace(&mut self.revision, revision) == revision {
@@ -543,7 +545,7 @@ impl Supervised for Gateway {
         self.revision = None;
         self.peers.keys().for_each(|peer| self.set(*peer, Condition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();
-        peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer, true));
+        peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer));
         self.wiring.sessions.begin_anew.do_send(BeginAnew { peer: None });
         self.started(context);
     }

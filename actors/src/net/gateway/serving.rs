@@ -161,7 +161,7 @@ impl Gateway {
         match self.queues.room.handle_full(peer, &object, binding, (held, bytes)) {
             Admission::First => {
                 debug!(%peer, %object, "full: the peer is told to stop");
-                self.exchange.handle_room(peer, binding, false);
+                self.exchange.handle_full(peer, binding);
                 self.watch(peer, object, room, context);
             }
             Admission::Behind => {}
@@ -208,7 +208,7 @@ impl Gateway {
             }
             if let Some(binding) = self.queues.room.handle_taken(peer, &object) {
                 self.queues.watches.remove(&(peer, object));
-                self.exchange.handle_room(peer, binding, true);
+                self.exchange.handle_room(peer, binding);
                 return;
             }
         }
