@@ -3,6 +3,7 @@
 //! Nothing here performs IO, reads a clock or knows an actor. Time, randomness and identity are
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
+pub mod audience;
 pub mod blob;
 pub mod can;
 pub mod codec;

@@ -1,6 +1,7 @@
 //! The body of the claims: names of the whole robot, as this node knows them.
 
 use super::letters::{LetterArrived, Letters};
+use super::own_faults::OwnFaults;
 use crate::claim::{ClaimState, Names, Wish};
 use crate::drive::{Body, Wake};
 use crate::guardian::{Guardian, answers_the_monitor};
@@ -51,15 +52,6 @@ struct Own {
     unattended: bool,
 }
 
-/// What is wrong.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Trouble {
-    /// Somebody claims what must be refused.
-    Refusals,
-    /// Somebody else has this name, without which the component of this claim goes.
-    Taken(ObjectName, u64),
-}
-
 /// The body.
 pub(crate) struct ClaimsBody {
     setup: ClaimsSetup,
@@ -70,8 +62,10 @@ pub(crate) struct ClaimsBody {
     /// Nodes that a session is open with.
     peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
     complaints: Complaints<NodeName>,
-    /// As many names as components here claim.
-    troubles: Latch<Trouble>,
+    faults: OwnFaults,
+    /// Names that somebody else has, without which the components of these claims go: as many as are
+    /// claimed here.
+    nameless: Latch<(ObjectName, u64)>,
 }
 
 /// Where the body is told and asked.
@@ -100,7 +94,8 @@ impl ClaimsBody {
                 own: BTreeMap::new(),
                 peers: BTreeMap::new(),
                 complaints: Complaints::default(),
-                troubles: Latch::default(),
+                faults: OwnFaults::of("claims", setup.faults.clone(), setup.mended.clone()),
+                nameless: Latch::default(),
                 setup,
             }
         };
@@ -139,32 +134,19 @@ impl ClaimsBody {
 
     fn declare(&self, kind: FaultKind, detail: String) {
         error!("{detail}");
-        if let Some(faults) = &self.setup.faults {
-            let object = super::named("claims");
-            let incarnation = crate::guardian::alive().incarnation;
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        self.faults.declare(kind, detail);
+    }
+
+    /// Some go without their names no longer: the fault is over once nobody does.
+    fn mend(&self) {
+        if self.nameless.iter().next().is_none() {
+            self.faults.mend(FaultKind::NameTaken);
         }
     }
 
-    /// Something is over: a fault is, once nothing else of its kind is left.
-    fn mend(&self, over: &Trouble) {
-        let kind = match over {
-            Trouble::Refusals => FaultKind::CheckFailed,
-            Trouble::Taken(..) => FaultKind::NameTaken,
-        };
-        let same = |left: &&Trouble| std::mem::discriminant(*left) == std::mem::discriminant(over);
-        if self.troubles.iter().any(|left| same(&left)) {
-            return;
-        }
-        if let Some(mended) = &self.setup.mended {
-            let incarnation = crate::guardian::alive().incarnation;
-            mended.do_send(FaultMended { object: super::named("claims"), incarnation, kind });
-        }
-    }
-
-    fn end_trouble(&mut self, trouble: &Trouble) {
-        if self.troubles.end(trouble) {
-            self.mend(trouble);
+    fn has_its_name(&mut self, name: ObjectName, number: u64) {
+        if self.nameless.end(&(name, number)) {
+            self.mend();
         }
     }
 
@@ -175,24 +157,27 @@ impl ClaimsBody {
         if let Some((object, number)) = without {
             let detail = format!("{object} goes without the name {name}: {refused}");
             self.declare(FaultKind::NameTaken, detail);
-            self.troubles.hold(Trouble::Taken(name.clone(), number));
+            self.nameless.hold((name.clone(), number));
         }
         self.end(name, ClaimState::Refused(refused.into()));
     }
 
-    /// Whoever sends for seconds what must be refused is named.
+    /// Whoever sends for seconds what must be refused is named, until it was quiet.
     fn look_at_refusals(&mut self) {
+        let now = platform::now();
         let looks: Vec<(NodeName, Refusals)> =
             self.machine.refusals().map(|(node, refusals)| (node.clone(), refusals)).collect();
         for (node, refusals) in looks {
-            if let Some(since) = self.complaints.handle_look(node.clone(), refusals) {
+            if let Some(since) = self.complaints.handle_look(node.clone(), refusals, now) {
                 let detail = format!("what {node} claims is refused all the time: {since}");
                 self.declare(FaultKind::CheckFailed, detail);
-                self.troubles.begin(Trouble::Refusals, platform::now());
             }
         }
-        for over in self.troubles.take_over(platform::now()) {
-            self.mend(&over);
+        if self.complaints.take_over(now) {
+            self.faults.mend(FaultKind::CheckFailed);
+        }
+        if !self.nameless.take_over(now).is_empty() {
+            self.mend();
         }
     }
 }
@@ -235,7 +220,6 @@ impl Supervised for ClaimsBody {
             self.machine.handle_opened(node.clone(), *incarnation, now);
         }
         self.wake = Wake::default();
-        self.complaints = Complaints::default();
         self.started(context);
     }
 }
@@ -258,7 +242,7 @@ impl Body for ClaimsBody {
                 info!(%name, epoch, "a name is ours");
                 self.tell(&name, ClaimState::Held { epoch });
                 if let Some(number) = self.own.get(&name).map(|own| own.number) {
-                    self.end_trouble(&Trouble::Taken(name, number));
+                    self.has_its_name(name, number);
                 }
             }
             ClaimsOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
@@ -279,7 +263,7 @@ impl Body for ClaimsBody {
                 self.declare(FaultKind::NameTaken, detail);
                 // Each of the two knows it now, and what becomes of it.
                 let number = self.own.get(&name).map_or(0, |own| own.number);
-                self.troubles.begin(Trouble::Taken(name.clone(), number), platform::now());
+                self.nameless.begin((name.clone(), number), platform::now());
                 match stands_by {
                     true => self.tell(&name, ClaimState::StandsBy),
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
@@ -314,7 +298,7 @@ impl Handler<Wish> for ClaimsBody {
                             let object = wanted.object;
                             let detail = format!("{object} goes without a name: {held}");
                             self.declare(FaultKind::NameTaken, detail);
-                            self.troubles.hold(Trouble::Taken(held.name.clone(), number));
+                            self.nameless.hold((held.name.clone(), number));
                         }
                         told.send_replace(ClaimState::Refused(held.into()));
                         return;
@@ -333,7 +317,7 @@ impl Handler<Wish> for ClaimsBody {
                     self.machine.handle_withdrawn(&name);
                 }
                 // Also of one that was refused, and goes without.
-                self.end_trouble(&Trouble::Taken(name, number));
+                self.has_its_name(name, number);
             }
         }
         self.drive(context);

@@ -75,9 +75,13 @@ impl Gate {
         self.changed.notify_waiters();
     }
 
-    /// A path leads there, or does no more.
-    pub(super) fn set_path(&self, path: bool) {
-        self.path.store(path, Relaxed);
+    pub(super) fn path_found(&self) {
+        self.path.store(true, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    pub(super) fn path_lost(&self) {
+        self.path.store(false, Relaxed);
         self.changed.notify_waiters();
     }
 
@@ -85,9 +89,15 @@ impl Gate {
         self.condition() == Condition::Open && !self.is_isolated()
     }
 
-    /// Nothing is sent there and nothing taken from there, or all is well again.
-    pub(super) fn isolate(&self, isolated: bool) {
-        self.isolated.store(isolated, Relaxed);
+    /// Nothing is sent there and nothing taken from there.
+    pub(super) fn isolate(&self) {
+        self.isolated.store(true, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    /// All is well again.
+    pub(super) fn admit(&self) {
+        self.isolated.store(false, Relaxed);
         self.changed.notify_waiters();
     }
 
@@ -104,19 +114,20 @@ impl Gate {
         self.full.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// This object there has no room, or has it again.
-    pub(super) fn set_room(&self, object: ObjectName, room: bool) {
+    /// This object there has no room.
+    pub(super) fn object_is_full(&self, object: ObjectName) {
         let mut full = self.lock_full();
-        if room {
-            full.remove(&object);
-        } else {
-            full.insert(object);
-        }
+        full.insert(object);
+        self.any_full.store(true, Relaxed);
+    }
+
+    /// This object there has room again.
+    pub(super) fn object_has_room(&self, object: &ObjectName) {
+        let mut full = self.lock_full();
+        full.remove(object);
         self.any_full.store(!full.is_empty(), Relaxed);
         drop(full);
-        if room {
-            self.changed.notify_waiters();
-        }
+        self.changed.notify_waiters();
     }
 
     /// What was said of objects there does not count any more.

@@ -5,6 +5,7 @@ mod learned;
 pub(super) use learned::{Forget, Learn, Seen, TellNeighbours};
 
 use super::LinkSpec;
+use super::own_faults::OwnFaults;
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
@@ -13,7 +14,6 @@ use blastema_contract::link::{
     Arrived, CarrierChanged, Carry, GivenUp, LinkChanged, LinkRow, Load, ReadLinks, ReportLinks,
 };
 use blastema_contract::monitor::LinkReported;
-use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
@@ -64,7 +64,7 @@ pub(super) struct Wiring {
     pub(super) monitor: Option<Recipient<LinkReported>>,
     /// Who tells others of our neighbours, and which network this is to it.
     pub(super) discovery: Option<(usize, Recipient<Seen>)>,
-    pub(super) faults: Option<Recipient<FaultDeclared>>,
+    pub(super) faults: OwnFaults,
 }
 
 /// The links of one network.
@@ -231,13 +231,15 @@ impl Links {
         }
     }
 
-    /// What must be refused for seconds is a fault: somebody else speaks with the neighbour's address, or
-    /// the neighbour is broken.
+    /// What must be refused for seconds is a fault until it was quiet: somebody else speaks with the
+    /// neighbour's address, or the neighbour is broken.
     fn look_at_refusals(&mut self) {
+        let now = platform::now();
         let links = self.bundle.iter().map(|(number, link)| (Some(number), link.refusals()));
         let looks: Vec<_> = links.chain([(None, self.strangers)]).collect();
         for (number, refusals) in looks {
-            let Some(since) = self.complaints.handle_look(number, refusals) else { continue };
+            let told = self.complaints.handle_look(number, refusals, now);
+            let Some(since) = told else { continue };
             let network = &self.wiring.network;
             let from = match number.and_then(|number| self.specs.get(&number)) {
                 Some(LinkSpec { name, remote, .. }) => format!("{remote}, by link {name},"),
@@ -245,14 +247,10 @@ impl Links {
             };
             let detail = format!("what comes from {from} is refused all the time: {since}");
             warn!(%network, "{detail}");
-            if let Some(faults) = &self.wiring.faults {
-                faults.do_send(FaultDeclared {
-                    object: super::named(&format!("links/{network}")),
-                    incarnation: crate::guardian::alive().incarnation,
-                    kind: FaultKind::CheckFailed,
-                    detail,
-                });
-            }
+            self.wiring.faults.declare(FaultKind::CheckFailed, detail);
+        }
+        if self.complaints.take_over(now) {
+            self.wiring.faults.mend(FaultKind::CheckFailed);
         }
     }
 
@@ -268,16 +266,7 @@ impl Links {
     /// Two nodes have one address on the medium, which is ours: its owner is told, too.
     fn clash(&self, detail: String) {
         error!(network = %self.wiring.network, "{detail}");
-        if let Some(faults) = &self.wiring.faults {
-            let object = super::named(&format!("links/{}", self.wiring.network));
-            let incarnation = crate::guardian::alive().incarnation;
-            faults.do_send(FaultDeclared {
-                object,
-                incarnation,
-                kind: FaultKind::NameTaken,
-                detail,
-            });
-        }
+        self.wiring.faults.declare(FaultKind::NameTaken, detail);
     }
 
     /// Nobody came. Told as any link that is down; that it is up is told when somebody comes.

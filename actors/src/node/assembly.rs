@@ -1,7 +1,9 @@
 //! How a node is put together: the one place that knows all actors.
 
 use super::builder::{NodeBuilder, Placement, StartError};
-use super::checks::{check_networks, check_service, check_service_order, dependencies};
+use super::checks::{
+    check_networks, check_service, check_service_order, check_window, dependencies,
+};
 use super::keeper::NodeState;
 use super::keeper::{Keeper, KeeperSetup, StartRoot, TellRest};
 use super::network::{Cable, Network};
@@ -447,6 +449,7 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     let judges = judges(&builder.wardens)
         .map_err(StartError::name_of("the name of a node that isolates others"))?;
     check_networks(&builder.networks, &node)?;
+    builder.shown_at.as_deref().map_or(Ok(()), check_window)?;
     let parts = make_chain(&builder, (&node, incarnation))?;
     for listener in builder.listeners {
         listener.listen(&parts.chain.subscribe);
@@ -531,7 +534,7 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     }
     let window = builder.shown_at.map(|path| {
         let (name, place) = (named("window"), chain.arbiter.as_ref());
-        let window = Window::new(path, state.clone());
+        let window = Window::new(path, state.clone(), environment.reports.clone());
         let window = guardian.start(name.clone(), place, |_: &mut Context<Window>| window);
         enrolments.push(middleware(name, Some(window.clone().recipient())));
         window

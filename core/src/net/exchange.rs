@@ -14,7 +14,7 @@ mod incoming;
 mod requests;
 mod vocabulary;
 
-pub use self::vocabulary::{Call, Epoch, ExchangeOutput, TopicContract};
+pub use self::vocabulary::{Call, Epoch, ExchangeOutput, Sent, TopicContract};
 
 use self::dealings::{Binding, Numbers, Pending, Session, Waiting, carry};
 use self::hall::Entrance;
@@ -100,9 +100,14 @@ impl Exchange {
         self.refusals
     }
 
-    /// A path to this node is known, or none any more.
-    pub fn handle_reachable(&mut self, peer: NodeId, reachable: bool) {
-        self.peers.entry(peer).or_default().reachable = reachable;
+    /// A path to this node is known.
+    pub fn handle_reachable(&mut self, peer: NodeId) {
+        self.peers.entry(peer).or_default().reachable = true;
+    }
+
+    /// No path to this node is known any more.
+    pub fn handle_unreachable(&mut self, peer: NodeId) {
+        self.peers.entry(peer).or_default().reachable = false;
     }
 
     /// Whether a path to this node is known.
@@ -130,12 +135,12 @@ impl Exchange {
         let Some(mut session) = state.session.take() else { return };
         state.past = std::mem::take(&mut session.numbers);
         for pending in session.calls.into_values() {
-            give_up(state, &mut self.outputs, pending, why, true);
+            give_up(state, &mut self.outputs, pending, why, Sent::Perhaps);
         }
         for ((object, contract, _), binding) in session.bindings {
             for waiting in binding.waiting.into_iter().flatten() {
                 match waiting.pending {
-                    Some(pending) => give_up(state, &mut self.outputs, pending, why, false),
+                    Some(pending) => give_up(state, &mut self.outputs, pending, why, Sent::Nothing),
                     None => {
                         let to = Some((object.clone(), contract));
                         self.outputs.push_back(ExchangeOutput::Lost { peer, to, why: why.clone() });
@@ -218,14 +223,19 @@ impl Exchange {
         self.outputs.push_back(control(peer, &answer));
     }
 
-    /// An object here has no room for what came through this binding, or has room again.
-    pub fn handle_room(&mut self, peer: NodeId, binding: u32, room: bool) {
+    /// An object here has no room for what came through this binding.
+    pub fn handle_full(&mut self, peer: NodeId, binding: u32) {
+        self.tell(peer, &Message::Full { binding });
+    }
+
+    /// It has room again.
+    pub fn handle_room(&mut self, peer: NodeId, binding: u32) {
+        self.tell(peer, &Message::Room { binding });
+    }
+
+    fn tell(&mut self, peer: NodeId, message: &Message) {
         if self.is_open(peer) {
-            let message = match room {
-                false => Message::Full { binding },
-                true => Message::Room { binding },
-            };
-            self.outputs.push_back(control(peer, &message));
+            self.outputs.push_back(control(peer, message));
         }
     }
 
@@ -383,9 +393,8 @@ impl Exchange {
         (session.epoch == epoch).then_some(session)
     }
 
-    /// A message that did not arrive, or perhaps not if some of it was `sent`: its session ended first,
-    /// or it was full.
-    pub fn handle_returned(&mut self, peer: NodeId, message: Bytes, why: Why, sent: bool) {
+    /// A message that did not arrive, or perhaps not: its session ended first, or was full.
+    pub fn handle_returned(&mut self, peer: NodeId, message: Bytes, why: Why, sent: Sent) {
         let Ok(message) = Message::decode(message) else { return };
         match message {
             Message::Request { call, .. } => {
@@ -430,7 +439,7 @@ fn give_up(
     outputs: &mut VecDeque<ExchangeOutput>,
     pending: Pending,
     why: &Why,
-    sent: bool,
+    sent: Sent,
 ) {
     let Pending { reply_as, again, .. } = pending;
     // Whoever has left, or has no room, is not asked again.
@@ -439,7 +448,7 @@ fn give_up(
         Some(call) if helps && state.again.len() < AGAIN_MAX => state.again.push(*call),
         _ => {
             let result = Err(match why {
-                why if !sent => why.clone(),
+                why if sent == Sent::Nothing => why.clone(),
                 // Its death is certain, and so is that nobody will answer.
                 Why::PeerDied { .. } => why.clone(),
                 why => Why::OutcomeUnknown { reason: why.to_string() },

@@ -87,15 +87,19 @@ impl Session {
         }
     }
 
-    /// The peer says whether an object has room. Answers whether that is news, and of which object;
-    /// `None` if nothing was bound or said that this could be about.
-    pub(super) fn room(&mut self, binding: u32, room: bool) -> Option<(ObjectName, bool)> {
+    /// The peer says that an object has no room. Answers whether that is news, and of which object; `None`
+    /// if nothing was bound that this could be about.
+    pub(super) fn no_room(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
         let (object, ..) = self.numbers.get(&binding)?;
-        if !room {
-            let full = self.full.entry(object.clone()).or_default();
-            let news = full.is_empty();
-            return full.insert(binding).then(|| (object.clone(), news));
-        }
+        let full = self.full.entry(object.clone()).or_default();
+        let news = full.is_empty();
+        full.insert(binding).then(|| (object.clone(), news))
+    }
+
+    /// The peer says that an object has room again. Answers likewise; `None` also if the contrary was not
+    /// said.
+    pub(super) fn room_again(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
+        let (object, ..) = self.numbers.get(&binding)?;
         let full = self.full.get_mut(object)?;
         if !full.remove(&binding) {
             return None;

@@ -122,14 +122,14 @@ impl Exchange {
                 self.outputs.push_back(ExchangeOutput::Names { peer, announcement });
             }
             Message::Bye => self.outputs.push_back(ExchangeOutput::Bye { peer }),
-            Message::Full { binding } => match session.room(binding, false) {
+            Message::Full { binding } => match session.no_room(binding) {
                 Some((object, true)) => {
                     self.outputs.push_back(ExchangeOutput::ObjectFull { peer, object });
                 }
                 Some((_, false)) => {}
                 None => self.refusals.unexpected += 1,
             },
-            Message::Room { binding } => match session.room(binding, true) {
+            Message::Room { binding } => match session.room_again(binding) {
                 Some((object, true)) => {
                     self.outputs.push_back(ExchangeOutput::ObjectRoom { peer, object });
                 }

@@ -70,7 +70,7 @@ impl Pair {
         let mut pair = Pair::new();
         for end in 0..2 {
             let peer = pair.ids[1 - end];
-            pair.ends[end].handle_reachable(peer, true);
+            pair.ends[end].handle_reachable(peer);
             pair.ends[end].handle_opened(peer, Incarnation(1), at(0));
         }
         pair.run();
@@ -226,7 +226,7 @@ fn without_a_session_a_call_is_refused_with_the_reason() {
     let resolved = |why| ExchangeOutput::Resolve { reply_as: 10, result: Err(why) };
     assert_eq!(pair.take(0), [resolved(why)]);
 
-    pair.ends[0].handle_reachable(pair.ids[1], true);
+    pair.ends[0].handle_reachable(pair.ids[1]);
     pair.call(count(), Some(10));
     assert_eq!(pair.take(0), [resolved(Why::Restarting)]);
     pair.call(count(), None);
@@ -325,7 +325,7 @@ fn a_returned_message_resolves_its_request() {
         let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
             panic!("it is sent");
         };
-        pair.ends[0].handle_returned(peer, message.into_bytes(), Why::Full, false);
+        pair.ends[0].handle_returned(peer, message.into_bytes(), Why::Full, Sent::Nothing);
         told.extend(pair.ends[0].poll_output());
     }
 
@@ -386,8 +386,8 @@ fn an_object_without_room_is_told_of_once_however_many_bindings_lead_there() {
         numbers.push(*binding);
     }
     pair.take(0);
-    let mut says = |binding: u32, room: bool| {
-        pair.ends[1].handle_room(left, binding, room);
+    let mut says = |binding: u32, word: fn(&mut Exchange, NodeId, u32)| {
+        word(&mut pair.ends[1], left, binding);
         pair.run();
         pair.take(0)
     };
@@ -395,17 +395,17 @@ fn an_object_without_room_is_told_of_once_however_many_bindings_lead_there() {
     let full = ExchangeOutput::ObjectFull { peer, object: object.clone() };
     let room = ExchangeOutput::ObjectRoom { peer, object };
 
-    assert_eq!(says(numbers[0], false), std::slice::from_ref(&full));
-    assert_eq!(says(numbers[1], false), []);
-    assert_eq!(says(numbers[0], true), []);
-    assert_eq!(says(numbers[1], true), [room]);
-    assert_eq!(says(numbers[1], false), [full]);
+    assert_eq!(says(numbers[0], Exchange::handle_full), std::slice::from_ref(&full));
+    assert_eq!(says(numbers[1], Exchange::handle_full), []);
+    assert_eq!(says(numbers[0], Exchange::handle_room), []);
+    assert_eq!(says(numbers[1], Exchange::handle_room), [room]);
+    assert_eq!(says(numbers[1], Exchange::handle_full), [full]);
 
     // What makes no sense changes nothing, and is counted.
-    assert_eq!(says(numbers[1], false), []);
-    assert_eq!(says(numbers[0], true), []);
-    assert_eq!(says(99, false), []);
-    assert_eq!(says(99, true), []);
+    assert_eq!(says(numbers[1], Exchange::handle_full), []);
+    assert_eq!(says(numbers[0], Exchange::handle_room), []);
+    assert_eq!(says(99, Exchange::handle_full), []);
+    assert_eq!(says(99, Exchange::handle_room), []);
     assert_eq!(pair.ends[0].refusals().unexpected, 4);
 }
 
@@ -419,7 +419,7 @@ fn a_reply_that_no_session_carries_is_told_to_have_been_made() {
     let reply = Message::Reply { call: 1, result: Ok(payload()) }.encode().into_bytes();
 
     let why = Why::TooLargeForSession { limit: 5 };
-    pair.ends[1].handle_returned(left, reply, why, false);
+    pair.ends[1].handle_returned(left, reply, why, Sent::Nothing);
     pair.run();
 
     let result = Err(Why::ReplyTooLarge { limit: 5 });

@@ -42,6 +42,15 @@ pub struct Call {
     pub reply_as: Option<u64>,
 }
 
+/// How much of a message that came back was on its way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sent {
+    /// Nothing: it has certainly not arrived.
+    Nothing,
+    /// Some of it, or all: it may have arrived.
+    Perhaps,
+}
+
 /// What an exchange wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ExchangeOutput {

@@ -268,7 +268,8 @@ impl Session {
         self.now = now;
         self.path = Some(mtu);
         let narrow = self.is_narrow();
-        self.trips.iter_mut().for_each(|trip| trip.change_path(narrow));
+        let enter = if narrow { RoundTrip::enter_narrow_path } else { RoundTrip::enter_path };
+        self.trips.iter_mut().for_each(enter);
         if narrow {
             self.congestion = self.congestion.min(Self::CONGESTION_NARROW);
         }

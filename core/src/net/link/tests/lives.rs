@@ -3,7 +3,7 @@
 use super::*;
 
 /// What has gone from one end to the other.
-fn hellos_of(cable: &Cable, from: usize) -> Vec<Bytes> {
+pub(super) fn hellos_of(cable: &Cable, from: usize) -> Vec<Bytes> {
     let hello = |frame: &&Bytes| matches!(Frame::decode((*frame).clone()), Ok(Frame::Hello(_)));
     let sent = cable.said.iter().filter(|(end, _)| *end == from).map(|(_, frame)| frame);
     sent.filter(hello).cloned().collect()
