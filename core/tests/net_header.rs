@@ -16,6 +16,7 @@ fn frame(segment: &Segment) -> usize {
         hops: 16,
         destination: NodeId(1),
         source: NodeId(2),
+        passed: vec![],
         payload: Payload::Segment(segment.encode().into()),
     };
     Frame::Data(packet.encode().into()).encode().len() - PAYLOAD.len()
