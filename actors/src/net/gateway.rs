@@ -30,9 +30,7 @@ use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContrac
 use blastema_core::net::isolation::Isolation;
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
-use blastema_core::{
-    ContractIdentity, Delivery, FaultKind, NodeName, PeerIdentity, Place, Why,
-};
+use blastema_core::{ContractIdentity, Delivery, FaultKind, NodeName, PeerIdentity, Place, Why};
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
 use peer::Peer;
