@@ -47,6 +47,11 @@ pub enum FaultKind {
     CommanderGone,
     /// A whole node has come to safe rest: its safe outputs were applied, and nothing of it serves.
     NodeAtRest,
+    /// A service goes on, and too few others hold its state for it to outlive the node that serves.
+    Unprotected,
+    /// A service went on without a part of its state that somebody had been answered for: nobody who held it
+    /// was left.
+    StateLost,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -64,7 +69,7 @@ pub enum Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 18] = [
+    pub const BUILT_IN: [FaultKind; 20] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -83,9 +88,11 @@ impl FaultKind {
         FaultKind::NameTaken,
         FaultKind::CommanderGone,
         FaultKind::NodeAtRest,
+        FaultKind::Unprotected,
+        FaultKind::StateLost,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B18`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B20`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -107,6 +114,8 @@ impl FaultKind {
             FaultKind::NameTaken => "B16",
             FaultKind::CommanderGone => "B17",
             FaultKind::NodeAtRest => "B18",
+            FaultKind::Unprotected => "B19",
+            FaultKind::StateLost => "B20",
             FaultKind::Custom(code) => code,
         }
     }
@@ -132,6 +141,8 @@ impl FaultKind {
             FaultKind::NameTaken => "name taken",
             FaultKind::CommanderGone => "commander gone",
             FaultKind::NodeAtRest => "node at rest",
+            FaultKind::Unprotected => "service unprotected",
+            FaultKind::StateLost => "state lost",
             FaultKind::Custom(code) => code,
         }
     }
@@ -142,12 +153,14 @@ impl FaultKind {
             FaultKind::Overload
             | FaultKind::LinkDegraded
             | FaultKind::CheckFailed
-            | FaultKind::CommanderGone => Severity::Warning,
+            | FaultKind::CommanderGone
+            | FaultKind::Unprotected => Severity::Warning,
             FaultKind::Fatal
             | FaultKind::NodeLost
             | FaultKind::RestartStorm
             | FaultKind::NodeFaulty
-            | FaultKind::NodeAtRest => Severity::Critical,
+            | FaultKind::NodeAtRest
+            | FaultKind::StateLost => Severity::Critical,
             _ => Severity::Error,
         }
     }

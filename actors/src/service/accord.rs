@@ -50,11 +50,10 @@ impl ReplicaBody {
         }));
     }
 
-    /// All nodes that can be seen were told the same.
-    pub(super) fn mend(&self) {
+    /// A fault of the service is over.
+    pub(super) fn mend(&self, kind: FaultKind) {
         if let Some(mended) = &self.reports.mended {
             let (object, incarnation) = (self.carried.body.clone(), guardian::alive().incarnation);
-            let kind = FaultKind::ContractMismatch;
             mended.do_send(FaultMended { object, incarnation, kind });
         }
     }

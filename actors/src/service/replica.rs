@@ -355,12 +355,13 @@ impl Body for ReplicaBody {
             ReplicaOutput::Execute { request, save } => self.execute(&request, save, context),
             ReplicaOutput::Save => self.save(None, context),
             ReplicaOutput::Load { state } => self.load(state, context),
-            ReplicaOutput::Fault { detail } => self.declare(FaultKind::CheckFailed, &detail),
+            ReplicaOutput::Fault { kind, detail } => self.declare(kind, &detail),
+            ReplicaOutput::Mended { kind } => self.mend(kind),
             ReplicaOutput::Disputed { detail } => {
                 self.declare(FaultKind::ContractMismatch, &detail);
                 self.tell_all_who_serves();
             }
-            ReplicaOutput::Agreed => self.mend(),
+            ReplicaOutput::Agreed => self.mend(FaultKind::ContractMismatch),
             ReplicaOutput::Compare { with } => self.compare(with, context),
             ReplicaOutput::Inquire => self.inquire(context),
             ReplicaOutput::Answer { caller, outcome } => {

@@ -153,6 +153,8 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::LinkDegraded
         | FaultKind::NameTaken
         | FaultKind::CommanderGone
+        | FaultKind::Unprotected
+        | FaultKind::StateLost
         | FaultKind::Custom(_) => false,
     }
 }

@@ -236,6 +236,7 @@ describe! {
     enum FaultKind {
         Panic, UnexpectedExit, Hang, Silence, ErrorState, InitializationFailed, Fatal, CheckFailed,
         Overload, ContractMismatch, LinkDown, LinkDegraded, NodeLost, RestartStorm,
-        NodeFaulty, NameTaken, CommanderGone, NodeAtRest, Custom(Arc<str>),
+        NodeFaulty, NameTaken, CommanderGone, NodeAtRest, Unprotected,
+        StateLost, Custom(Arc<str>),
     }
 }

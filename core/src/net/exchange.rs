@@ -9,13 +9,15 @@
 //! was begun in one is never answered in the next.
 
 mod dealings;
+mod hall;
 mod incoming;
 mod requests;
 mod vocabulary;
 
 pub use self::vocabulary::{Call, Epoch, ExchangeOutput, Sent, TopicContract};
 
-use self::dealings::{Binding, Numbers, Pending, Session, WAITING, Waiting, carry};
+use self::dealings::{Binding, Numbers, Pending, Session, Waiting, carry};
+use self::hall::Entrance;
 use self::requests::Requests;
 
 use super::message::{FORMS_MAX, Message};
@@ -29,8 +31,6 @@ use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-/// The most messages that wait for one binding, whatever senders were told.
-const WAITING_MAX: usize = 8 * WAITING;
 /// The most bindings and subscriptions that a peer may have here, each.
 const BINDINGS_MAX: usize = 16 * 1024;
 
@@ -171,23 +171,21 @@ impl Exchange {
         let key = (object, contract.name, contract.fingerprint);
         let pending = reply_as.map(|reply_as| Pending { reply_as, until, again });
         let waiting = Waiting { id, sent, payload, pending };
-        match session.bindings.get_mut(&key) {
-            Some(Binding { waiting: None, number, contract }) => {
-                let bound = (*number, contract.delivery);
-                let sent = session.send(peer, bound, waiting, &mut self.next_call);
-                self.outputs.push_back(sent);
+        if let Some(Binding { waiting: None, number, contract }) = session.bindings.get(&key) {
+            let bound = (*number, contract.delivery);
+            let sent = session.send(peer, bound, waiting, &mut self.next_call);
+            return self.outputs.push_back(sent);
+        }
+        match session.hall.enter(waiting.payload.len()) {
+            Entrance::Open => {}
+            Entrance::Closing => self.outputs.push_back(ExchangeOutput::Full { peer }),
+            Entrance::Shut => {
+                let refused = refuse(peer, (key.0, key.1), reply_as, Why::Full);
+                return self.outputs.push_back(refused);
             }
-            Some(Binding { waiting: Some(queue), .. }) => {
-                if queue.len() == WAITING {
-                    self.outputs.push_back(ExchangeOutput::Full { peer });
-                }
-                if queue.len() < WAITING_MAX {
-                    queue.push(waiting);
-                } else {
-                    let refused = refuse(peer, (key.0, key.1), reply_as, Why::Full);
-                    self.outputs.push_back(refused);
-                }
-            }
+        }
+        match session.bindings.get_mut(&key).and_then(|binding| binding.waiting.as_mut()) {
+            Some(queue) => queue.push(waiting),
             None => {
                 self.next_binding = self.next_binding.wrapping_add(1);
                 let number = self.next_binding;

@@ -124,6 +124,8 @@ impl Default for Plan {
             FaultKind::CommanderGone => observe.clone(),
             // Whoever brings it back is a person, or the application.
             FaultKind::NodeAtRest => observe.clone(),
+            // The service goes on; what is missing is on other nodes, or gone.
+            FaultKind::Unprotected | FaultKind::StateLost => observe.clone(),
             // Without an alternative nothing helps but the link's, or the node's, return.
             FaultKind::LinkDown | FaultKind::LinkDegraded | FaultKind::NodeLost => reroute.clone(),
             _ => restart.clone(),

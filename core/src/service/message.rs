@@ -31,21 +31,32 @@ pub(super) enum After {
     Failed,
 }
 
+/// What a standby has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum Standing {
+    /// All that the primary has told.
+    InStep,
+    /// Less: it needs everything.
+    Behind,
+    /// Nothing, and it can take nothing: its component rests.
+    Unable,
+}
+
 /// What one replica tells another.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Message {
-    /// From the primary: it acts under this epoch, and has come so far.
-    Hello { epoch: u64, number: u64, position: Position },
-    /// The standby votes for nobody else for a lease, and has come so far.
-    Promise { epoch: u64, number: u64, position: Position, in_step: bool },
+    /// From the primary: it acts under this epoch, has come so far, and has answered so far.
+    Hello { epoch: u64, number: u64, position: Position, answered: Position },
+    /// The standby votes for nobody else for a lease, has come so far, and knows callers to be answered so far.
+    Promise { epoch: u64, number: u64, position: Position, answered: Position, standing: Standing },
     /// The sender acts under no such epoch: this one holds.
     Outdated { epoch: u64 },
     /// The sender has voted in this epoch already: claim a greater one.
     Voted { epoch: u64 },
     /// A standby wants to be primary.
     Claim { epoch: u64, position: Position },
-    /// It may, and the voter has what the claimant has.
-    Vote { epoch: u64, in_step: bool },
+    /// It may; whether the voter has what the claimant has, and how far it knows callers to be answered.
+    Vote { epoch: u64, in_step: bool, answered: Position },
     /// A request was executed; its caller has its answers below this number.
     Entry { epoch: u64, position: Position, served: Served, settled: u64, after: After },
     /// Everything, for a standby that is not in step.

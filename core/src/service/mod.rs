@@ -34,12 +34,11 @@ mod message;
 mod replica;
 mod table;
 mod terms;
+mod vocabulary;
 
-pub use replica::{
-    MESSAGE_MAX, QUEUE_MAX, Replica, ReplicaOutput, Role, STATE_MAX, ServiceOutcome, ServiceRequest,
-};
-
+pub use replica::{MESSAGE_MAX, QUEUE_MAX, Replica, STATE_MAX};
 pub use table::TABLE_MAX;
+pub use vocabulary::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
 
 use crate::NodeName;
 use serde::{Deserialize, Serialize};

@@ -2,21 +2,23 @@
 
 mod accord;
 mod component;
+mod exposure;
 mod primary;
 mod standby;
 #[cfg(test)]
 mod tests;
 
 use super::change::Change;
-use super::message::{After, Message, Position, Served};
+use super::message::{After, Message, Position, Served, Standing};
 use super::table::Table;
+use super::vocabulary::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
 use super::{OnPartition, ReplicaConfig, StandbyKind};
 use crate::codec;
-use crate::{Instant, Machine, MessageId, NodeName, Why};
+use crate::{FaultKind, Instant, Machine, MessageId, NodeName, Why};
 use accord::Accord;
 use bytes::Bytes;
 use component::Health;
-use primary::Primary;
+use primary::{Follower, Primary, Step};
 use standby::Standby;
 use std::collections::{BTreeMap, VecDeque};
 
@@ -26,108 +28,6 @@ pub const QUEUE_MAX: usize = 256;
 pub const STATE_MAX: usize = 3 * 1024 * 1024;
 /// The most bytes of one message between replicas: a state, and the table.
 pub const MESSAGE_MAX: usize = 4 * 1024 * 1024;
-
-/// What a replica is.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Role {
-    /// It serves.
-    Primary {
-        /// Under this epoch.
-        epoch: u64,
-    },
-    /// It stands by.
-    Standby {
-        /// For this node, where one is known to serve.
-        primary: Option<NodeName>,
-        /// It has everything that the primary has answered, as far as its kind keeps that.
-        in_step: bool,
-    },
-}
-
-/// What somebody asks of a service.
-#[derive(Clone, Debug)]
-pub struct ServiceRequest {
-    /// Under which number it is answered.
-    pub caller: u64,
-    /// By what it is known, however often it comes.
-    pub id: MessageId,
-    /// All requests of the same sender below this number have got their answers.
-    pub settled: u64,
-    /// It is not begun after this.
-    pub until: Option<Instant>,
-    /// What is to be done.
-    pub request: Bytes,
-}
-
-/// What came of a request.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum ServiceOutcome {
-    /// It was served, or failed for good; the same request is never executed again.
-    Served(Result<Bytes, Why>),
-    /// It was not taken.
-    Refused(Why),
-    /// The service is on this node, if anywhere.
-    Elsewhere(Option<NodeName>),
-}
-
-/// What is to be done.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum ReplicaOutput {
-    /// Tell another replica.
-    Send {
-        /// Whom.
-        to: NodeName,
-        /// What.
-        message: Bytes,
-    },
-    /// The role has changed, or whether this standby is in step.
-    Became(Role),
-    /// Let the component serve this, and say what came of it by [`Replica::handle_executed`], with its
-    /// state afterwards where that is wanted.
-    Execute {
-        /// The request.
-        request: Bytes,
-        /// The state is wanted too.
-        save: bool,
-    },
-    /// Ask the component for its state, for [`Replica::handle_saved`].
-    Save,
-    /// Give the component this state, and say so by [`Replica::handle_loaded`].
-    Load {
-        /// The state.
-        state: Bytes,
-    },
-    /// The component is at fault.
-    Fault {
-        /// What is wrong, and what helps.
-        detail: String,
-    },
-    /// Another node was told something else of the service than this one: nobody of both serves until that is
-    /// mended. Or it was told nothing, and should have been.
-    Disputed {
-        /// In what, and what is to be written.
-        detail: String,
-    },
-    /// What was disputed is over. What is left of it, if there is any, follows.
-    Agreed,
-    /// Ask this node what it was told of the service, and say so by [`Replica::handle_terms`],
-    /// [`Replica::handle_no_terms`] or [`Replica::handle_left`].
-    Compare {
-        /// Which.
-        with: NodeName,
-    },
-    /// Find out whether the services that this one depends on are served now, by asking whoever serves
-    /// them, and say so by [`Replica::handle_ready`] once they are. A new inquiry takes the place of the
-    /// last one.
-    Inquire,
-    /// Answer a caller.
-    Answer {
-        /// The number under which it asked.
-        caller: u64,
-        /// What.
-        outcome: ServiceOutcome,
-    },
-}
 
 /// What the component is to do, one after the other.
 #[derive(Clone, Debug)]
@@ -153,6 +53,10 @@ pub struct Replica {
     /// The greatest epoch that we claimed: our vote in it is our own.
     claimed: u64,
     position: Position,
+    /// How far callers are known to have been answered, by whoever served.
+    answered: Position,
+    /// When somebody was last heard to serve.
+    heard_at: Instant,
     /// The newest state, where standbys are warm.
     state: Option<Bytes>,
     table: Table,
@@ -170,6 +74,8 @@ pub struct Replica {
     void: bool,
     health: Health,
     accord: Accord,
+    /// What was said to be wrong here, and stands.
+    faults: BTreeMap<FaultKind, String>,
     refused: u64,
     outputs: VecDeque<ReplicaOutput>,
 }
@@ -192,6 +98,8 @@ impl Replica {
             epoch: 0,
             claimed: 0,
             position: Position::default(),
+            answered: Position::default(),
+            heard_at: now,
             state: None,
             table: Table::default(),
             state_refused: false,
@@ -202,6 +110,7 @@ impl Replica {
             working: None,
             void: false,
             health: Health::Whole,
+            faults: BTreeMap::new(),
             refused: 0,
             outputs: VecDeque::new(),
         }
@@ -269,6 +178,7 @@ impl Replica {
         }
         match served {
             Some(served) => {
+                self.answered = self.answered.max(primary.released);
                 self.answer(caller, ServiceOutcome::Served(served.result.map(Bytes::from)));
             }
             None if primary.waiting.len() >= QUEUE_MAX => {
@@ -352,7 +262,8 @@ impl Replica {
                 "its state cannot be kept for its standbys, of which none can take over: {why}; let it \
                  be smaller, or keep large things elsewhere"
             );
-            self.outputs.push_back(ReplicaOutput::Fault { detail });
+            let kind = FaultKind::CheckFailed;
+            self.outputs.push_back(ReplicaOutput::Fault { kind, detail });
         }
     }
 
@@ -396,11 +307,12 @@ impl Replica {
             // Whoever differs with somebody promises nothing, and helps nobody to serve.
             Message::Hello { .. } | Message::Claim { .. } | Message::Vote { .. }
                 if self.accord.is_disputed() => {}
-            Message::Hello { epoch, number, position } => {
-                self.hear_hello(from, epoch, (number, position), now);
+            Message::Hello { epoch, number, position, answered } => {
+                self.hear_hello(from, epoch, (number, position, answered), now);
             }
-            Message::Promise { epoch, number, position, in_step } => {
-                self.hear_promise(from, epoch, number, (position, in_step), now);
+            Message::Promise { epoch, number, position, answered, standing } => {
+                self.hear_loss(epoch, answered);
+                self.hear_promise(from, epoch, number, (position, standing), now);
             }
             Message::Outdated { epoch } => match &self.role {
                 Acting::Primary(primary) if epoch > primary.epoch => self.step_down(None, now),
@@ -410,7 +322,9 @@ impl Replica {
             // That somebody has claimed in vain deposes nobody.
             Message::Voted { epoch } => self.claimed = self.claimed.max(epoch),
             Message::Claim { epoch, position } => self.hear_claim(from, epoch, position, now),
-            Message::Vote { epoch, in_step } => self.hear_vote(from, epoch, in_step, now),
+            Message::Vote { epoch, in_step, answered } => {
+                self.hear_vote(from, epoch, (in_step, answered), now);
+            }
             Message::Entry { epoch, position, served, settled, after } => {
                 self.hear_entry(from, (epoch, position), served, settled, after);
             }
@@ -494,6 +408,7 @@ impl Replica {
             };
             self.answer(caller, outcome);
         }
+        self.end_faults();
         self.tell_role();
     }
 

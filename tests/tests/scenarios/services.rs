@@ -8,6 +8,7 @@ use blastema::{
 use blastema_testkit::{TestNode, now};
 use std::time::Duration;
 
+mod exposure;
 mod terms;
 
 const MS: Duration = Duration::from_millis(1);

@@ -1,5 +1,6 @@
 //! What is going on with one peer, as long as its session lasts.
 
+use super::hall::Hall;
 use super::vocabulary::{Call, Epoch, ExchangeOutput};
 use crate::Parcel;
 use crate::net::age::Ages;
@@ -9,10 +10,6 @@ use crate::net::segment::Stream;
 use crate::{ContractIdentity, Delivery, Incarnation, Instant, MessageId, ObjectName};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
-
-/// The messages that should wait for one binding at most: one round trip's worth of a fast sender.
-/// Beyond, senders are told to stop.
-pub(super) const WAITING: usize = 1024;
 
 /// A binding: the object, the contract's name and fingerprint.
 pub(super) type Bound = (ObjectName, &'static str, u64);
@@ -41,6 +38,8 @@ pub(super) struct Session {
     pub(super) redundant_calls: BTreeSet<u64>,
     /// The peer's objects that have no room, and by which of our bindings it has said so.
     pub(super) full: BTreeMap<ObjectName, BTreeSet<u32>>,
+    /// How much waits for bindings.
+    pub(super) hall: Hall,
 }
 
 #[derive(Debug)]
@@ -84,6 +83,7 @@ impl Session {
             redundant: BTreeSet::new(),
             redundant_calls: BTreeSet::new(),
             full: BTreeMap::new(),
+            hall: Hall::default(),
         }
     }
 
@@ -143,6 +143,12 @@ impl Session {
         carry(peer, (binding << 1) | 1, delivery, &message)
     }
 
+    /// These wait no longer. Answers whether senders that were told to stop may go on.
+    pub(super) fn let_out(&mut self, waiting: &[Waiting]) -> bool {
+        let bytes = waiting.iter().map(|waiting| waiting.payload.len()).sum();
+        self.hall.leave(waiting.len(), bytes)
+    }
+
     /// The peer has agreed: what waited goes out. `None` if nothing was asked.
     pub(super) fn bound(
         &mut self,
@@ -153,7 +159,7 @@ impl Session {
         let key = self.numbers.get(&number)?;
         let binding = self.bindings.get_mut(key)?;
         let (waiting, delivery) = (binding.waiting.take()?, binding.contract.delivery);
-        let room = (waiting.len() > WAITING).then_some(ExchangeOutput::Room { peer });
+        let room = self.let_out(&waiting).then_some(ExchangeOutput::Room { peer });
         let sent = waiting
             .into_iter()
             .map(|waiting| self.send(peer, (number, delivery), waiting, next_call));

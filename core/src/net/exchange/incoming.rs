@@ -1,6 +1,6 @@
 //! What an exchange does with what a peer says.
 
-use super::dealings::{Binding, Pending, WAITING, Waiting};
+use super::dealings::{Binding, Pending, Waiting};
 use super::requests::Admission;
 use super::{
     BINDINGS_MAX, CALLS_MAX, Epoch, Exchange, ExchangeOutput, Interest, TopicContract, control,
@@ -216,7 +216,7 @@ impl Exchange {
             self.outputs.push_back(ExchangeOutput::Differs { peer, difference });
         }
         let waiting = waiting.unwrap_or_default();
-        if waiting.len() > WAITING {
+        if session.let_out(&waiting) {
             self.outputs.push_back(ExchangeOutput::Room { peer });
         }
         for Waiting { pending, .. } in waiting {

@@ -143,7 +143,7 @@ impl Accord {
 }
 
 /// The first ones, and how many more there are.
-fn some_of(texts: &[&str], separator: &str) -> String {
+pub(super) fn some_of(texts: &[&str], separator: &str) -> String {
     let named = texts[..texts.len().min(NAMED_MAX)].join(separator);
     match texts.len().saturating_sub(NAMED_MAX) {
         0 => named,
@@ -217,6 +217,9 @@ impl Replica {
     pub fn begun_anew(&self, now: Instant) -> Self {
         let mut next = Replica::new(self.config.clone(), self.initial.clone(), now);
         next.accord = self.accord.clone();
+        next.answered = self.answered;
+        next.faults = self.faults.clone();
+        next.end_faults();
         next.tell_dispute();
         next
     }

@@ -6,7 +6,6 @@
 //! restriction, of the state as well as of the log).
 
 use super::*;
-use std::time::Duration;
 
 /// What the component has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,21 +18,18 @@ pub(super) enum Health {
     Gone { since: Instant },
 }
 
-impl ReplicaConfig {
-    /// How long who has the state is waited for. Longer than a process is likely to stand still; shorter
-    /// brings a service sooner back of which nobody has the state any more, and which begins anew then.
-    fn patience(&self) -> Duration {
-        self.lease() * 20
-    }
-}
-
 impl Replica {
     /// A life of the component has ended, and its state with it.
     pub fn handle_component_died(&mut self, now: Instant) {
         match (&self.role, self.config.kind) {
             // Nobody else has more than its next life.
             (_, StandbyKind::Cold) => {}
-            (Acting::Primary(_), StandbyKind::Hot) if self.config.members.len() == 1 => {}
+            (Acting::Primary(Primary { epoch, .. }), StandbyKind::Hot)
+                if self.config.members.len() == 1 =>
+            {
+                // There is nobody to leave the service to.
+                self.begin_again_without(*epoch);
+            }
             (Acting::Primary(_), StandbyKind::Warm) => {
                 self.void = self.working.is_some();
                 let state = self.last_state();
@@ -139,6 +135,7 @@ impl Replica {
 
     /// Somebody serves, and has the state.
     pub(super) fn wait_for_state(&mut self, now: Instant) {
+        self.heard_at = now;
         if let Health::Bare { since } | Health::Gone { since } = &mut self.health {
             *since = now;
         }
@@ -147,15 +144,16 @@ impl Replica {
     /// Whether this replica does not stand for election; if so, until when it need not look again. Whoever
     /// waited in vain for those who know more forgets that there are any.
     pub(super) fn barred_until(&mut self, now: Instant) -> Option<Instant> {
-        let (since, gone) = match self.health {
-            Health::Whole => return None,
-            Health::Bare { since } => (since, false),
-            Health::Gone { since } => (since, true),
-        };
-        let until = since + self.config.patience();
+        let until = self.lacking_since()? + self.config.patience();
         if now < until && self.config.members.len() > 1 {
             return Some(until);
         }
+        let gone = match self.health {
+            // What it has is the best that is left.
+            Health::Whole => return None,
+            Health::Bare { .. } => false,
+            Health::Gone { .. } => true,
+        };
         // What a replica keeps for its component is there however long that rests.
         if gone && self.config.kind == StandbyKind::Warm {
             return Some(now + self.config.patience());

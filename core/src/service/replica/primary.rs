@@ -13,7 +13,7 @@ pub(super) struct Primary {
     number: u64,
     /// When which hello was said.
     said: VecDeque<(u64, Instant)>,
-    standbys: BTreeMap<NodeName, Follower>,
+    pub(super) standbys: BTreeMap<NodeName, Follower>,
     /// Who waits for which request, and where it stands.
     pub(super) waiting: BTreeMap<MessageId, u64>,
     /// Replies that are held back, in order.
@@ -21,26 +21,32 @@ pub(super) struct Primary {
     began: Instant,
     /// How far everything was answered.
     pub(super) released: Position,
+    /// With what it began.
+    pub(super) base: Position,
+    /// Since when too few others hold what this one holds.
+    pub(super) alone_since: Option<Instant>,
 }
 
 /// What the primary knows of a standby.
 #[derive(Clone, Copy, Debug)]
-struct Follower {
+pub(super) struct Follower {
     /// When the newest hello was said that it has promised after.
-    promised: Instant,
-    step: Step,
+    pub(super) promised: Instant,
+    pub(super) step: Step,
     position: Position,
 }
 
 /// Whether a standby has what the primary has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Step {
+pub(super) enum Step {
     /// It needs a snapshot.
     Behind,
     /// One was sent then, and everything since.
     Sent(Instant),
     /// It has it, and gets everything since.
     Abreast,
+    /// It can take nothing.
+    Unable,
 }
 
 impl Primary {
@@ -55,6 +61,8 @@ impl Primary {
             held: VecDeque::new(),
             began: now,
             released,
+            base: released,
+            alone_since: None,
         }
     }
 
@@ -95,10 +103,12 @@ impl Replica {
         in_step: impl IntoIterator<Item = NodeName>,
         now: Instant,
     ) {
+        let lost = self.begin_without(epoch);
         let mut primary = Primary::new(epoch, self.position, asked);
         let position = self.position;
         let abreast = Follower { promised: asked, step: Step::Abreast, position };
-        primary.standbys.extend(in_step.into_iter().map(|node| (node, abreast)));
+        let in_step = in_step.into_iter().filter(|_| !lost);
+        primary.standbys.extend(in_step.map(|node| (node, abreast)));
         self.role = Acting::Primary(primary);
         self.see(epoch);
         self.tell_role();
@@ -132,7 +142,8 @@ impl Replica {
             primary.said.pop_front();
         }
         let (epoch, number, position) = (primary.epoch, primary.number, self.position);
-        let hello = Message::Hello { epoch, number, position };
+        let answered = self.answered;
+        let hello = Message::Hello { epoch, number, position, answered };
         self.tell_others(&hello);
     }
 
@@ -141,11 +152,11 @@ impl Replica {
         from: &NodeName,
         epoch: u64,
         number: u64,
-        (position, in_step): (Position, bool),
+        (position, standing): (Position, Standing),
         now: Instant,
     ) {
         let lease = self.config.lease();
-        let nothing_missing = in_step && self.tells_by_position() && position == self.position;
+        let nothing_missing = self.tells_by_position() && position == self.position;
         let Acting::Primary(primary) = &mut self.role else { return };
         if epoch != primary.epoch {
             return;
@@ -158,18 +169,19 @@ impl Replica {
         let fresh = Follower { promised, step: Step::Behind, position: Position::default() };
         let follower = primary.standbys.entry(from.clone()).or_insert(fresh);
         follower.promised = follower.promised.max(promised);
-        follower.step = match (follower.step, in_step) {
-            (Step::Behind, true) if nothing_missing => {
+        follower.step = match (follower.step, standing) {
+            (_, Standing::Unable) => Step::Unable,
+            (Step::Behind | Step::Unable, Standing::InStep) if nothing_missing => {
                 follower.position = position;
                 Step::Abreast
             }
             // While it was behind, entries were not sent to it.
-            (Step::Behind, _) => Step::Behind,
-            (Step::Sent(at), false) if now - at > lease => Step::Behind,
-            (Step::Sent(at), false) => Step::Sent(at),
+            (Step::Behind | Step::Unable, _) => Step::Behind,
+            (Step::Sent(at), Standing::Behind) if now - at > lease => Step::Behind,
+            (Step::Sent(at), Standing::Behind) => Step::Sent(at),
             // It has begun anew: what it once confirmed, it has forgotten.
-            (Step::Abreast, false) => Step::Behind,
-            (Step::Sent(_) | Step::Abreast, true) => {
+            (Step::Abreast, Standing::Behind) => Step::Behind,
+            (Step::Sent(_) | Step::Abreast, Standing::InStep) => {
                 follower.position = follower.position.max(position);
                 Step::Abreast
             }
@@ -227,7 +239,8 @@ impl Replica {
         }
         let position = self.position;
         primary.held.push_back((position, id, now));
-        let told = primary.standbys.iter().filter(|(_, follower)| follower.step != Step::Behind);
+        let follows = |step: Step| matches!(step, Step::Sent(_) | Step::Abreast);
+        let told = primary.standbys.iter().filter(|(_, follower)| follows(follower.step));
         let told: Vec<_> = told.map(|(node, _)| node.clone()).collect();
         let died = result.is_err();
         let served = Served { id, result: result.map(Vec::from) };
@@ -250,18 +263,14 @@ impl Replica {
         self.release(now);
     }
 
-    /// Lets go of the replies that every standby in step, and a majority, knows of.
+    /// Lets go of the replies that every standby in step, and a majority, knows of; or all that can.
     pub(super) fn release(&mut self, now: Instant) {
+        self.expect_no_silent(now);
+        let exposed = self.judge_exposure(now);
         let config = &self.config;
         let Acting::Primary(primary) = &mut self.role else { return };
         if !primary.holds(config, now) {
             return;
-        }
-        // Whoever has been silent for a lease keeps nobody waiting, and has to come into step anew.
-        for follower in primary.standbys.values_mut() {
-            if now - follower.promised > config.lease() + config.margin() {
-                follower.step = Step::Behind;
-            }
         }
         let mut answers = Vec::new();
         while let Some((position, id, _)) = primary.held.front().copied() {
@@ -271,14 +280,16 @@ impl Replica {
                 let known =
                     in_step.clone().filter(|follower| follower.position >= position).count();
                 let all = known == in_step.count();
-                let enough =
-                    config.on_partition == OnPartition::Continue || known + 1 >= config.majority();
+                let enough = exposed
+                    || config.on_partition == OnPartition::Continue
+                    || known + 1 >= config.majority();
                 if !all || !enough {
                     break;
                 }
             }
             primary.held.pop_front();
             primary.released = position;
+            self.answered = self.answered.max(position);
             answers.extend(primary.waiting.remove(&id).map(|caller| (caller, id)));
         }
         for (caller, id) in answers {
@@ -288,6 +299,15 @@ impl Replica {
                 None => ServiceOutcome::Refused(Why::Expired),
             };
             self.answer(caller, outcome);
+        }
+    }
+    /// Whoever has been silent for a lease keeps nobody waiting, and has to come into step anew.
+    fn expect_no_silent(&mut self, now: Instant) {
+        let Acting::Primary(primary) = &mut self.role else { return };
+        for follower in primary.standbys.values_mut() {
+            if !follower.is_heard(&self.config, now) {
+                follower.step = Step::Behind;
+            }
         }
     }
 }

@@ -111,7 +111,7 @@ impl Replica {
         &mut self,
         from: &NodeName,
         epoch: u64,
-        (number, position): (u64, Position),
+        (number, position, answered): (u64, Position, Position),
         now: Instant,
     ) {
         if epoch < self.epoch {
@@ -125,6 +125,7 @@ impl Replica {
             self.step_down(Some(from.clone()), now);
         }
         self.see(epoch);
+        self.answered = self.answered.max(answered);
         self.wait_for_state(now);
         let (telling, own) = (self.tells_by_position(), self.position);
         let Acting::Standby(standby) = &mut self.role else { return };
@@ -138,9 +139,14 @@ impl Replica {
         (standby.claiming, standby.asked, standby.inquiring) = (None, None, false);
         standby.promised_until = now + self.config.lease() + self.config.margin();
         standby.claim_at = standby.promised_until + turn(&self.config, Some(from));
-        let in_step = standby.in_step == Some(epoch) || self.config.kind == StandbyKind::Cold;
-        let position = self.position;
-        self.send(from, &Message::Promise { epoch, number, position, in_step });
+        let standing = match (self.config.kind, self.health) {
+            (StandbyKind::Cold, _) => Standing::InStep,
+            (StandbyKind::Hot, Health::Gone { .. }) => Standing::Unable,
+            _ if standby.in_step == Some(epoch) => Standing::InStep,
+            _ => Standing::Behind,
+        };
+        let (position, answered) = (self.position, self.answered);
+        self.send(from, &Message::Promise { epoch, number, position, answered, standing });
         self.tell_role();
     }
 
@@ -194,8 +200,9 @@ impl Replica {
             return self.send(from, &Message::Voted { epoch: voted });
         }
         let barred = self.barred_until(now);
+        let floor = self.floor(now);
         let Acting::Standby(standby) = &mut self.role else { return };
-        if position < self.position {
+        if position < floor {
             if barred.is_some() {
                 // Somebody else may know of more, and has it.
                 self.claimed = self.claimed.max(epoch);
@@ -219,7 +226,8 @@ impl Replica {
             standby.in_step = Some(epoch);
         }
         self.see(epoch);
-        self.send(from, &Message::Vote { epoch, in_step });
+        let answered = self.answered;
+        self.send(from, &Message::Vote { epoch, in_step, answered });
     }
 
     /// The primary serves no more, and says so.
@@ -265,7 +273,14 @@ impl Replica {
         self.config.on_partition == OnPartition::Stop && self.config.kind != StandbyKind::Cold
     }
 
-    pub(super) fn hear_vote(&mut self, from: &NodeName, epoch: u64, in_step: bool, now: Instant) {
+    pub(super) fn hear_vote(
+        &mut self,
+        from: &NodeName,
+        epoch: u64,
+        (in_step, answered): (bool, Position),
+        now: Instant,
+    ) {
+        self.answered = self.answered.max(answered);
         let in_step = in_step && self.tells_by_position();
         let Acting::Standby(standby) = &mut self.role else { return };
         let Some(claiming) = &mut standby.claiming else { return };
@@ -325,8 +340,10 @@ impl Replica {
         state: Vec<u8>,
         table: Table,
     ) {
+        let unable =
+            self.config.kind == StandbyKind::Hot && matches!(self.health, Health::Gone { .. });
         let Acting::Standby(standby) = &mut self.role else { return };
-        if epoch < self.epoch {
+        if epoch < self.epoch || unable {
             return;
         }
         standby.in_step = Some(epoch);
@@ -355,8 +372,8 @@ impl Replica {
 
     /// Tells the primary how far we have come; this is no promise.
     fn confirm(&mut self, primary: &NodeName, epoch: u64) {
-        let position = self.position;
-        let message = Message::Promise { epoch, number: 0, position, in_step: true };
+        let (position, answered, standing) = (self.position, self.answered, Standing::InStep);
+        let message = Message::Promise { epoch, number: 0, position, answered, standing };
         self.send(primary, &message);
     }
 }

@@ -3,6 +3,7 @@
 
 mod accord;
 mod component;
+mod exposure;
 
 use super::*;
 use crate::random::Random;
@@ -21,6 +22,11 @@ fn index(node: &NodeName) -> usize {
 
 fn request(caller: u64, id: MessageId) -> ServiceRequest {
     ServiceRequest { caller, id, settled: 0, until: None, request: Bytes::from_static(b"+") }
+}
+
+fn is_snapshot(message: &[u8]) -> bool {
+    let read = codec::decode_bounded::<Message, MESSAGE_MAX>(&message[..message.len() - 8]);
+    matches!(read, Ok(Message::Snapshot { .. }))
 }
 
 /// A component, as its body would drive it: each job takes a moment.
@@ -72,6 +78,13 @@ struct Robot {
     told: BTreeMap<usize, ReplicaConfig>,
     /// What members have said about each other's terms.
     disputes: BTreeMap<usize, String>,
+    /// What is wrong of the service, on which member.
+    faults: BTreeMap<(usize, FaultKind), String>,
+    /// How often it was said that state was lost.
+    losses: u64,
+    /// How many states were sent, and who is sent none.
+    snapshots: u64,
+    withheld: Option<usize>,
 }
 
 impl Robot {
@@ -96,6 +109,10 @@ impl Robot {
             served_ms: None,
             told: BTreeMap::new(),
             disputes: BTreeMap::new(),
+            faults: BTreeMap::new(),
+            losses: 0,
+            snapshots: 0,
+            withheld: None,
         };
         (0..size).for_each(|member| robot.start(member));
         robot
@@ -165,6 +182,11 @@ impl Robot {
                 ReplicaOutput::Compare { with } => self.compare(member, index(&with)),
                 ReplicaOutput::Disputed { detail } => drop(self.disputes.insert(member, detail)),
                 ReplicaOutput::Agreed => drop(self.disputes.remove(&member)),
+                ReplicaOutput::Fault { kind, detail } => {
+                    self.losses += u64::from(kind == FaultKind::StateLost);
+                    self.faults.insert((member, kind), detail);
+                }
+                ReplicaOutput::Mended { kind } => drop(self.faults.remove(&(member, kind))),
                 ReplicaOutput::Answer { caller, outcome } => {
                     let caller = &mut self.callers[caller as usize];
                     if let ServiceOutcome::Refused(why) = outcome {
@@ -185,6 +207,12 @@ impl Robot {
     fn carry(&mut self, from: usize, to: usize, message: Bytes) {
         if self.members[to].is_none() {
             return;
+        }
+        if is_snapshot(&message) {
+            self.snapshots += 1;
+            if self.withheld == Some(to) {
+                return;
+            }
         }
         if self.sides[from] != self.sides[to] {
             if let Some(dammed) = &mut self.dammed {
@@ -603,7 +631,7 @@ fn a_request_that_makes_the_state_too_large_fails_and_is_undone_and_the_fault_to
     let (lengths, others) = entries_of(&[vec![1; 8], large.clone(), large, vec![1; 9]]);
 
     assert!(lengths.iter().all(|length| *length < 200), "{lengths:?}");
-    let [ReplicaOutput::Fault { detail }] = &others[..] else { panic!("{others:?}") };
+    let [ReplicaOutput::Fault { detail, .. }] = &others[..] else { panic!("{others:?}") };
     assert!(detail.contains("too large") || detail.contains("larger"), "{detail}");
 }
 

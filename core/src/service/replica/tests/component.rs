@@ -4,7 +4,7 @@ use super::*;
 
 impl Robot {
     /// The component begins a new life; what it was given before is done by that one.
-    fn lose(&mut self, member: usize) {
+    pub(super) fn lose(&mut self, member: usize) {
         let now = self.clock(self.members[member].as_ref().unwrap().drift);
         let own = self.members[member].as_mut().unwrap();
         own.sum = 0;
@@ -13,12 +13,12 @@ impl Robot {
     }
 
     /// The component takes nothing any more, or does again.
-    fn rest(&mut self, member: usize, rests: bool) {
+    pub(super) fn rest(&mut self, member: usize, rests: bool) {
         let now = self.clock(self.members[member].as_ref().unwrap().drift);
         let own = self.members[member].as_mut().unwrap();
         if rests {
             own.replica.handle_component_gone(now);
-        } else {
+        } else if let Health::Gone { .. } = own.replica.health {
             own.sum = 0;
             own.replica.handle_component_back(now);
         }
@@ -26,7 +26,7 @@ impl Robot {
     }
 
     /// These processes get no time for so long.
-    fn stop_for(&mut self, members: &[usize], span: Duration) {
+    pub(super) fn stop_for(&mut self, members: &[usize], span: Duration) {
         members.iter().for_each(|member| self.stopped[*member] = true);
         self.advance(span);
         members.iter().for_each(|member| self.stopped[*member] = false);
@@ -35,18 +35,18 @@ impl Robot {
         }
     }
 
-    fn role(&self, member: usize) -> Role {
+    pub(super) fn role(&self, member: usize) -> Role {
         self.members[member].as_ref().unwrap().replica.role()
     }
 
-    fn ask_some(&mut self, number: usize) {
+    pub(super) fn ask_some(&mut self, number: usize) {
         for _ in 0..number {
             self.ask();
             self.advance_ms(5);
         }
     }
 
-    fn assert_nothing_is_lost(&self, what: &str) {
+    pub(super) fn assert_nothing_is_lost(&self, what: &str) {
         let answers: Vec<u64> =
             self.callers.iter().map(|caller| caller.answer.expect("it was answered")).collect();
         let different: BTreeSet<_> = answers.iter().collect();

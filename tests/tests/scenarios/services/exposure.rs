@@ -1,0 +1,59 @@
+//! Services of whose state nobody but the primary holds a copy.
+
+use super::*;
+use blastema::{Fault, FaultKind};
+
+/// A fault of this code that stands in this node's record.
+async fn standing(node: &TestNode, kind: &FaultKind) -> Option<Fault> {
+    let record = node.faults().await;
+    let standing = record.entries.into_iter().filter(|entry| entry.ended.is_none());
+    standing.map(|entry| entry.fault).find(|fault| fault.kind == *kind)
+}
+
+/// Its component dies until the node comes to safe rest.
+async fn bring_to_rest(node: &TestNode) {
+    for _ in 0..20 {
+        if matches!(node.state(), NodeState::AtRest { .. }) {
+            return;
+        }
+        let component = node.sender::<Add>("counter/replica").unwrap();
+        let _ = component.ask(Add(1000)).await;
+        node.advance(MS).await;
+    }
+    panic!("{} is not at rest", node.name());
+}
+
+#[blastema_testkit::test]
+async fn a_hot_service_says_that_only_its_primary_has_the_state_and_later_that_it_was_lost() {
+    let robot = Robot::start(StandbyKind::Hot).await;
+    assert_eq!(robot.add(5).await, Ok(5));
+    let first = robot.primary();
+    let others: Vec<_> = (0..3).filter(|member| *member != first).collect();
+    for member in &others {
+        bring_to_rest(&robot.members[*member]).await;
+    }
+    robot.asker.advance(200 * MS).await;
+
+    let told = standing(&robot.members[first], &FaultKind::Unprotected).await.expect("it is told");
+    assert_eq!(told.place.to_string(), format!("{}:counter/replica/body", MEMBERS[first]));
+    assert!(told.detail.contains("service counter: no standby holds its state"), "{}", told.detail);
+    assert_eq!(robot.add(1).await, Ok(6), "it goes on");
+    robot.members[others[0]].restart().await.unwrap();
+    robot.asker.advance(500 * MS).await;
+    let left = standing(&robot.members[first], &FaultKind::Unprotected).await;
+    assert_eq!(left, None, "one of them holds it again");
+
+    bring_to_rest(&robot.members[others[0]]).await;
+    robot.asker.advance(200 * MS).await;
+    assert!(standing(&robot.members[first], &FaultKind::Unprotected).await.is_some());
+    robot.members[first].shutdown().await;
+    for member in &others {
+        robot.members[*member].restart().await.unwrap();
+    }
+    robot.asker.advance(3000 * MS).await;
+
+    assert_eq!(robot.add(1).await, Ok(1), "nobody was left who had it");
+    let next = robot.primary();
+    let told = standing(&robot.members[next], &FaultKind::StateLost).await.expect("it is told");
+    assert!(told.detail.contains("begins anew"), "{}", told.detail);
+}
