@@ -402,14 +402,23 @@ mod tests {
         assert!(told(&Reachable));
     }
 
+    /// Tells of one node's lives; answers whether that is news, and whether the node is at rest then.
+    fn rest_told_of() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
+        let mut around = Neighbourhood::default();
+        move |life, condition| {
+            let news = around.handle_node(node("b"), Incarnation(life), condition, at(1));
+            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
+            (news.map(|news| news.is_some()), rests)
+        }
+    }
+
     #[test]
     fn a_node_is_at_rest_from_when_it_says_so_until_it_says_otherwise_or_another_life_is_there() {
         use NodeCondition::{AtRest, AtWork, Left, Lost, Reachable};
-        let mut around = Neighbourhood::default();
-        let mut told = |life: u64, condition: NodeCondition| {
-            let news = around.handle_node(node("b"), Incarnation(life), condition, at(1));
-            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
-            (news.expect("no life is over").is_some(), rests)
+        let mut told = rest_told_of();
+        let mut told = |life, condition| {
+            let (news, rests) = told(life, condition);
+            (news.expect("no life is over"), rests)
         };
         let rest = || AtRest { reason: "it panics".into() };
         let lost = || Lost { reason: "no path".into() };
@@ -431,12 +440,7 @@ mod tests {
     #[test]
     fn that_a_life_rests_which_another_one_has_followed_is_no_news() {
         use NodeCondition::{AtRest, AtWork, Lost, Reachable};
-        let mut around = Neighbourhood::default();
-        let mut told = |life: u64, condition: NodeCondition| {
-            let news = around.handle_node(node("b"), Incarnation(life), condition, at(1));
-            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
-            (news.map(|news| news.is_some()), rests)
-        };
+        let mut told = rest_told_of();
         let rest = || AtRest { reason: "it panics".into() };
 
         // Of a life that nobody knows yet.

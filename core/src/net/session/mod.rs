@@ -38,7 +38,7 @@ mod transmission;
 
 pub use self::config::{PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
-pub use self::standing::{SessionState, Standing};
+pub use self::standing::{SessionStanding, SessionState};
 
 use self::assembly::Assembly;
 use self::best_effort::BestEffort;
