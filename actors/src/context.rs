@@ -114,6 +114,7 @@ impl<C: Component> Context<C> {
 
     /// Publishes an event on the topic that has its contract's name. Never waits. While the component
     /// is fenced off or isolated, nothing gets out.
+    #[track_caller]
     pub fn publish<E: Event>(&self, event: E) {
         let mut publishers = self.publishers.borrow_mut();
         let known = publishers.iter().find(|(of, _)| *of == TypeId::of::<E>());
@@ -133,7 +134,9 @@ impl<C: Component> Context<C> {
     /// A way to publish on a topic with a name of its own.
     ///
     /// # Errors
-    /// [`Why::ContractDiffers`] if the topic carries another contract of this name.
+    /// [`Why::ContractDiffers`] if the topic carries another type under this contract's name; the text names
+    /// both, where each was said, and what differs.
+    #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
         self.anchor.record.environment.topics.publisher(topic)
     }

@@ -157,7 +157,7 @@ pub use blastema_contract::link::LinkRow;
 pub use blastema_contract::naming::NodeRow;
 pub use blastema_contract::session::SessionRow;
 pub use blastema_contract::supervisor::Branch;
-pub use blastema_core::net::session::{SessionCounters, SessionState, Standing};
+pub use blastema_core::net::session::{SessionCounters, SessionStanding, SessionState};
 pub use blastema_core::net::{LinkState, Refusals, Route};
 pub use blastema_macros::main;
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};

@@ -8,6 +8,7 @@ use crate::topic::{Condition, Listening, Subscription, Subscriptions, Topics};
 use crate::variable::{Declared, VariableSpec};
 use blastema_core::{Contract, Event, Request, Variable, Why};
 use std::collections::BTreeMap;
+use std::panic::Location;
 use std::sync::Arc;
 
 /// Makes the door for one contract.
@@ -55,11 +56,12 @@ impl<C: Component> Ports<C> {
 
     /// Listens to the topic that has this event's contract name. The port that is returned takes a
     /// condition and another topic.
+    #[track_caller]
     pub fn listen<E: Event>(&mut self) -> ListenPort<'_, C, E>
     where
         C: Handle<E>,
     {
-        ListenPort { ports: self, topic: E::NAME.to_owned(), only_if: None }
+        ListenPort { ports: self, topic: E::NAME.to_owned(), only_if: None, at: Location::caller() }
     }
 
     /// Owns a variable: a value that any node may read, write and watch at the component's name. It
@@ -114,6 +116,7 @@ pub struct ListenPort<'a, C: Handle<E>, E: Event> {
     ports: &'a mut Ports<C>,
     topic: String,
     only_if: Option<Condition<E>>,
+    at: &'static Location<'static>,
 }
 
 impl<C: Handle<E>, E: Event> ListenPort<'_, C, E> {
@@ -134,8 +137,9 @@ impl<C: Handle<E>, E: Event> ListenPort<'_, C, E> {
 impl<C: Handle<E>, E: Event> Drop for ListenPort<'_, C, E> {
     fn drop(&mut self) {
         let (topic, only_if) = (std::mem::take(&mut self.topic), self.only_if.take());
+        let at = self.at;
         self.ports.listen.push(Box::new(move |topics| {
-            let topic = topics.topic::<E>(&topic)?;
+            let topic = topics.topic::<E>(&topic, at)?;
             Ok(Arc::new(Listening::new(topic, only_if)))
         }));
     }

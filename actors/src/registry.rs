@@ -15,10 +15,10 @@ use blastema_contract::reports::{FaultDeclared, FaultMended};
 use blastema_core::net::NodeId;
 use blastema_core::{
     Contract, ContractIdentity, FaultKind, Former, Incarnation, Instant, MessageId, NodeName,
-    ObjectAddress, ObjectName, PeerIdentity, Why, codec,
+    ObjectAddress, ObjectName, Parcel, PeerIdentity, Why, codec,
 };
 use bytes::Bytes;
-use std::any::Any;
+use std::any::{Any, type_name};
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::marker::PhantomData;
@@ -100,7 +100,7 @@ pub(crate) trait RemoteDoor: Send + Sync {
     ///
     /// # Errors
     /// Why the message was not taken.
-    fn send(&self, message: Bytes, asked: Option<Asked>) -> Result<(), Why>;
+    fn send(&self, message: Parcel, asked: Option<Asked>) -> Result<(), Why>;
 
     /// Completes when there may be room for a message that was refused as [`Why::Full`].
     fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>>;
@@ -109,6 +109,8 @@ pub(crate) trait RemoteDoor: Send + Sync {
 /// One contract that one object takes.
 pub(crate) struct Port {
     pub(crate) identity: ContractIdentity,
+    /// Its type, for people.
+    named: &'static str,
     /// A `Sender<M>`.
     sender: Box<dyn Any + Send + Sync>,
     doorway: Arc<dyn Doorway>,
@@ -118,6 +120,7 @@ impl Port {
     pub(crate) fn open<C: Handle<M>, M: Contract>(anchor: &Arc<Anchor<C>>) -> Self {
         Port {
             identity: ContractIdentity::of::<M>(),
+            named: type_name::<M>(),
             sender: Box::new(Sender::<M>(anchor.clone())),
             doorway: Arc::new(LocalDoor::<C, M> { anchor: anchor.clone(), former: None }),
         }
@@ -132,13 +135,19 @@ impl Port {
 
     /// A contract that only other nodes use.
     pub(crate) fn of_doorway<M: Contract>(doorway: Arc<dyn Doorway>) -> Self {
-        Port { identity: ContractIdentity::of::<M>(), sender: Box::new(()), doorway }
+        Port {
+            identity: ContractIdentity::of::<M>(),
+            named: type_name::<M>(),
+            sender: Box::new(()),
+            doorway,
+        }
     }
 
     /// A contract that the node itself serves at the object's name.
     pub(crate) fn of_desk<M: Contract>(desk: Desk<M>) -> Self {
         Port {
             identity: ContractIdentity::of::<M>(),
+            named: type_name::<M>(),
             sender: Box::new(Sender::<M>(Arc::new(desk.clone()))),
             doorway: Arc::new(desk),
         }
@@ -278,9 +287,8 @@ impl<M: Contract> Outlet<M> {
         if let Some(why) = crate::host::pulse::forbidden() {
             return Err(why);
         }
-        let mut bytes = Vec::new();
-        codec::encode(message, &mut bytes).map_err(|error| encoding(error, M::MAX_SIZE))?;
-        self.door.send(bytes.into(), asked)
+        let parcel = codec::encode_parcel(message).map_err(|error| encoding(error, M::MAX_SIZE))?;
+        self.door.send(parcel, asked)
     }
 }
 
@@ -435,7 +443,12 @@ impl Registry {
         let port = port.ok_or_else(unknown)?;
         match port.sender.downcast_ref::<Sender<M>>() {
             Some(sender) => Ok(sender.clone()),
-            None => Err(differs(&port.identity, &ContractIdentity::of::<M>())),
+            None => {
+                let difference = difference(&port.identity, &ContractIdentity::of::<M>());
+                let (known, wanted) = (port.named, type_name::<M>());
+                let difference = format!("{object} takes {known}, and not {wanted}: {difference}");
+                Err(Why::ContractDiffers { difference })
+            }
         }
     }
 
@@ -492,10 +505,9 @@ impl Registry {
 }
 
 /// Two contracts of one name that are not the same Rust type.
-pub(crate) fn differs(known: &ContractIdentity, wanted: &ContractIdentity) -> Why {
-    let difference = match known.check(&wanted.full()) {
+pub(crate) fn difference(known: &ContractIdentity, wanted: &ContractIdentity) -> String {
+    match known.check(&wanted.full()) {
         Err(difference) => difference.to_string(),
         Ok(()) => "same name and structure, but two types: share one of them".to_owned(),
-    };
-    Why::ContractDiffers { difference }
+    }
 }

@@ -1,6 +1,7 @@
 //! Bytes that are shared, and not copied.
 
 use crate::layout::{Described, Layout};
+use crate::parcel::Parcel;
 use bytes::Bytes;
 use serde::de::{Deserialize, Deserializer, Error, SeqAccess, Visitor};
 use serde::ser::{Serialize, Serializer};
@@ -10,10 +11,11 @@ use std::ops::Deref;
 
 /// Many bytes in a message: an image, a point cloud, a map.
 ///
-/// In a message between nodes, and in a contract's structure, it is what a `Vec<u8>` is: one side may declare
-/// the one, the other side the other. A clone costs a counter. What comes from another node is a part of the message as
-/// it arrived, which stays in memory as long as any of its blobs: whoever keeps a few bytes of a large
-/// message copies them.
+/// In a message between nodes, and in a contract's structure, it is what a `Vec<u8>` is: one node may declare
+/// the one, another the other. (On one node a contract is one Rust type.) A clone costs a counter. A large one
+/// that is the last thing in a message or an event goes to the network as it lies; in a reply, or before other
+/// things, it is copied once. What comes from another node is a part of the message as it arrived, which stays
+/// in memory as long as any of its blobs: whoever keeps a few bytes of a large message copies them.
 ///
 /// ```
 /// use blastema_core::Blob;
@@ -29,6 +31,8 @@ pub struct Blob(Bytes);
 thread_local! {
     /// The message that is being decoded on this thread.
     static SOURCE: Cell<Option<Bytes>> = const { Cell::new(None) };
+    /// The large blob that is being encoded on this thread, so that the codec can tell its bytes from others.
+    static GIVEN: Cell<Option<Bytes>> = const { Cell::new(None) };
 }
 
 /// Decodes something whose blobs are to be parts of `source`.
@@ -54,6 +58,15 @@ fn within_source(bytes: &[u8]) -> Option<Bytes> {
     let shared = lies_within.then(|| source.slice_ref(bytes));
     SOURCE.set(Some(source));
     shared
+}
+
+/// The blob that is being encoded, if these are its bytes.
+pub(crate) fn given(bytes: &[u8]) -> Option<Bytes> {
+    if bytes.len() < Parcel::APART {
+        return None;
+    }
+    let blob = GIVEN.take()?;
+    (blob.as_ptr_range() == bytes.as_ptr_range()).then_some(blob)
 }
 
 impl Deref for Blob {
@@ -116,7 +129,13 @@ impl Described for Blob {
 
 impl Serialize for Blob {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        to.serialize_bytes(self)
+        if self.len() < Parcel::APART {
+            return to.serialize_bytes(self);
+        }
+        GIVEN.set(Some(self.0.clone()));
+        let done = to.serialize_bytes(self);
+        GIVEN.set(None);
+        done
     }
 }
 
@@ -193,6 +212,31 @@ mod tests {
             assert!(!is_shared(&copied.1));
             assert_eq!(copied, message());
         }
+    }
+
+    #[test]
+    fn a_large_one_that_ends_a_message_is_sent_as_it_lies_and_any_other_is_copied() {
+        let large = || Blob::from(vec![1; Parcel::APART]);
+        let small = || Blob::from(vec![2; Parcel::APART - 1]);
+        let check = |message: &(Blob, u8, Blob), stays: bool| {
+            let parcel = codec::parcel_of(message, 100_000).unwrap();
+            let place = message.2.as_ptr();
+            assert_eq!(parcel.pieces().iter().any(|piece| piece.as_ptr() == place), stays);
+            let mut bytes = Vec::new();
+            codec::encode_bounded(message, 100_000, &mut bytes).unwrap();
+            assert_eq!(parcel.pieces().concat(), bytes);
+        };
+        check(&(small(), 7, large()), true);
+        check(&(large(), 7, large()), true);
+        check(&(large(), 7, small()), false);
+        let refused = codec::parcel_of(&(7, large()), Parcel::APART);
+        assert_eq!(refused, Err(crate::EncodeError::TooLarge { limit: Parcel::APART }));
+
+        let (followed, same) = (large(), large());
+        let parcel = codec::parcel_of(&(followed.clone(), 7), 100_000).unwrap();
+        assert!(parcel.pieces().iter().all(|piece| piece.as_ptr() != followed.as_ptr()));
+        let alike = codec::parcel_of(&(followed, same.to_vec()), 100_000).unwrap();
+        assert_eq!(alike.pieces()[1].len(), 0, "a vector of the same bytes is no blob");
     }
 
     #[test]

@@ -9,8 +9,9 @@
 //! followed to a depth of [`DEPTH_LIMIT`](crate::field::DEPTH_LIMIT).
 
 use crate::Contract;
-use crate::blob::sharing;
+use crate::blob::{given, sharing};
 use crate::layout::{Described, LayoutOf};
+use crate::parcel::Parcel;
 use bincode::config::{self, Config};
 use bincode::enc::EncoderImpl;
 use bincode::enc::write::{SliceWriter, Writer};
@@ -104,6 +105,29 @@ pub fn encode_bounded<T: Serialize>(
         buffer.truncate(start);
         encode_error(refusal, limit)
     })
+}
+
+/// Encodes a message to be sent. A large [`Blob`](crate::Blob) that ends it is not copied.
+///
+/// # Errors
+/// [`EncodeError`].
+pub fn encode_parcel<M: Contract>(message: &M) -> Result<Parcel, EncodeError> {
+    parcel_of(message, M::MAX_SIZE)
+}
+
+/// Encodes a reply to `M`, likewise.
+///
+/// # Errors
+/// [`EncodeError`].
+pub fn encode_reply_parcel<M: Contract>(reply: &M::Reply) -> Result<Parcel, EncodeError> {
+    parcel_of(reply, M::MAX_SIZE)
+}
+
+pub(crate) fn parcel_of<T: Serialize>(value: &T, limit: usize) -> Result<Parcel, EncodeError> {
+    let writer = ParcelWriter { head: Vec::new(), last: None, left: limit };
+    let ParcelWriter { head, last, .. } =
+        write(value, writer).map_err(|refusal| encode_error(refusal, limit))?;
+    Ok(Parcel::apart(head.into(), last.unwrap_or_default()))
 }
 
 /// Encodes a message into the beginning of `slice` and says how many bytes it took.
@@ -241,6 +265,29 @@ fn encode_error(refusal: Refusal, limit: usize) -> EncodeError {
         Refusal::UnexpectedEnd => EncodeError::TooLarge { limit },
         Refusal::OtherString(reason) => EncodeError::Impossible { reason },
         other => EncodeError::Impossible { reason: other.to_string() },
+    }
+}
+
+/// Writes into new memory, up to a length, all but a large blob that ends it.
+struct ParcelWriter {
+    head: Vec<u8>,
+    /// What stands behind the head so far. It is copied when more follows.
+    last: Option<Bytes>,
+    left: usize,
+}
+
+impl Writer for ParcelWriter {
+    #[inline]
+    fn write(&mut self, bytes: &[u8]) -> Result<(), Refusal> {
+        self.left = self.left.checked_sub(bytes.len()).ok_or(Refusal::UnexpectedEnd)?;
+        if let Some(last) = self.last.take() {
+            self.head.extend_from_slice(&last);
+        }
+        self.last = given(bytes);
+        if self.last.is_none() {
+            self.head.extend_from_slice(bytes);
+        }
+        Ok(())
     }
 }
 

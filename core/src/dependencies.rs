@@ -14,8 +14,8 @@ use std::collections::BTreeMap;
 pub enum DependencyError {
     /// An object depends on what this node does not have.
     #[error(
-        "{name} depends on {needed:?}, which is no object of this node{}: mend the name, or add it before",
-        nearest.as_ref().map_or_else(String::new, |word| format!(" (did you mean {word:?}?)"))
+        "{name} depends on {needed:?}, which is no object of this node ({}): mend the name, or add it before",
+        hint(nearest.as_deref(), known)
     )]
     Unknown {
         /// The object.
@@ -24,6 +24,8 @@ pub enum DependencyError {
         needed: String,
         /// What may have been meant.
         nearest: Option<String>,
+        /// The node's other objects, in order of their names; at most ten, and how many more there are.
+        known: (Vec<ObjectName>, usize),
     },
     /// Objects depend on each other, or one on itself.
     #[error("{}: each waits for the next, so leave out one of these dependencies", shown(way))]
@@ -31,6 +33,19 @@ pub enum DependencyError {
         /// The way from one of them to itself: the first is also the last.
         way: Vec<ObjectName>,
     },
+}
+
+/// So many objects are named to somebody who named none of them.
+const KNOWN_MAX: usize = 10;
+
+fn hint(nearest: Option<&str>, (known, more): &(Vec<ObjectName>, usize)) -> String {
+    let known = known.iter().map(ObjectName::as_str).collect::<Vec<_>>().join(", ");
+    match (nearest, known.is_empty(), more) {
+        (Some(word), ..) => format!("did you mean {word:?}?"),
+        (None, true, _) => "which has no other".to_owned(),
+        (None, false, 0) => format!("which has {known}"),
+        (None, false, more) => format!("which has {known}, and {more} more"),
+    }
 }
 
 fn shown(way: &[ObjectName]) -> String {
@@ -107,9 +122,12 @@ impl Dependencies {
     fn check_known(&self, object: &ObjectName) -> Result<(), DependencyError> {
         let missing = |needed: &&String| !self.needs.contains_key(needed.as_str());
         let Some(needed) = self.needs[object].iter().find(missing) else { return Ok(()) };
-        let others = self.needs.keys().filter(|other| *other != object).map(ObjectName::as_str);
-        let nearest = nearest(needed, others).map(str::to_owned);
-        Err(DependencyError::Unknown { name: object.clone(), needed: needed.clone(), nearest })
+        let others = self.needs.keys().filter(|other| *other != object);
+        let nearest = nearest(needed, others.clone().map(ObjectName::as_str)).map(str::to_owned);
+        let first: Vec<ObjectName> = others.clone().take(KNOWN_MAX).cloned().collect();
+        let known = (first, others.count().saturating_sub(KNOWN_MAX));
+        let (name, needed) = (object.clone(), needed.clone());
+        Err(DependencyError::Unknown { name, needed, nearest, known })
     }
 
     fn check_circles(&self) -> Result<(), DependencyError> {
@@ -208,7 +226,16 @@ mod tests {
     fn a_name_that_nobody_has_is_told_with_the_nearest() {
         check(&[("laser", &[]), ("planner", &["lasr"])], "(did you mean \"laser\"?)");
         check(&[("laser", &[]), ("planner", &["m:lasr"])], "(did you mean \"laser\"?)");
-        check(&[("lasr", &["laser"])], "no object of this node: mend");
+    }
+
+    #[test]
+    fn a_name_that_is_like_none_is_told_with_those_that_there_are() {
+        check(&[("lasr", &["laser"])], "no object of this node (which has no other): mend");
+        check(&[("laser", &[]), ("map", &[]), ("planner", &["b"])], "(which has laser, map): mend");
+        let lamps: Vec<String> = (0..30).map(|n| format!("lamp/{n:02}")).collect();
+        let lamps = lamps.iter().map(|lamp| (lamp.as_str(), &[][..]));
+        let all: Vec<_> = lamps.chain([("planner", &["b"][..])]).collect();
+        check(&all, "lamp/08, lamp/09, and 20 more)");
     }
 
     #[test]

@@ -227,7 +227,8 @@ pub struct Fault {
     pub place: Place,
     /// Which life of the place it struck.
     pub incarnation: Incarnation,
-    /// The particulars: a panic's text and source line, a check's value and limit.
+    /// The particulars: a panic's text and source line, a check's value and limit. Of one that was found again
+    /// while it stood, those of the last time.
     pub detail: String,
     /// When it was found, on the finder's clock.
     pub found_at: Instant,

@@ -100,7 +100,10 @@ pub trait Carried: Clone {
     /// To whom it goes, or from whom it comes.
     fn peer(&self) -> &Self::Peer;
 
-    /// Its bytes.
+    /// How many bytes it has.
+    fn length(&self) -> usize;
+
+    /// Its bytes, in one piece.
     fn bytes(&mut self) -> &mut Bytes;
 }
 
@@ -110,6 +113,10 @@ impl Carried for Bytes {
 
     fn peer(&self) -> &() {
         &()
+    }
+
+    fn length(&self) -> usize {
+        self.len()
     }
 
     fn bytes(&mut self) -> &mut Bytes {
@@ -286,10 +293,10 @@ impl<T: Carried> Impairer<T> {
     }
 
     /// It goes onto the medium in its turn.
-    fn enter(&mut self, mut frame: T, fate: Fate, now: Instant) {
+    fn enter(&mut self, frame: T, fate: Fate, now: Instant) {
         let Fate::Arrives { after, again } = fate else { return };
         let turn = self.free_at.max(now);
-        let occupation = self.impairment.occupation(frame.bytes().len());
+        let occupation = self.impairment.occupation(frame.length());
         let carried = turn + occupation;
         if occupation > Duration::ZERO && self.held() < self.limit {
             self.free_at = carried;
@@ -392,6 +399,10 @@ mod tests {
 
         fn peer(&self) -> &u8 {
             &self.1
+        }
+
+        fn length(&self) -> usize {
+            self.0.len()
         }
 
         fn bytes(&mut self) -> &mut Bytes {

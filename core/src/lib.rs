@@ -3,6 +3,7 @@
 //! Nothing here performs IO, reads a clock or knows an actor. Time, randomness and identity are
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
+pub mod audience;
 pub mod blob;
 pub mod can;
 pub mod codec;
@@ -26,6 +27,7 @@ pub mod machine;
 pub mod name;
 pub mod net;
 pub mod occupancy;
+pub mod parcel;
 pub mod quarantine;
 pub mod random;
 pub mod recovery;
@@ -51,6 +53,7 @@ pub use layout::{Described, Layout};
 pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
+pub use parcel::Parcel;
 pub use quarantine::MessageId;
 pub use retry::RetryRule;
 /// The codec's interface, for the code that the derives write.

@@ -62,7 +62,6 @@ mod here {
 /// from `here`, and gives the lines of the difference.
 macro_rules! lines {
     ($($item:item)*) => {{
-        #[allow(unused_imports, dead_code)]
         mod there {
             use super::here::*;
             use super::*;

@@ -81,7 +81,7 @@ impl Bus {
             while let Some(output) = node.bundle.poll_output() {
                 match output {
                     BundleOutput::Greet(frame) => {
-                        let message = Bytes::from([&frame, CHECKSUM].concat());
+                        let message = Bytes::from([&frame.into_bytes()[..], CHECKSUM].concat());
                         node.isotp.handle_message(BusAddress::ALL, message, now).unwrap();
                     }
                     BundleOutput::Of(link, LinkOutput::Changed { state, .. }) => {

@@ -16,9 +16,10 @@ fn frame(segment: &Segment) -> usize {
         hops: 16,
         destination: NodeId(1),
         source: NodeId(2),
-        payload: Payload::Segment(segment.encode()),
+        passed: vec![],
+        payload: Payload::Segment(segment.encode().into()),
     };
-    Frame::Data(packet.encode()).encode().len() - PAYLOAD.len()
+    Frame::Data(packet.encode().into()).encode().len() - PAYLOAD.len()
 }
 
 /// The overhead of one message alone in its part, without and with an acknowledgement on board.
@@ -36,7 +37,7 @@ fn reliable(message: &Message, stream: Stream, sequence: u64) -> [usize; 2] {
         again: false,
         piece: None,
         ack: None,
-        payload: payload.freeze(),
+        payload: payload.freeze().into(),
     };
     let ack = Some(Ack { next: sequence, window: 256, ranges: vec![] });
     let acking = Data { ack, ..data.clone() };
@@ -49,16 +50,21 @@ const TIMES: [(u64, u64); 2] = [(100, 10_000), (1_000_000, 3_600_000_000)];
 #[test]
 fn a_small_message_has_the_overhead_that_the_documentation_states() {
     let payload = Bytes::from_static(PAYLOAD);
-    let tell =
-        |stamp_us| Message::Tell { binding: 5, stamp_us, id: None, payload: payload.clone() };
-    let event = |stamp_us| Message::Event { subscription: 5, stamp_us, payload: payload.clone() };
+    let tell = |stamp_us| Message::Tell {
+        binding: 5,
+        stamp_us,
+        id: None,
+        payload: payload.clone().into(),
+    };
+    let event =
+        |stamp_us| Message::Event { subscription: 5, stamp_us, payload: payload.clone().into() };
     let request = |call, stamp_us: u64| Message::Request {
         binding: 5,
         call,
         stamp: stamp_us / 100,
         within: 10_000,
         id: None,
-        payload: payload.clone(),
+        payload: payload.clone().into(),
     };
     let reply = |call| Message::Reply { call, result: Ok(payload.clone()) };
 
@@ -80,9 +86,15 @@ fn a_small_message_has_the_overhead_that_the_documentation_states() {
 fn a_small_reading_of_which_the_newest_counts_has_the_overhead_that_is_stated() {
     let payload = Bytes::from_static(PAYLOAD);
     let overhead = TIMES.map(|(sequence, stamp_us)| {
-        let message = Message::Event { subscription: 5, stamp_us, payload: payload.clone() };
+        let message = Message::Event { subscription: 5, stamp_us, payload: payload.clone().into() };
         let payload = message.encode().into_bytes();
-        frame(&Segment::Datagram(Datagram { tag: 7, channel: 10, sequence, piece: None, payload }))
+        frame(&Segment::Datagram(Datagram {
+            tag: 7,
+            channel: 10,
+            sequence,
+            piece: None,
+            payload: payload.into(),
+        }))
     });
     assert_eq!(overhead, [22, 27]);
 }

@@ -59,7 +59,7 @@ fn genuine() -> Vec<Bytes> {
         again: false,
         piece: Some(Piece { index: 0, count: 2 }),
         ack: Some(ack.clone()),
-        payload: payload.clone(),
+        payload: payload.clone().into(),
     };
     let open = Open { version: 1, tag: 9, echo: 0, incarnation: Incarnation(1), number: 1 };
     let segment = Segment::Data(data).encode();
@@ -68,28 +68,30 @@ fn genuine() -> Vec<Bytes> {
         hops: 3,
         destination: NodeId::of(&name("own")),
         source: NodeId::of(&name("peer")),
-        payload: Payload::Segment(segment.clone()),
+        passed: vec![],
+        payload: Payload::Segment(segment.clone().into()),
     };
     let copy = Packet {
+        passed: vec![],
         payload: Payload::Copy {
             copy: 1,
             relays: vec![NodeId(3), NodeId(4)],
-            segment: segment.clone(),
+            segment: segment.clone().into(),
         },
         ..packet.clone()
     };
     let names = Message::Names { stamp_us: 0, complete: true, added: vec![], removed: vec![] };
     let datagram =
-        Datagram { tag: 1, channel: 1, sequence: 1, piece: None, payload: payload.clone() };
+        Datagram { tag: 1, channel: 1, sequence: 1, piece: None, payload: payload.clone().into() };
     vec![
         Frame::Hello(hello).encode(),
-        Frame::Data(packet.encode()).encode(),
+        Frame::Data(packet.encode().into()).encode(),
         Frame::Routing(announce.encode()).encode(),
         announce.encode(),
         have.encode(),
         packet.encode(),
         copy.encode(),
-        Frame::Data(copy.encode()).encode(),
+        Frame::Data(copy.encode().into()).encode(),
         segment,
         Segment::Open(open).encode(),
         Segment::Datagram(datagram).encode(),
@@ -101,11 +103,13 @@ fn genuine() -> Vec<Bytes> {
             stamp: 1,
             within: 9,
             id: None,
-            payload: payload.clone(),
+            payload: payload.clone().into(),
         }
         .encode()
         .into_bytes(),
-        Message::Event { subscription: 1, stamp_us: 5, payload }.encode().into_bytes(),
+        Message::Event { subscription: 1, stamp_us: 5, payload: payload.into() }
+            .encode()
+            .into_bytes(),
         names.encode().into_bytes(),
     ]
 }
@@ -154,7 +158,7 @@ fn session() -> (Session, u32) {
     session.handle_path(1400, Instant::ORIGIN);
     let outputs = drain(&mut session);
     let [SessionOutput::Transmit { segment, .. }] = &outputs[..] else { panic!("{outputs:?}") };
-    let Ok(Segment::Open(Open { tag, .. })) = Segment::decode(segment.clone()) else {
+    let Ok(Segment::Open(Open { tag, .. })) = Segment::decode(segment.clone().into_bytes()) else {
         panic!("it says who it is first");
     };
     let answer = Open { version: 1, tag: 9, echo: tag, incarnation: Incarnation(1), number: 1 };
@@ -270,7 +274,7 @@ fn a_peer_that_never_finishes_a_message_costs_no_more_than_its_bound() {
             channel: 1,
             sequence: n + 1,
             piece: Some(Piece { index: 0, count: 2 }),
-            payload: Bytes::from_static(&[0; 100]),
+            payload: Bytes::from_static(&[0; 100]).into(),
         };
         session.handle_segment(Segment::Datagram(datagram).encode(), Instant::ORIGIN);
     }
@@ -307,7 +311,7 @@ fn a_message_longer_than_its_limit_ends_the_session_that_announces_it() {
         again: false,
         piece: None,
         ack: None,
-        payload: Bytes::from_static(b"\xff\xff\xff\x7f"),
+        payload: Bytes::from_static(b"\xff\xff\xff\x7f").into(),
     };
     session.handle_segment(Segment::Data(data).encode(), Instant::ORIGIN);
     assert_eq!(session.peer(), None);

@@ -49,7 +49,7 @@ impl End {
 
     fn send(&self, to: &End, frame: impl Into<Bytes>) {
         let to = MediumAddress::Ip(to.local);
-        self.transport.transmit.do_send(Transmit::new(to, frame.into()));
+        self.transport.transmit.do_send(Transmit::new(to, frame.into().into()));
     }
 
     async fn counters(&self) -> TransportCounters {

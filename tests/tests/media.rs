@@ -30,27 +30,78 @@ impl Handle<Turn> for Mirror {
     }
 }
 
-/// Starts two nodes on these networks, and asks one for what the other has, from small to far above what
-/// one frame carries.
-async fn speak_over(here: Network, there: Network) {
-    let far = Node::builder("module2")
-        .network(there)
-        .child(ChildSpec::new("mirror", || Mirror))
-        .start()
-        .await
-        .expect("module2 starts");
-    let near = Node::builder("module1").network(here).start().await.expect("module1 starts");
-    assert!(near.connected("module2", PATIENCE).await, "{:?}", near.links().await);
+/// Goes every way, and waits for nothing that is said one way.
+#[derive(Debug, Request)]
+#[contract(name = "media/stop", reply = (), delivery = "redundant")]
+struct Halt;
 
-    let mirror: Sender<Turn> = near.sender("module2:mirror").expect("a name");
-    for length in [0, 1, 100, 1_000, 5_000] {
-        let bytes: Vec<u8> = (0..length).map(|n| (n % 251) as u8).collect();
-        let turned = mirror.ask_within(Turn(bytes.clone()), PATIENCE).await;
-        let expected: Vec<u8> = bytes.into_iter().rev().collect();
-        assert_eq!(turned.expect("it is answered"), expected, "{length} bytes");
+struct Brakes;
+
+impl Component for Brakes {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Halt>();
     }
-    near.shutdown().await;
-    far.shutdown().await;
+}
+
+impl Handle<Halt> for Brakes {
+    async fn handle(&mut self, _: Halt, _: &mut Context<Self>) {}
+}
+
+/// Two nodes that have found each other.
+struct Pair {
+    near: Node,
+    /// It has a mirror, and brakes.
+    far: Node,
+}
+
+impl Pair {
+    /// Starts them on these networks.
+    async fn on(here: Network, there: Network) -> Self {
+        let far = Node::builder("module2")
+            .network(there)
+            .child(ChildSpec::new("mirror", || Mirror))
+            .child(ChildSpec::new("brakes", || Brakes))
+            .start()
+            .await
+            .expect("module2 starts");
+        let near = Node::builder("module1").network(here).start().await.expect("module1 starts");
+        assert!(near.connected("module2", PATIENCE).await, "{:?}", near.links().await);
+        Pair { near, far }
+    }
+
+    /// At the ends of a serial line.
+    async fn on_line(cable: &Cable, baud: u32) -> Self {
+        let at = |own: &Path, peer: &str| {
+            let endpoint = format!("serial://{}?baud={baud}", own.display());
+            Network::new("cable", &endpoint).peer(peer, "")
+        };
+        Pair::on(at(&cable.left(), "module2"), at(&cable.right(), "module1")).await
+    }
+
+    fn mirror(&self) -> Sender<Turn> {
+        self.near.sender("module2:mirror").expect("a name")
+    }
+
+    /// Asks the one for what the other has, from small to far above what one frame carries.
+    async fn speak(self) {
+        let mirror = self.mirror();
+        for length in [0, 1, 100, 1_000, 5_000] {
+            let bytes: Vec<u8> = (0..length).map(|n| (n % 251) as u8).collect();
+            let turned = mirror.ask_within(Turn(bytes.clone()), PATIENCE).await;
+            let expected: Vec<u8> = bytes.into_iter().rev().collect();
+            assert_eq!(turned.expect("it is answered"), expected, "{length} bytes");
+        }
+        self.shutdown().await;
+    }
+
+    async fn shutdown(self) {
+        self.near.shutdown().await;
+        self.far.shutdown().await;
+    }
+}
+
+async fn speak_over(here: Network, there: Network) {
+    Pair::on(here, there).await.speak().await;
 }
 
 /// Two addresses of this machine that nobody has at present.
@@ -112,10 +163,7 @@ fn two_nodes_speak_over_unix_sockets() {
 fn two_nodes_speak_over_a_serial_line() {
     blastema::run(async {
         let cable = Cable::new();
-        let at = |own: &Path, peer: &str| {
-            Network::new("cable", &format!("serial://{}?baud=921600", own.display())).peer(peer, "")
-        };
-        speak_over(at(&cable.left(), "module2"), at(&cable.right(), "module1")).await;
+        Pair::on_line(&cable, 921_600).await.speak().await;
     });
 }
 
@@ -123,73 +171,25 @@ fn two_nodes_speak_over_a_serial_line() {
 fn two_nodes_speak_over_a_serial_line_of_9600_bits_a_second() {
     blastema::run(async {
         let cable = Cable::new();
-        let at = |own: &Path, name: &str| {
-            Network::new("cable", &format!("serial://{}?baud=9600", own.display())).peer(name, "")
-        };
-        let far = Node::builder("module2")
-            .network(at(&cable.right(), "module1"))
-            .child(ChildSpec::new("mirror", || Mirror))
-            .start()
-            .await
-            .expect("module2 starts");
-        let near = Node::builder("module1")
-            .network(at(&cable.left(), "module2"))
-            .start()
-            .await
-            .expect("module1 starts");
-        assert!(near.connected("module2", PATIENCE).await, "{:?}", near.links().await);
+        let pair = Pair::on_line(&cable, 9_600).await;
 
-        let mirror: Sender<Turn> = near.sender("module2:mirror").expect("a name");
-        let turned = mirror.ask_within(Turn(vec![1, 2, 3]), PATIENCE).await;
+        let turned = pair.mirror().ask_within(Turn(vec![1, 2, 3]), PATIENCE).await;
         assert_eq!(turned.expect("it is answered"), [3, 2, 1]);
-        near.shutdown().await;
-        far.shutdown().await;
+        pair.shutdown().await;
     });
-}
-
-/// Goes every way, and waits for nothing that is said one way.
-#[derive(Debug, Request)]
-#[contract(name = "media/stop", reply = (), delivery = "redundant")]
-struct Halt;
-
-struct Brakes;
-
-impl Component for Brakes {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Halt>();
-    }
-}
-
-impl Handle<Halt> for Brakes {
-    async fn handle(&mut self, _: Halt, _: &mut Context<Self>) {}
 }
 
 #[test]
 fn large_messages_on_a_line_of_9600_bits_a_second_take_nothing_down_and_a_stop_goes_before_them() {
     blastema::run(async {
         let cable = Cable::slow(960);
-        let at = |own: &Path, name: &str| {
-            Network::new("cable", &format!("serial://{}?baud=9600", own.display())).peer(name, "")
-        };
-        let far = Node::builder("module2")
-            .network(at(&cable.right(), "module1"))
-            .child(ChildSpec::new("mirror", || Mirror))
-            .child(ChildSpec::new("brakes", || Brakes))
-            .start()
-            .await
-            .expect("module2 starts");
-        let near = Node::builder("module1")
-            .network(at(&cable.left(), "module2"))
-            .start()
-            .await
-            .expect("module1 starts");
-        assert!(near.connected("module2", PATIENCE).await, "{:?}", near.links().await);
-        let mirror: Sender<Turn> = near.sender("module2:mirror").expect("a name");
-        let brakes: Sender<Halt> = near.sender("module2:brakes").expect("a name");
+        let pair = Pair::on_line(&cable, 9_600).await;
+        let mirror = pair.mirror();
+        let brakes: Sender<Halt> = pair.near.sender("module2:brakes").expect("a name");
         // What goes before the first message of a kind has gone.
         mirror.ask_within(Turn(vec![1]), PATIENCE).await.expect("it is answered");
         brakes.ask_within(Halt, PATIENCE).await.expect("it is answered");
-        let mut faults = [near.fault_events(), far.fault_events()];
+        let mut faults = [pair.near.fault_events(), pair.far.fault_events()];
 
         let mut large = Box::pin(mirror.ask_within(Turn(vec![7; 3_000]), 4 * PATIENCE));
         let mut stops = 0;
@@ -208,8 +208,7 @@ fn large_messages_on_a_line_of_9600_bits_a_second_take_nothing_down_and_a_stop_g
             let event = tokio::time::timeout(Duration::ZERO, faults.next()).await;
             assert!(event.is_err(), "{event:?}");
         }
-        near.shutdown().await;
-        far.shutdown().await;
+        pair.shutdown().await;
     });
 }
 
@@ -228,23 +227,8 @@ fn two_nodes_of_one_process_speak_over_memory() {
 fn a_serial_cable_that_is_pulled_and_plugged_in_again_carries_on() {
     blastema::run(async {
         let cable = Cable::new();
-        let at = |own: &Path, peer: &str| {
-            let endpoint = format!("serial://{}?baud=921600", own.display());
-            Network::new("cable", &endpoint).peer(peer, "")
-        };
-        let far = Node::builder("module2")
-            .network(at(&cable.right(), "module1"))
-            .child(ChildSpec::new("mirror", || Mirror))
-            .start()
-            .await
-            .expect("module2 starts");
-        let near = Node::builder("module1")
-            .network(at(&cable.left(), "module2"))
-            .start()
-            .await
-            .expect("module1 starts");
-        assert!(near.connected("module2", PATIENCE).await);
-        let mut faults = near.fault_events();
+        let pair = Pair::on_line(&cable, 921_600).await;
+        let mut faults = pair.near.fault_events();
 
         cable.inject(&cable.left(), b"\r\nDebian GNU/Linux 12 module2 ttyS0\r\n\0");
         cable.unplug();
@@ -252,8 +236,8 @@ fn a_serial_cable_that_is_pulled_and_plugged_in_again_carries_on() {
         assert_eq!(fault.place.to_string(), "module1 -cable- module2");
         cable.plug();
 
-        assert!(near.connected("module2", PATIENCE).await, "{:?}", near.links().await);
-        let mirror: Sender<Turn> = near.sender("module2:mirror").expect("a name");
+        assert!(pair.near.connected("module2", PATIENCE).await, "{:?}", pair.near.links().await);
+        let mirror = pair.mirror();
         let patience = tokio::time::timeout(PATIENCE, async {
             loop {
                 if let Ok(turned) = mirror.ask(Turn(vec![1, 2])).await {
@@ -262,8 +246,7 @@ fn a_serial_cable_that_is_pulled_and_plugged_in_again_carries_on() {
             }
         });
         assert_eq!(patience.await.expect("the link comes back"), [2, 1]);
-        near.shutdown().await;
-        far.shutdown().await;
+        pair.shutdown().await;
     });
 }
 

@@ -2,7 +2,7 @@
 
 use blastema::StartError;
 use blastema::prelude::*;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::io::AsyncReadExt;
 use tokio::net::UnixStream;
@@ -47,12 +47,37 @@ async fn look(window: &Path) -> String {
     tokio::time::timeout(LONG, seen).await.expect("nobody looks so long")
 }
 
-#[test]
-fn a_node_is_seen_at_safe_rest_with_the_reason_and_not_once_it_is_shut_down() {
-    blastema::run(async {
+/// Such a node, and where it is shown.
+struct Shown {
+    /// It goes with the test.
+    folder: tempfile::TempDir,
+    window: PathBuf,
+    node: Node,
+}
+
+impl Shown {
+    async fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let window = folder.path().join("module1.window");
         let node = fragile(&window).start().await.unwrap();
+        Shown { folder, window, node }
+    }
+}
+
+/// Waits until it is so.
+async fn until(so: impl Fn() -> bool) {
+    let waiting = async {
+        while !so() {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    };
+    tokio::time::timeout(LONG, waiting).await.expect("it takes no such time");
+}
+
+#[test]
+fn a_node_is_seen_at_safe_rest_with_the_reason_and_not_once_it_is_shut_down() {
+    blastema::run(async {
+        let Shown { folder: _folder, window, node } = Shown::start().await;
         assert!(look(&window).await.contains(r#""state":"running""#));
 
         let strike: Sender<Strike> = node.sender("lamp").unwrap();
@@ -62,41 +87,145 @@ fn a_node_is_seen_at_safe_rest_with_the_reason_and_not_once_it_is_shut_down() {
         assert!(seen.contains(r#""state":"at rest""#) && seen.contains("struck"), "{seen}");
 
         node.shutdown().await;
-        while window.exists() {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        until(|| !window.exists()).await;
     });
 }
 
 #[test]
 fn those_who_look_and_do_not_read_do_not_keep_others_from_looking() {
     blastema::run(async {
-        let folder = tempfile::tempdir().unwrap();
-        let window = folder.path().join("module1.window");
-        let node = fragile(&window).start().await.unwrap();
+        let Shown { folder: _folder, window, node } = Shown::start().await;
         let mut gazing = Vec::new();
-        for _ in 0..20 {
-            gazing.push(UnixStream::connect(&window).await.unwrap());
+        while gazing.len() < 200 {
+            match UnixStream::connect(&window).await {
+                Ok(stranger) => gazing.push(stranger),
+                // As many as the system lets wait do so already.
+                Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
+            }
         }
 
-        assert_eq!(node.picture().await.node.as_str(), "module1");
-        drop(gazing);
         assert!(look(&window).await.ends_with("}\n"));
+        assert_eq!(node.picture().await.node.as_str(), "module1");
         node.shutdown().await;
     });
 }
 
 #[test]
-fn two_nodes_are_not_shown_at_one_window() {
+fn a_picture_that_nobody_takes_keeps_nobody_from_taking_his() {
     blastema::run(async {
         let folder = tempfile::tempdir().unwrap();
         let window = folder.path().join("module1.window");
-        let node = fragile(&window).start().await.unwrap();
+        // More than the system keeps for whoever does not read.
+        let lamps = (0..1500).map(|n| ChildSpec::new(&format!("lamp/{n}"), || Lamp));
+        let node =
+            lamps.fold(fragile(&window), blastema::NodeBuilder::child).start().await.unwrap();
+        let mut gazing = Vec::new();
+        for _ in 0..20 {
+            gazing.push(UnixStream::connect(&window).await.unwrap());
+        }
 
-        let second = Node::builder("module2").shown_at(&window).start().await.unwrap_err();
+        let seen = look(&window).await;
 
-        assert!(matches!(&second, StartError::Shown(why) if why.contains("another process")));
+        assert!(seen.len() > 300_000 && seen.ends_with("}\n"), "{}", seen.len());
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_window_that_somebody_removes_is_made_again() {
+    blastema::run(async {
+        let Shown { folder: _folder, window, node } = Shown::start().await;
+
+        std::fs::remove_file(&window).unwrap();
+
+        until(|| window.exists()).await;
+        assert!(look(&window).await.contains("module1"));
+        assert!(node.faults().await.entries.is_empty(), "nobody has to do anything");
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn that_a_window_cannot_be_made_again_is_a_fault_until_it_can() {
+    blastema::run(async {
+        let Shown { folder, window, node } = Shown::start().await;
+        let faults = || async {
+            let record = node.faults().await;
+            let entries = record.entries.iter().map(|entry| {
+                let fault = &entry.fault;
+                (format!("{} {}", fault.place, fault.detail), entry.ended.is_some())
+            });
+            entries.collect::<Vec<_>>()
+        };
+
+        std::fs::remove_dir_all(folder.path()).unwrap();
+        let told = async {
+            while faults().await.is_empty() {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        };
+        tokio::time::timeout(LONG, told).await.expect("it is told");
+        let told = faults().await;
+        assert!(told[0].0.contains("window") && told[0].0.contains("create it"), "{told:?}");
+        assert!(!told[0].1, "{told:?}");
+
+        std::fs::create_dir(folder.path()).unwrap();
+        until(|| window.exists()).await;
+        assert!(look(&window).await.contains("module1"));
+        let mended = async {
+            while !faults().await[0].1 {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        };
+        tokio::time::timeout(LONG, mended).await.expect("it is over");
+        assert_eq!(faults().await.len(), 1);
+        node.shutdown().await;
+    });
+}
+
+async fn refused(window: &Path) -> String {
+    let refused = Node::builder("module2").shown_at(window).start().await.unwrap_err();
+    assert!(matches!(refused, StartError::Shown(_)), "{refused}");
+    refused.to_string()
+}
+
+#[test]
+fn two_nodes_are_not_shown_at_one_window() {
+    blastema::run(async {
+        let Shown { folder: _folder, window, node } = Shown::start().await;
+
+        let second = refused(&window).await;
+
+        assert!(second.contains("another node, or another process"), "{second}");
         assert!(look(&window).await.contains("module1"), "the first is unharmed");
         node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_path_that_can_be_no_window_is_refused_at_start_with_what_to_do() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        std::fs::write(&file, "precious").unwrap();
+        let long = folder.path().join("w".repeat(120));
+        let cases: [(&Path, &str); 7] = [
+            (Path::new("module1.window"), "give an absolute path"),
+            (Path::new(""), "give an absolute path"),
+            (folder.path(), "there is a folder: choose the path of a file in it"),
+            (&file, "no socket: remove it, or choose another path"),
+            (&file.join("window"), "what should be its folder is none: choose another"),
+            (&long, "choose a shorter one"),
+            // Not even root may create anything there.
+            (
+                Path::new("/sys/module1.window"),
+                "let this user write to the folder, or choose another",
+            ),
+        ];
+        for (path, advice) in cases {
+            let told = refused(path).await;
+            assert!(told.contains(advice), "{path:?}: {told}");
+        }
+        assert_eq!(std::fs::read(&file).unwrap(), b"precious");
     });
 }

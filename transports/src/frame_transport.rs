@@ -181,7 +181,7 @@ impl Medium for FrameTransport {
         let (limits, bytes) = (self.medium.queue(), frame.len());
         if bytes > mtu {
             self.outlet.counters.refused += 1;
-        } else if !self.queue.push(lane, (to, frame), bytes, limits) {
+        } else if !self.queue.push(lane, (to, frame.into_bytes()), bytes, limits) {
             self.outlet.counters.dropped += 1;
         }
     }

@@ -209,7 +209,7 @@ impl Medium for Memory {
             return;
         }
         let end = self.config.medium.end(&to).filter(|_| self.inbox.is_some());
-        if end.is_some_and(|end| end.push(self.config.name.clone(), frame)) {
+        if end.is_some_and(|end| end.push(self.config.name.clone(), frame.into_bytes())) {
             counters.sent += 1;
         } else {
             counters.dropped += 1;

@@ -10,11 +10,13 @@ use crate::part::part_frame;
 use crate::reopening::Reopening;
 use actix::Context;
 use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
-use bytes::{BufMut, Bytes, BytesMut};
-use socket2::{Domain, Protocol, Socket, Type};
-use std::io;
+use blastema_core::Parcel;
+use bytes::{BufMut, BytesMut};
+use socket2::{Domain, Protocol, SockRef, Socket, Type};
+use std::io::{self, IoSlice};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::task::{self, Poll};
+use tokio::io::Interest;
 use tokio::net::UdpSocket;
 
 /// What a datagram carries at most over IPv4: 65,535 less the headers of IP (20) and UDP (8).
@@ -96,9 +98,9 @@ pub struct Udp {
     socket: Option<UdpSocket>,
     /// Hears the group, if there is one, beside our own socket.
     ear: Option<UdpSocket>,
-    queue: Lanes<(SocketAddr, Bytes)>,
+    queue: Lanes<(SocketAddr, Parcel)>,
     /// The one that the kernel had no room for.
-    going: Option<(SocketAddr, Bytes)>,
+    going: Option<(SocketAddr, Parcel)>,
     buffer: BytesMut,
     errors_in_a_row: u32,
 }
@@ -143,12 +145,12 @@ impl Udp {
     }
 
     /// Sends one datagram, or gives it back when the kernel has no room for it.
-    fn send(&mut self, to: SocketAddr, frame: Bytes) -> Option<Bytes> {
+    fn send(&mut self, to: SocketAddr, frame: Parcel) -> Option<Parcel> {
         let Some(socket) = &self.socket else {
             self.outlet.counters.dropped += 1;
             return None;
         };
-        match socket.try_send_to(&frame, to) {
+        match try_send(socket, &frame, to) {
             Ok(_) => self.outlet.counters.sent += 1,
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Some(frame),
             Err(error) => {
@@ -245,6 +247,13 @@ impl Udp {
     fn group_brings_back(&self, from: SocketAddr) -> bool {
         self.config.group.is_some() && self.binding.is_at(from)
     }
+}
+
+/// Gives the kernel one datagram, as it lies.
+fn try_send(socket: &UdpSocket, frame: &Parcel, to: SocketAddr) -> io::Result<usize> {
+    let pieces = frame.pieces().map(IoSlice::new);
+    let send = || SockRef::from(socket).send_to_vectored(&pieces, &to.into());
+    socket.try_io(Interest::WRITABLE, send)
 }
 
 /// What a turn of reading leaves.

@@ -86,7 +86,7 @@ impl End {
     }
 
     fn send(&self, to: &MediumAddress, frame: impl Into<Bytes>) {
-        self.transport.transmit.do_send(Transmit::new(to.clone(), frame.into()));
+        self.transport.transmit.do_send(Transmit::new(to.clone(), frame.into().into()));
     }
 
     async fn counters(&self) -> TransportCounters {

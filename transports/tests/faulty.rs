@@ -42,7 +42,7 @@ impl Bench {
     }
 
     fn sent(&self) -> Vec<u8> {
-        self.medium.sent().iter().map(|sent| sent.frame[0]).collect()
+        self.medium.sent().iter().map(|sent| sent.frame.pieces()[0][0]).collect()
     }
 
     fn receive(&self, numbers: std::ops::Range<u8>) {

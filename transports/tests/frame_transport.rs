@@ -121,7 +121,7 @@ impl Bench {
 
     fn send(&self, frame: &'static [u8]) {
         let frame = Bytes::from_static(frame);
-        self.transport.do_send(Transmit::new(MediumAddress::Line, frame));
+        self.transport.do_send(Transmit::new(MediumAddress::Line, frame.into()));
     }
 
     async fn counters(&self) -> TransportCounters {

@@ -58,7 +58,7 @@ impl Node {
     }
 
     fn send(&self, frame: impl Into<bytes::Bytes>) {
-        self.transport.do_send(Transmit::new(MediumAddress::Line, frame.into()));
+        self.transport.do_send(Transmit::new(MediumAddress::Line, frame.into().into()));
     }
 
     async fn counters(&self) -> TransportCounters {

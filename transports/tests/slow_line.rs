@@ -4,6 +4,7 @@ use actix::Actor;
 use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
+use blastema_core::Parcel;
 use blastema_core::net::frame::{FRAME_HEADER, Frame, is_hello, is_urgent};
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
 use blastema_core::net::packet::{PACKET_HEADER, Packet, Payload};
@@ -135,8 +136,8 @@ impl End {
         }
     }
 
-    fn send(&self, frame: Bytes) {
-        let lane = match &frame[..] {
+    fn send(&self, frame: Parcel) {
+        let lane = match &frame {
             frame if is_hello(frame) => Lane::Hello,
             frame if is_urgent(frame) => Lane::Urgent,
             _ => Lane::Usual,
@@ -180,7 +181,7 @@ impl End {
                         if let Ok(Packet { payload: Payload::Segment(segment), .. }) =
                             Packet::decode(bytes)
                         {
-                            session.handle_segment(segment, now());
+                            session.handle_segment(segment.into_bytes(), now());
                         }
                     }
                     _ => {}
@@ -189,7 +190,7 @@ impl End {
             }
             match session.poll_output() {
                 Some(SessionOutput::Transmit { class, segment, .. }) => {
-                    let packet = packet(class, segment).encode();
+                    let packet = packet(class, segment).parcel();
                     bundle.get_mut(LINK).unwrap().handle_packet(packet);
                 }
                 Some(SessionOutput::Message { message, .. }) => {
@@ -203,9 +204,9 @@ impl End {
     }
 }
 
-fn packet(class: Class, segment: Bytes) -> Packet {
+fn packet(class: Class, segment: Parcel) -> Packet {
     let payload = Payload::Segment(segment);
-    Packet { class, hops: 1, destination: NodeId(1), source: NodeId(2), payload }
+    Packet { class, hops: 1, destination: NodeId(1), source: NodeId(2), passed: vec![], payload }
 }
 
 /// Both ends of a line of so many bits a second.
@@ -220,13 +221,14 @@ fn ends(baud: u32) -> [End; 2] {
 fn flood(size: usize) {
     paused(async {
         let ends = ends(9_600);
-        let bulk = |class| Frame::Data(packet(class, vec![7; size - 11].into()).encode()).encode();
+        let bulk =
+            |class| Frame::Data(packet(class, vec![7; size - 11].into()).encode().into()).encode();
         assert_eq!(bulk(Class::Data).len(), size);
 
         for _ in 0..2_500 {
             for end in &ends {
-                end.send(bulk(Class::Data));
-                end.send(bulk(Class::Control));
+                end.send(bulk(Class::Data).into());
+                end.send(bulk(Class::Control).into());
                 end.carry_on();
             }
             advance(Duration::from_millis(10)).await;

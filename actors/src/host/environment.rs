@@ -53,6 +53,15 @@ impl Reports {
             faults.do_send(FaultDeclared { object, incarnation, kind, detail });
         }
     }
+
+    /// What was [declared](Reports::declare) of one of the middleware's own objects is over.
+    pub(crate) fn mend(&self, object: &str) {
+        if let (Some(mended), Ok(object)) = (&self.mended, ObjectName::new(object)) {
+            let (incarnation, kind) =
+                (crate::guardian::alive().incarnation, FaultKind::CheckFailed);
+            mended.do_send(FaultMended { object, incarnation, kind });
+        }
+    }
 }
 
 /// Under this name stands what is wrong with the variables' file.

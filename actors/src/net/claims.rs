@@ -1,6 +1,7 @@
 //! The body of the claims: names of the whole robot, as this node knows them.
 
 use super::letters::{LetterArrived, Letters};
+use super::own_faults::OwnFaults;
 use crate::claim::{ClaimState, Names, Wish};
 use crate::drive::{Body, Wake};
 use crate::guardian::{Guardian, answers_the_monitor};
@@ -51,15 +52,6 @@ struct Own {
     unattended: bool,
 }
 
-/// What is wrong.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Trouble {
-    /// Somebody claims what must be refused.
-    Refusals,
-    /// This name was lost to another, who had claimed it out of sight.
-    Lost(ObjectName, u64),
-}
-
 /// The body.
 pub(crate) struct ClaimsBody {
     setup: ClaimsSetup,
@@ -70,8 +62,9 @@ pub(crate) struct ClaimsBody {
     /// Nodes that a session is open with.
     peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
     complaints: Complaints<NodeName>,
-    /// As many as names are claimed here.
-    troubles: Latch<Trouble>,
+    faults: OwnFaults,
+    /// Names that were lost to others, who had claimed them out of sight: as many as are claimed here.
+    lost: Latch<(ObjectName, u64)>,
     /// Who goes without a name, and what was said of that last.
     without: Without,
     said: Option<String>,
@@ -103,7 +96,8 @@ impl ClaimsBody {
                 own: BTreeMap::new(),
                 peers: BTreeMap::new(),
                 complaints: Complaints::default(),
-                troubles: Latch::default(),
+                faults: OwnFaults::of("claims", setup.faults.clone(), setup.mended.clone()),
+                lost: Latch::default(),
                 without: Without::default(),
                 said: None,
                 setup,
@@ -144,58 +138,37 @@ impl ClaimsBody {
 
     fn declare(&self, kind: FaultKind, detail: String) {
         error!("{detail}");
-        if let Some(faults) = &self.setup.faults {
-            let object = super::named("claims");
-            let incarnation = crate::guardian::alive().incarnation;
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
-        }
+        self.faults.declare(kind, detail);
     }
 
-    /// Something is over: a fault is, once nothing else of its kind is left.
-    fn mend(&mut self, over: &Trouble) {
-        let same = |left: &&Trouble| std::mem::discriminant(*left) == std::mem::discriminant(over);
-        if self.troubles.iter().any(|left| same(&left)) {
-            return;
-        }
-        match over {
-            Trouble::Refusals => self.mended(FaultKind::CheckFailed),
-            // Of those who go without, it is said again.
-            Trouble::Lost(..) if self.said.take().is_some() => self.say_who_goes_without(),
-            Trouble::Lost(..) => self.mended(FaultKind::NameTaken),
+    /// Some names are not lost any more. Of those who go without, it is said again.
+    fn mend(&mut self) {
+        self.said = None;
+        if self.without.text().is_some() {
+            self.say_who_goes_without();
+        } else if self.lost.iter().next().is_none() {
+            self.faults.mend(FaultKind::NameTaken);
         }
     }
 
     /// As it is now.
     fn say_who_goes_without(&mut self) {
-        let text = self.without.text();
-        let lost = self.troubles.iter().any(|trouble| matches!(trouble, Trouble::Lost(..)));
-        match text {
+        match self.without.text() {
             Some(text) if self.said.as_ref() != Some(&text) => {
                 self.said = Some(text.clone());
                 self.declare(FaultKind::NameTaken, text);
             }
-            None if self.said.take().is_some() && !lost => self.mended(FaultKind::NameTaken),
+            None if self.said.take().is_some() => self.mend(),
             Some(_) | None => {}
         }
     }
 
-    fn mended(&self, kind: FaultKind) {
-        if let Some(mended) = &self.setup.mended {
-            let incarnation = crate::guardian::alive().incarnation;
-            mended.do_send(FaultMended { object: super::named("claims"), incarnation, kind });
-        }
-    }
-
-    fn end_trouble(&mut self, trouble: &Trouble) {
-        if self.troubles.end(trouble) {
-            self.mend(trouble);
-        }
-    }
-
     /// A claim is granted, or given back.
-    fn end_troubles(&mut self, name: ObjectName, number: u64) {
+    fn has_its_name(&mut self, name: ObjectName, number: u64) {
         self.without.handle_end(&name, number);
-        self.end_trouble(&Trouble::Lost(name, number));
+        if self.lost.end(&(name, number)) {
+            self.mend();
+        }
         self.say_who_goes_without();
     }
 
@@ -209,19 +182,22 @@ impl ClaimsBody {
         self.end(name, ClaimState::Refused(refused.into()));
     }
 
-    /// Whoever sends for seconds what must be refused is named.
+    /// Whoever sends for seconds what must be refused is named, until it was quiet.
     fn look_at_refusals(&mut self) {
+        let now = platform::now();
         let looks: Vec<(NodeName, Refusals)> =
             self.machine.refusals().map(|(node, refusals)| (node.clone(), refusals)).collect();
         for (node, refusals) in looks {
-            if let Some(since) = self.complaints.handle_look(node.clone(), refusals) {
+            if let Some(since) = self.complaints.handle_look(node.clone(), refusals, now) {
                 let detail = format!("what {node} claims is refused all the time: {since}");
                 self.declare(FaultKind::CheckFailed, detail);
-                self.troubles.begin(Trouble::Refusals, platform::now());
             }
         }
-        for over in self.troubles.take_over(platform::now()) {
-            self.mend(&over);
+        if self.complaints.take_over(now) {
+            self.faults.mend(FaultKind::CheckFailed);
+        }
+        if !self.lost.take_over(now).is_empty() {
+            self.mend();
         }
     }
 }
@@ -264,7 +240,6 @@ impl Supervised for ClaimsBody {
             self.machine.handle_opened(node.clone(), *incarnation, now);
         }
         self.wake = Wake::default();
-        self.complaints = Complaints::default();
         self.started(context);
     }
 }
@@ -287,7 +262,7 @@ impl Body for ClaimsBody {
                 info!(%name, epoch, "a name is ours");
                 self.tell(&name, ClaimState::Held { epoch });
                 if let Some(number) = self.own.get(&name).map(|own| own.number) {
-                    self.end_troubles(name, number);
+                    self.has_its_name(name, number);
                 }
             }
             ClaimsOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
@@ -308,7 +283,7 @@ impl Body for ClaimsBody {
                 self.declare(FaultKind::NameTaken, detail);
                 // Each of the two knows it now, and what becomes of it.
                 let number = self.own.get(&name).map_or(0, |own| own.number);
-                self.troubles.begin(Trouble::Lost(name.clone(), number), platform::now());
+                self.lost.begin((name.clone(), number), platform::now());
                 match stands_by {
                     true => self.tell(&name, ClaimState::StandsBy),
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
@@ -364,7 +339,7 @@ impl Handler<Wish> for ClaimsBody {
                     self.machine.handle_withdrawn(&name);
                 }
                 // Also of one that was refused, and goes without.
-                self.end_troubles(name, number);
+                self.has_its_name(name, number);
             }
         }
         self.drive(context);

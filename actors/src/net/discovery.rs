@@ -3,12 +3,12 @@
 use super::LinkSpec;
 use super::letters::{LetterArrived, Letters};
 use super::links::{Forget, Learn, Seen, TellNeighbours};
+use super::own_faults::OwnFaults;
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use crate::registry::Registry;
 use actix::prelude::*;
-use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::PeerSeen;
 use blastema_contract::transport::{
@@ -64,7 +64,7 @@ pub(super) struct Wiring {
     pub(super) node: NodeName,
     pub(super) registry: Registry,
     pub(super) fields: Vec<Field>,
-    pub(super) faults: Option<Recipient<FaultDeclared>>,
+    pub(super) faults: OwnFaults,
 }
 
 /// The links of the networks that discover, in their order. They are made after the body.
@@ -143,23 +143,23 @@ impl DiscoveryBody {
         }
     }
 
-    /// Whoever says for seconds what must be refused is named.
+    /// Whoever says for seconds what must be refused is named, until it was quiet.
     fn look_at_refusals(&mut self) {
+        let now = platform::now();
         let looks = self.machine.refusals().map(|(node, refusals)| (node.cloned(), refusals));
         let looks: Vec<_> = looks.collect();
         for (node, refusals) in looks {
-            let Some(since) = self.complaints.handle_look(node.clone(), refusals) else { continue };
+            let told = self.complaints.handle_look(node.clone(), refusals, now);
+            let Some(since) = told else { continue };
             let who = node.map_or("by beacons".to_owned(), |node| format!("by {node}"));
             let detail = format!(
                 "of the neighbours that are told {who}, many are refused all the time: {since}"
             );
             warn!("{detail}");
-            if let Some(faults) = &self.wiring.faults {
-                let object = super::named("discovery");
-                let incarnation = crate::guardian::alive().incarnation;
-                let kind = FaultKind::CheckFailed;
-                faults.do_send(FaultDeclared { object, incarnation, kind, detail });
-            }
+            self.wiring.faults.declare(FaultKind::CheckFailed, detail);
+        }
+        if self.complaints.take_over(now) {
+            self.wiring.faults.mend(FaultKind::CheckFailed);
         }
     }
 
@@ -172,7 +172,7 @@ impl DiscoveryBody {
             };
             let frame = beacon(&self.wiring.node, *port);
             let to = MediumAddress::Ip(*group);
-            transport.transmit.do_send(Transmit::new(to, frame));
+            transport.transmit.do_send(Transmit::new(to, frame.into()));
         }
     }
 

@@ -7,8 +7,7 @@ use crate::registry::{Asked, RemoteDoor, RemoteDoors};
 use actix::Recipient;
 use blastema_contract::session::{Credit, Lender};
 use blastema_core::net::session::PAYLOAD_MAX;
-use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, ObjectName, Why};
-use bytes::Bytes;
+use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, ObjectName, Parcel, Why};
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::pin::Pin;
@@ -81,9 +80,13 @@ impl Gate {
         self.changed.notify_waiters();
     }
 
-    /// A path leads there, or does no more.
-    pub(super) fn set_path(&self, path: bool) {
-        self.path.store(path, Relaxed);
+    pub(super) fn path_found(&self) {
+        self.path.store(true, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    pub(super) fn path_lost(&self) {
+        self.path.store(false, Relaxed);
         self.changed.notify_waiters();
     }
 
@@ -91,9 +94,15 @@ impl Gate {
         self.condition() == Condition::Open && !self.is_isolated()
     }
 
-    /// Nothing is sent there and nothing taken from there, or all is well again.
-    pub(super) fn isolate(&self, isolated: bool) {
-        self.isolated.store(isolated, Relaxed);
+    /// Nothing is sent there and nothing taken from there.
+    pub(super) fn isolate(&self) {
+        self.isolated.store(true, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    /// All is well again.
+    pub(super) fn admit(&self) {
+        self.isolated.store(false, Relaxed);
         self.changed.notify_waiters();
     }
 
@@ -110,19 +119,20 @@ impl Gate {
         self.full.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// This object there has no room, or has it again.
-    pub(super) fn set_room(&self, object: ObjectName, room: bool) {
+    /// This object there has no room.
+    pub(super) fn object_is_full(&self, object: ObjectName) {
         let mut full = self.lock_full();
-        if room {
-            full.remove(&object);
-        } else {
-            full.insert(object);
-        }
+        full.insert(object);
+        self.any_full.store(true, Relaxed);
+    }
+
+    /// This object there has room again.
+    pub(super) fn object_has_room(&self, object: &ObjectName) {
+        let mut full = self.lock_full();
+        full.remove(object);
         self.any_full.store(!full.is_empty(), Relaxed);
         drop(full);
-        if room {
-            self.changed.notify_waiters();
-        }
+        self.changed.notify_waiters();
     }
 
     /// What was said of objects there does not count any more.
@@ -260,7 +270,7 @@ struct Door {
 }
 
 impl RemoteDoor for Door {
-    fn send(&self, message: Bytes, asked: Option<Asked>) -> Result<(), Why> {
+    fn send(&self, message: Parcel, asked: Option<Asked>) -> Result<(), Why> {
         if message.len() > PAYLOAD_MAX {
             return Err(Why::TooLargeForSession { limit: PAYLOAD_MAX });
         }

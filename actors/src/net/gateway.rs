@@ -10,6 +10,7 @@ pub(super) use errand::{Notify, Ship};
 use super::NetEnvironment;
 use super::door::{Condition, Doors, Gate};
 use super::notice;
+use super::own_faults::OwnFaults;
 use super::wardens::{Told, Wardens};
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
@@ -20,19 +21,16 @@ use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
-use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::KeepOut;
 use blastema_contract::session::{BeginAnew, Credit, Leave, PeerSeen, Say, SayNewest};
+use blastema_core::Parcel;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::isolation::Isolation;
 use blastema_core::net::naming::Naming;
-use blastema_core::net::parcel::Parcel;
 use blastema_core::net::segment::Stream;
-use blastema_core::{
-    ContractIdentity, Delivery, FaultKind, NodeName, ObjectName, PeerIdentity, Place, Why,
-};
+use blastema_core::{ContractIdentity, Delivery, FaultKind, NodeName, PeerIdentity, Place, Why};
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
 use peer::Peer;
@@ -54,7 +52,7 @@ struct Wiring {
     topics: Topics,
     recoverer: Option<Recipient<Recover>>,
     nodes: Option<Recipient<NodeReported>>,
-    faults: Option<Recipient<FaultDeclared>>,
+    faults: OwnFaults,
     sessions: SessionPorts,
     doors: Arc<Doors>,
     wardens: Wardens,
@@ -124,11 +122,11 @@ impl Gateway {
             topics,
             recoverer,
             nodes,
-            faults,
             dead_letters,
             envoys,
             ..
         } = environment.clone();
+        let faults = environment.own_faults("gateway");
         move |context| {
             let machine = Isolation::new(node, incarnation, judges);
             let told_of = Told {
@@ -258,8 +256,16 @@ impl Gateway {
             }
             ExchangeOutput::Full { peer } => self.set(peer, Condition::Full),
             ExchangeOutput::Room { peer } => self.set(peer, Condition::Open),
-            ExchangeOutput::ObjectFull { peer, object } => self.set_room(peer, object, false),
-            ExchangeOutput::ObjectRoom { peer, object } => self.set_room(peer, object, true),
+            ExchangeOutput::ObjectFull { peer, object } => {
+                if let Some(peer) = self.peers.get(&peer) {
+                    peer.gate.object_is_full(object);
+                }
+            }
+            ExchangeOutput::ObjectRoom { peer, object } => {
+                if let Some(peer) = self.peers.get(&peer) {
+                    peer.gate.object_has_room(&object);
+                }
+            }
             ExchangeOutput::Differs { peer, difference } => {
                 self.differs(peer, &difference);
             }
@@ -318,7 +324,7 @@ impl Gateway {
         };
         let Some(known) = self.peers.get(&peer) else { return };
         let (gate, gateway) = (known.gate.clone(), context.address());
-        let forward: Forward = Arc::new(move |event: &Bytes| {
+        let forward: Forward = Arc::new(move |event: &Parcel| {
             // Publishing never waits: what a peer cannot take now is not sent.
             // Of which only the newest counts, nothing waits behind what does.
             let open = if newest { gate.has_session() } else { gate.is_open() };
@@ -363,7 +369,8 @@ impl Gateway {
         }
         let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
         error!(node, "a contract differs: {difference}");
-        self.declare(FaultKind::ContractMismatch, format!("with node {node}: {difference}"));
+        let detail = format!("with node {node}: {difference}");
+        self.wiring.faults.declare(FaultKind::ContractMismatch, detail);
     }
 
     /// What a peer has done does harm; several times are a fault of that node.
@@ -372,15 +379,6 @@ impl Gateway {
             let (node, incarnation) = (peer.node.clone(), peer.incarnation);
             let condition = NodeCondition::Offends { what: what.to_owned() };
             nodes.do_send(NodeReported { node, incarnation, condition });
-        }
-    }
-
-    /// A fault of the traffic with other nodes, at the gateway.
-    fn declare(&self, kind: FaultKind, detail: String) {
-        if let Some(faults) = &self.wiring.faults {
-            let object = super::named("gateway");
-            let incarnation = crate::guardian::alive().incarnation;
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
         }
     }
 
@@ -471,12 +469,6 @@ impl Gateway {
         }
     }
 
-    fn set_room(&self, peer: NodeId, object: ObjectName, room: bool) {
-        if let Some(peer) = self.peers.get(&peer) {
-            peer.gate.set_room(object, room);
-        }
-    }
-
     fn look_for_names(&mut self, context: &mut Context<Self>) {
         let revision = Some(self.wiring.registry.revision());
         if std::mem::replace(&mut self.revision, revision) == revision {
@@ -551,7 +543,7 @@ impl Supervised for Gateway {
         self.revision = None;
         self.peers.keys().for_each(|peer| self.set(*peer, Condition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();
-        peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer, true));
+        peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer));
         self.wiring.sessions.begin_anew.do_send(BeginAnew { peer: None });
         self.started(context);
     }

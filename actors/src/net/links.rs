@@ -5,6 +5,7 @@ mod learned;
 pub(super) use learned::{Forget, Learn, Seen, TellNeighbours};
 
 use super::LinkSpec;
+use super::own_faults::OwnFaults;
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
@@ -13,11 +14,11 @@ use blastema_contract::link::{
     Arrived, CarrierChanged, Carry, GivenUp, LinkChanged, LinkRow, Load, ReadLinks, ReportLinks,
 };
 use blastema_contract::monitor::LinkReported;
-use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
+use blastema_core::Parcel;
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::complaints::Complaints;
 use blastema_core::net::frame::{is_hello, is_urgent};
@@ -27,7 +28,6 @@ use blastema_core::net::{
     Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
 };
 use blastema_core::{FaultKind, Incarnation, Instant, NodeName};
-use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -64,7 +64,7 @@ pub(super) struct Wiring {
     pub(super) monitor: Option<Recipient<LinkReported>>,
     /// Who tells others of our neighbours, and which network this is to it.
     pub(super) discovery: Option<(usize, Recipient<Seen>)>,
-    pub(super) faults: Option<Recipient<FaultDeclared>>,
+    pub(super) faults: OwnFaults,
 }
 
 /// The links of one network.
@@ -231,13 +231,15 @@ impl Links {
         }
     }
 
-    /// What must be refused for seconds is a fault: somebody else speaks with the neighbour's address, or
-    /// the neighbour is broken.
+    /// What must be refused for seconds is a fault until it was quiet: somebody else speaks with the
+    /// neighbour's address, or the neighbour is broken.
     fn look_at_refusals(&mut self) {
+        let now = platform::now();
         let links = self.bundle.iter().map(|(number, link)| (Some(number), link.refusals()));
         let looks: Vec<_> = links.chain([(None, self.strangers)]).collect();
         for (number, refusals) in looks {
-            let Some(since) = self.complaints.handle_look(number, refusals) else { continue };
+            let told = self.complaints.handle_look(number, refusals, now);
+            let Some(since) = told else { continue };
             let network = &self.wiring.network;
             let from = match number.and_then(|number| self.specs.get(&number)) {
                 Some(LinkSpec { name, remote, .. }) => format!("{remote}, by link {name},"),
@@ -245,19 +247,15 @@ impl Links {
             };
             let detail = format!("what comes from {from} is refused all the time: {since}");
             warn!(%network, "{detail}");
-            if let Some(faults) = &self.wiring.faults {
-                faults.do_send(FaultDeclared {
-                    object: super::named(&format!("links/{network}")),
-                    incarnation: crate::guardian::alive().incarnation,
-                    kind: FaultKind::CheckFailed,
-                    detail,
-                });
-            }
+            self.wiring.faults.declare(FaultKind::CheckFailed, detail);
+        }
+        if self.complaints.take_over(now) {
+            self.wiring.faults.mend(FaultKind::CheckFailed);
         }
     }
 
-    fn transmit(&self, to: MediumAddress, frame: Bytes) {
-        let lane = match &frame[..] {
+    fn transmit(&self, to: MediumAddress, frame: Parcel) {
+        let lane = match &frame {
             frame if is_hello(frame) => Lane::Hello,
             frame if is_urgent(frame) => Lane::Urgent,
             _ => Lane::Usual,
@@ -268,16 +266,7 @@ impl Links {
     /// Two nodes have one address on the medium, which is ours: its owner is told, too.
     fn clash(&self, detail: String) {
         error!(network = %self.wiring.network, "{detail}");
-        if let Some(faults) = &self.wiring.faults {
-            let object = super::named(&format!("links/{}", self.wiring.network));
-            let incarnation = crate::guardian::alive().incarnation;
-            faults.do_send(FaultDeclared {
-                object,
-                incarnation,
-                kind: FaultKind::NameTaken,
-                detail,
-            });
-        }
+        self.wiring.faults.declare(FaultKind::NameTaken, detail);
     }
 
     /// Nobody came. Told as any link that is down; that it is up is told when somebody comes.
@@ -356,7 +345,7 @@ impl Body for Links {
                 }
             }
             LinkOutput::Routing(bytes) => arrived(Load::Routing(bytes)),
-            LinkOutput::Packet(bytes) => arrived(Load::Packet(bytes)),
+            LinkOutput::Packet(bytes) => arrived(Load::Packet(bytes.into())),
             LinkOutput::Changed { state, reason, .. } => self.changed(link, state, reason),
             LinkOutput::Missing { heard } => self.missing(link, heard),
             LinkOutput::Quality(quality) => self.quality(link, quality),
@@ -446,7 +435,7 @@ impl Handler<Carry> for Links {
         let Some(link) = self.bundle.get_mut(link) else { return };
         match load {
             Load::Routing(bytes) => link.handle_routing(bytes),
-            Load::Packet(bytes) => link.handle_packet(bytes),
+            Load::Packet(packet) => link.handle_packet(packet),
         }
         self.drive_soon(context);
     }

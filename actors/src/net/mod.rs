@@ -25,6 +25,7 @@ mod letters;
 mod links;
 mod notice;
 mod outcast;
+mod own_faults;
 pub(crate) mod rest;
 mod router;
 mod sessions;
@@ -35,6 +36,7 @@ mod wardens;
 pub(crate) use carrier::Interface;
 pub(crate) use discovery::DiscoverySpec;
 
+use self::own_faults::OwnFaults;
 use crate::guardian::Guardian;
 use crate::host::office::DeadLetterOffice;
 use crate::registry::{Registry, RemoteDoors};
@@ -139,6 +141,12 @@ pub(crate) struct NetEnvironment {
     pub(crate) envoys: Vec<Recipient<PeerSeen>>,
 }
 
+impl NetEnvironment {
+    fn own_faults(&self, object: &str) -> OwnFaults {
+        OwnFaults::of(object, self.faults.clone(), self.mended.clone())
+    }
+}
+
 /// Why a network cannot be started.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum NetError {
@@ -191,7 +199,7 @@ pub(crate) fn start(
         node: node.clone(),
         registry: environment.registry.clone(),
         fields,
-        faults: environment.faults.clone(),
+        faults: environment.own_faults("discovery"),
     };
     let discovery = (!wiring.fields.is_empty()).then(|| {
         let make =
@@ -203,13 +211,13 @@ pub(crate) fn start(
     }
     environment.envoys.extend(discovery.clone().map(Addr::recipient));
 
-    let faults = (environment.faults.clone(), environment.mended.clone());
+    let faults = environment.own_faults("router");
     let outcast = outcast::Outcast::new(node.clone());
     let told = (environment.nodes.clone(), outcast.clone());
     let make = router::Router::maker(life.clone(), told, faults);
     let router = guardian.start(named("router"), place, make);
 
-    let told = (environment.faults.clone(), environment.nodes.clone());
+    let told = (environment.own_faults("sessions"), environment.nodes.clone());
     let to_router = (router.clone().recipient(), life.clone(), told);
     let sessions = guardian.start(named("sessions"), place, move |_| {
         let (router, (node, incarnation), faults) = to_router;
@@ -241,6 +249,7 @@ pub(crate) fn start(
         let name = named(&format!("links/{}", spec.name));
         let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
         let told = spec.discovery.and(discovery.clone()).map(Addr::recipient);
+        let faults = environment.own_faults(&format!("links/{}", spec.name));
         let wiring = links::Wiring {
             node: life.0.clone(),
             incarnation: life.1,
@@ -250,7 +259,7 @@ pub(crate) fn start(
             router_loads: router.clone().recipient(),
             monitor: environment.links.clone(),
             discovery: told.clone().map(|told| (grounds.len(), told)),
-            faults: environment.faults.clone(),
+            faults,
         };
         let address =
             guardian.start(name.clone(), place, move |_| links::Links::new(wiring, links));

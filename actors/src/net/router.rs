@@ -1,13 +1,13 @@
 //! The router's body.
 
 use super::outcast::Outcast;
+use super::own_faults::OwnFaults;
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::link::{AddLinks, Arrived, Carry, GivenUp, LinkChanged, Load, ReportLinks};
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::reports::{FaultDeclared, FaultMended};
 use blastema_contract::router::{
     AddSessions, KeepOut, PanicOnPurpose, PathReported, ReadRoutes, Routes, SegmentArrived,
     SendSegment,
@@ -31,8 +31,7 @@ pub(super) struct Router {
     networks: Vec<Recipient<ReportLinks>>,
     sessions: Option<AddSessions>,
     monitor: Option<Recipient<NodeReported>>,
-    faults: Option<Recipient<FaultDeclared>>,
-    mended: Option<Recipient<FaultMended>>,
+    faults: OwnFaults,
     /// Who can be reached, in which life: what a router that begins anew must find again.
     reached: BTreeMap<NodeName, Incarnation>,
     /// Who wants to know whether there is another way to a node, until that is certain: as many as the
@@ -48,7 +47,7 @@ impl Router {
     pub(super) fn maker(
         (node, incarnation): (NodeName, Incarnation),
         (monitor, outcast): (Option<Recipient<NodeReported>>, Outcast),
-        (faults, mended): (Option<Recipient<FaultDeclared>>, Option<Recipient<FaultMended>>),
+        faults: OwnFaults,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         move |_| {
             let config = RouterConfig::new(node, incarnation);
@@ -61,7 +60,6 @@ impl Router {
                 sessions: None,
                 monitor,
                 faults,
-                mended,
                 reached: BTreeMap::new(),
                 inquirers: Vec::new(),
                 kept_out: BTreeSet::new(),
@@ -73,11 +71,7 @@ impl Router {
     /// Names that are given twice: whoever gave them has to act.
     fn declare(&self, kind: FaultKind, detail: String) {
         error!("{detail}");
-        if let Some(faults) = &self.faults {
-            let object = super::named("router");
-            let incarnation = crate::guardian::alive().incarnation;
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
-        }
+        self.faults.declare(kind, detail);
     }
 
     fn mend(&self, trouble: Trouble) {
@@ -86,10 +80,7 @@ impl Router {
             Trouble::NameTaken => FaultKind::NameTaken,
         };
         info!(fault = %kind, "nothing more of it was heard for a minute");
-        if let Some(mended) = &self.mended {
-            let incarnation = crate::guardian::alive().incarnation;
-            mended.do_send(FaultMended { object: super::named("router"), incarnation, kind });
-        }
+        self.faults.mend(kind);
     }
 
     fn report_path(&self, report: PathReported) {
@@ -283,7 +274,7 @@ impl Handler<Arrived> for Router {
         let now = platform::now();
         match load {
             Load::Routing(bytes) => self.machine.handle_routing(link, bytes, now),
-            Load::Packet(packet) => self.machine.handle_packet(link, packet, now),
+            Load::Packet(packet) => self.machine.handle_packet(link, packet.into_bytes(), now),
         }
         self.drive_soon(context);
     }

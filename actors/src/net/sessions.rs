@@ -1,11 +1,11 @@
 //! The body of all sessions of this node.
 
+use super::own_faults::OwnFaults;
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::reports::FaultDeclared;
 use blastema_contract::router::{PanicOnPurpose, PathReported, SegmentArrived, SendSegment};
 use blastema_contract::session::{
     AddGateway, BeginAnew, Leave, ReadSessions, Say, SayNewest, SessionReported, SessionRow,
@@ -36,7 +36,7 @@ pub(super) struct Sessions {
     peers: BTreeMap<NodeId, Peer>,
     router: Recipient<SendSegment>,
     gateway: Option<Recipient<SessionReported>>,
-    faults: Option<Recipient<FaultDeclared>>,
+    faults: OwnFaults,
     nodes: Option<Recipient<NodeReported>>,
     complaints: Complaints<Option<NodeId>>,
     /// What came from nodes that no route leads to.
@@ -60,7 +60,7 @@ impl Sessions {
         node: NodeName,
         incarnation: Incarnation,
         router: Recipient<SendSegment>,
-        (faults, nodes): (Option<Recipient<FaultDeclared>>, Option<Recipient<NodeReported>>),
+        (faults, nodes): (OwnFaults, Option<Recipient<NodeReported>>),
     ) -> Self {
         Sessions {
             node,
@@ -128,14 +128,16 @@ impl Sessions {
         }
     }
 
-    /// Whoever sends for seconds what must be refused is named.
+    /// Whoever sends for seconds what must be refused is named, until it was quiet.
     fn look_at_refusals(&mut self) {
+        let now = platform::now();
         let peers = self.crowd.iter().map(|(id, session)| (Some(id), session.refusals()));
         let looks: Vec<_> = peers.chain([(None, self.strangers)]).collect();
         for (peer, refusals) in looks {
             let known = peer.and_then(|id| self.peers.get_mut(&id));
             let relayed = known.is_none_or(|known| std::mem::take(&mut known.relayed));
-            let Some(since) = self.complaints.handle_look(peer, refusals) else { continue };
+            let told = self.complaints.handle_look(peer, refusals, now);
+            let Some(since) = told else { continue };
             let name = peer.and_then(|id| self.peers.get(&id)).map(|peer| peer.node.to_string());
             let name = name.unwrap_or_else(|| "nodes that no route leads to".to_owned());
             let detail = format!("what comes from {name} is refused all the time: {since}");
@@ -149,14 +151,10 @@ impl Sessions {
                 let condition = NodeCondition::Offends { what };
                 nodes.do_send(NodeReported { node, incarnation, condition });
             }
-            if let Some(faults) = &self.faults {
-                faults.do_send(FaultDeclared {
-                    object: super::named("sessions"),
-                    incarnation: crate::guardian::alive().incarnation,
-                    kind: FaultKind::CheckFailed,
-                    detail,
-                });
-            }
+            self.faults.declare(FaultKind::CheckFailed, detail);
+        }
+        if self.complaints.take_over(now) {
+            self.faults.mend(FaultKind::CheckFailed);
         }
     }
 
@@ -333,7 +331,6 @@ impl Handler<SegmentArrived> for Sessions {
         if !direct && let Some(peer) = self.peers.get_mut(&source) {
             peer.relayed = true;
         }
-        self.drive(context);
     }
 }
 

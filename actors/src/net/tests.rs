@@ -21,7 +21,7 @@ use blastema_contract::child::{Child, ChildEvent, ChildReport};
 use blastema_contract::link::{CarrierChanged, LinkRow};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::recoverer::Recover;
-use blastema_contract::reports::{Exited, FaultDeclared};
+use blastema_contract::reports::{Exited, FaultDeclared, FaultMended};
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{
     Close, Cut, Direction, MediumAddress, Restore, Transport, TransportReport,
@@ -145,12 +145,13 @@ struct Module {
     nodes: Probe<NodeReported>,
     faults: Probe<Recover>,
     declared: Probe<FaultDeclared>,
+    mended: Probe<FaultMended>,
 }
 
 impl Robot {
     /// A node with a component `acc`, and a cable for each network and neighbour.
     async fn module(&mut self, name: &str, life: u64, networks: &[(&str, &[&str])]) -> Module {
-        let declared = Probe::start();
+        let (declared, mended) = (Probe::start(), Probe::start());
         let reports = Reports { faults: Some(declared.recipient()), ..Reports::default() };
         let host = HostEnvironment::new(Arbiters::here(), reports);
         let exits = Probe::start();
@@ -188,14 +189,14 @@ impl Robot {
             links: Some(links.recipient()),
             nodes: Some(nodes.recipient()),
             faults: Some(declared.recipient()),
-            mended: None,
+            mended: Some(mended.recipient()),
             judges: Judges::Majority,
             envoys: Vec::new(),
         };
         let net = start(environment, specs).unwrap();
         let log = Log::default();
         let mut module =
-            Module { host, net, log, child: None, exits, links, nodes, faults, declared };
+            Module { host, net, log, child: None, exits, links, nodes, faults, declared, mended };
         module.give_birth().await;
         module
     }

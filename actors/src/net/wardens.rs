@@ -118,7 +118,12 @@ impl Wardens {
     fn isolate(&self, node: NodeName, isolated: bool, reason: String) {
         warn!(%node, isolated, "isolated, or admitted again, {reason}");
         let Told { doors, gateway, router, monitor, .. } = &*self.told;
-        doors.gate(&node).isolate(isolated);
+        let gate = doors.gate(&node);
+        if isolated {
+            gate.isolate()
+        } else {
+            gate.admit()
+        }
         router.do_send(KeepOut { node: node.clone(), isolated });
         gateway.do_send(KeptOut { node: node.clone(), isolated });
         if let Some(monitor) = monitor {

@@ -209,6 +209,8 @@ impl NodeBuilder {
     /// Shows the node to `blastema monitor`, and to whatever else connects to a Unix socket at this path: its
     /// [`picture`](Node::picture) as JSON, and the end. Only processes of the same user may look, and
     /// nothing can be changed from there. It can be seen from the start on, and at safe rest.
+    ///
+    /// The path is absolute; any other is refused at start, as is one at which nobody can listen.
     pub fn shown_at(mut self, path: impl Into<PathBuf>) -> Self {
         self.shown_at = Some(path.into());
         self

@@ -7,6 +7,7 @@ use crate::service::Carried;
 use blastema_core::NodeName;
 use blastema_core::dependencies::{Dependencies, DependencyError, circle};
 use std::collections::BTreeSet;
+use std::path::Path;
 
 /// Who needs whom of the objects of this node.
 pub(super) fn dependencies(node: &NodeName, harvest: &Harvest) -> Dependencies {
@@ -30,6 +31,17 @@ pub(super) fn check_service(carried: &Carried) -> Result<(), StartError> {
         return Ok(());
     };
     Err(StartError::Service { name: name.clone(), reason })
+}
+
+/// The window lies where it is said to lie, wherever the program is started.
+pub(super) fn check_window(path: &Path) -> Result<(), StartError> {
+    if path.is_absolute() {
+        return Ok(());
+    }
+    Err(StartError::Shown(format!(
+        "where {path:?} lies depends on where the program is started: give an absolute path, such as \
+         /run/robot/module1.window"
+    )))
 }
 
 /// Every network and every neighbour there can be what it is said to be.

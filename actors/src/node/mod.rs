@@ -299,7 +299,9 @@ impl Node {
     /// Where events can be published on a topic; `E`'s own name is its default topic.
     ///
     /// # Errors
-    /// The topic carries another contract of this name; the text shows what differs.
+    /// The topic carries another type under this contract's name; the text names both, where each was said,
+    /// and what differs.
+    #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
         self.0.environment.topics.publisher(topic)
     }

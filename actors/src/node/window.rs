@@ -3,30 +3,27 @@
 //! Whoever connects is given one [`Picture`](super::Picture) as JSON, and the end. Nothing is read, so that
 //! nothing can be asked or done there. It stays open at safe rest, and closes with the node.
 
+mod showing;
+
+use self::showing::Showing;
 use super::{Node, NodeState, Shared};
 use crate::guardian::answers_the_monitor;
+use crate::host::environment::Reports;
 use actix::prelude::*;
 use blastema_transports::unix::{PathListener, explain};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
-use std::time::Duration;
-use tokio::io::AsyncWriteExt;
-use tokio::net::UnixStream;
 use tokio::sync::watch;
-use tracing::{debug, warn};
 
 /// Its owner's processes may look, nobody else's.
 const MODE: u32 = 0o600;
-/// One is served after the other, each for so long at most.
-const PATIENCE: Duration = Duration::from_secs(5);
-/// After so long a machine that had no descriptor left may have one again.
-const PAUSE: Duration = Duration::from_millis(10);
 
 /// Shows the node, once there is one.
 pub(super) struct Window {
     path: Arc<Path>,
     node: Weak<Shared>,
     state: watch::Receiver<NodeState>,
+    reports: Reports,
 }
 
 /// The node can be seen from now on. Answers why nobody can listen there, and what to do.
@@ -41,43 +38,28 @@ impl Show {
 }
 
 impl Window {
-    pub(super) fn new(path: PathBuf, state: watch::Receiver<NodeState>) -> Self {
-        Window { path: path.into(), node: Weak::new(), state }
+    pub(super) fn new(path: PathBuf, state: watch::Receiver<NodeState>, reports: Reports) -> Self {
+        Window { path: path.into(), node: Weak::new(), state, reports }
     }
 
-    fn open(&self, context: &mut Context<Self>) -> Result<(), String> {
-        let listener = PathListener::open(&self.path, MODE);
-        let listener = listener.map_err(|error| explain(&self.path, &error))?;
-        let (node, mut state) = (self.node.clone(), self.state.clone());
-        let showing = async move {
+    fn show(&self, listener: Option<PathListener>, context: &mut Context<Self>) {
+        let (path, node, reports) = (self.path.clone(), self.node.clone(), self.reports.clone());
+        let showing = Showing::new(path, node, reports, listener);
+        let mut state = self.state.clone();
+        let until_the_end = async move {
             tokio::select! {
-                () = serve(&listener, &node) => {}
+                () = showing.run() => {}
                 // Also where nobody is left who could say so.
                 _ = state.wait_for(|state| *state == NodeState::Stopped) => {}
             }
         };
-        context.spawn(showing.into_actor(self));
-        Ok(())
+        context.spawn(until_the_end.into_actor(self));
     }
 }
 
-async fn serve(listener: &PathListener, node: &Weak<Shared>) {
-    loop {
-        let Ok(viewer) = listener.accept().await else {
-            tokio::time::sleep(PAUSE).await;
-            continue;
-        };
-        let Some(node) = node.upgrade().map(Node) else { return };
-        if tokio::time::timeout(PATIENCE, show_to(viewer, &node)).await.is_err() {
-            debug!("somebody looked at the node and did not read");
-        }
-    }
-}
-
-async fn show_to(mut viewer: UnixStream, node: &Node) {
-    let picture = node.picture().await.to_json() + "\n";
-    // Whoever goes away while it reads has seen enough.
-    let _ = viewer.write_all(picture.as_bytes()).await;
+/// Makes the socket. Says what helps where that cannot be done.
+fn open(path: &Arc<Path>) -> Result<PathListener, String> {
+    PathListener::open(path, MODE).map_err(|error| explain(path, &error))
 }
 
 answers_the_monitor!(Window);
@@ -87,11 +69,9 @@ impl Actor for Window {
 }
 
 impl Supervised for Window {
-    /// What showed the node went with the panic, and the socket with it.
+    /// What showed the node went with the panic, and the socket with it: it is made again.
     fn restarting(&mut self, context: &mut Context<Self>) {
-        if let Err(reason) = self.open(context) {
-            warn!("the node is not shown any more: {reason}");
-        }
+        self.show(None, context);
     }
 }
 
@@ -100,6 +80,8 @@ impl Handler<Show> for Window {
 
     fn handle(&mut self, Show(node): Show, context: &mut Context<Self>) -> Self::Result {
         self.node = node;
-        self.open(context)
+        let listener = open(&self.path)?;
+        self.show(Some(listener), context);
+        Ok(())
     }
 }

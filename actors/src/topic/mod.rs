@@ -24,14 +24,15 @@ use crate::host::anchor::Anchor;
 use crate::host::office::DeadLetterOffice;
 use crate::host::pulse;
 use crate::letter::{arrived_posting_time, posting_time};
-use crate::registry::differs;
+use crate::registry::difference;
 use crate::sender::SendError;
-use blastema_core::{ContractIdentity, Event, Former, ObjectName, Why, codec};
+use blastema_core::{ContractIdentity, Event, Former, ObjectName, Parcel, Why, codec};
 use bytes::Bytes;
 use hub::HubLane;
-use std::any::Any;
+use std::any::{Any, type_name};
 use std::collections::BTreeMap;
 use std::fmt;
+use std::panic::Location;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -39,7 +40,7 @@ use std::time::Duration;
 /// Says whether a listener wants an event.
 pub(crate) type Condition<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
 /// Ships an encoded event out of the process. Must not wait.
-pub(crate) type Forward = Arc<dyn Fn(&Bytes) + Send + Sync>;
+pub(crate) type Forward = Arc<dyn Fn(&Parcel) + Send + Sync>;
 /// Hears which topics this node listens to.
 pub(crate) type Interest = Arc<dyn Fn(&TopicKey, bool) + Send + Sync>;
 
@@ -117,12 +118,8 @@ impl<E: Event> Topic<E> {
 
     fn forward(&self, event: &E) {
         let forwards = lock(&self.forwards).clone();
-        let mut bytes = Vec::new();
-        match codec::encode(event, &mut bytes) {
-            Ok(()) => {
-                let bytes = Bytes::from(bytes);
-                forwards.iter().for_each(|forward| forward(&bytes));
-            }
+        match codec::encode_parcel(event) {
+            Ok(parcel) => forwards.iter().for_each(|forward| forward(&parcel)),
             Err(_) => self.bury(&Why::TooLarge { limit: E::MAX_SIZE }),
         }
     }
@@ -199,7 +196,21 @@ impl<E: Event> AnyTopic for Topic<E> {
     }
 }
 
+/// Which type a topic was to carry, and where the program says so.
+#[derive(Clone, Copy)]
+struct Naming {
+    named: &'static str,
+    at: &'static Location<'static>,
+}
+
+impl fmt::Display for Naming {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} (by {}:{})", self.named, self.at.file(), self.at.line())
+    }
+}
+
 struct Known {
+    naming: Naming,
     /// A `Topic<E>`.
     typed: Arc<dyn Any + Send + Sync>,
     erased: Arc<dyn AnyTopic>,
@@ -227,18 +238,24 @@ impl Topics {
         Topics { inner: Arc::default(), interest: Arc::default(), dead_letters }
     }
 
-    /// The topic of this name that carries `E`.
-    pub(crate) fn topic<E: Event>(&self, name: &str) -> Result<Arc<Topic<E>>, Why> {
+    /// The topic of this name that carries `E`, as it is said to here.
+    pub(crate) fn topic<E: Event>(
+        &self,
+        name: &str,
+        at: &'static Location<'static>,
+    ) -> Result<Arc<Topic<E>>, Why> {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         let key = TopicKey::new(name, E::NAME);
+        let naming = Naming { named: type_name::<E>(), at };
         let mut inner = lock(&self.inner);
         if let Some(known) = inner.topics.get(&key) {
-            let wanted = ContractIdentity::of::<E>();
-            return known
-                .typed
-                .clone()
-                .downcast()
-                .map_err(|_| differs(&known.erased.identity(), &wanted));
+            return known.typed.clone().downcast().map_err(|_| {
+                let difference = difference(&known.erased.identity(), &ContractIdentity::of::<E>());
+                let first = known.naming;
+                let difference =
+                    format!("the topic {name:?} carries {first} and {naming}: {difference}");
+                Why::ContractDiffers { difference }
+            });
         }
         let topic = Arc::new(Topic::<E> {
             key: key.clone(),
@@ -254,13 +271,14 @@ impl Topics {
         if let Some(forwards) = inner.forwards.get(&key) {
             topic.forward_to(forwards.values().cloned().collect());
         }
-        inner.topics.insert(key, Known { typed: topic.clone(), erased: topic.clone() });
+        inner.topics.insert(key, Known { naming, typed: topic.clone(), erased: topic.clone() });
         Ok(topic)
     }
 
     /// A way to publish on the topic of this name.
+    #[track_caller]
     pub(crate) fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
-        Ok(Publisher { topic: self.topic(topic)? })
+        Ok(Publisher { topic: self.topic(topic, Location::caller())? })
     }
 
     /// Ships every event that is published here on this topic, from now on, also if the topic does

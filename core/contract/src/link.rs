@@ -6,6 +6,7 @@
 //! ```
 
 use actix::{Message, Recipient};
+use blastema_core::Parcel;
 use blastema_core::net::router::LinkStatus;
 use blastema_core::net::{LinkNumber, LinkState, Neighbour, Quality, Refusals};
 use bytes::Bytes;
@@ -18,7 +19,7 @@ pub enum Load {
     /// From router to router, no further.
     Routing(Bytes),
     /// A packet on its way.
-    Packet(Bytes),
+    Packet(Parcel),
 }
 
 /// The router wants a link to carry this. Dropped and counted where the link is not up.

@@ -5,6 +5,7 @@
 //! ```
 
 use actix::{Message, Recipient};
+use blastema_core::Parcel;
 use blastema_core::net::packet::Undelivered;
 use blastema_core::net::{Class, NodeId, Refusals, Route};
 use blastema_core::{Incarnation, NodeName};
@@ -19,7 +20,7 @@ pub struct SendSegment {
     /// How urgent it is.
     pub class: Class,
     /// What.
-    pub segment: Bytes,
+    pub segment: Parcel,
     /// A copy is to go over each of several ways that share as little as can be.
     pub everywhere: bool,
 }

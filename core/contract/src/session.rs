@@ -5,10 +5,10 @@
 //! ```
 
 use actix::{Message, Recipient};
+use blastema_core::Parcel;
 use blastema_core::net::NodeId;
-use blastema_core::net::parcel::Parcel;
 use blastema_core::net::segment::Stream;
-use blastema_core::net::session::Standing;
+use blastema_core::net::session::SessionStanding;
 use blastema_core::{Incarnation, NodeName, Why};
 use bytes::Bytes;
 use std::fmt;
@@ -172,7 +172,7 @@ pub struct SessionRow {
     /// With whom.
     pub node: NodeName,
     /// How it stands.
-    pub standing: Standing,
+    pub standing: SessionStanding,
     /// Contracts that the two nodes do not mean alike: which, and what differs. Those found since the
     /// session began, sixteen at most.
     pub differences: Vec<String>,

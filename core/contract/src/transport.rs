@@ -5,6 +5,7 @@
 
 use actix::dev::ToEnvelope;
 use actix::{Actor, Addr, Handler, Message, Recipient};
+use blastema_core::Parcel;
 use blastema_core::impairment::{Carried, Impairment, Injected};
 use bytes::Bytes;
 use std::collections::BTreeSet;
@@ -61,15 +62,15 @@ impl fmt::Display for MediumAddress {
 pub struct Transmit {
     /// To whom, on this medium.
     pub to: MediumAddress,
-    /// The frame, whole.
-    pub frame: Bytes,
+    /// The frame, whole, in one piece or two.
+    pub frame: Parcel,
     /// What it may overtake.
     pub lane: Lane,
 }
 
 impl Transmit {
     /// The usual, which overtakes nothing.
-    pub fn new(to: MediumAddress, frame: Bytes) -> Self {
+    pub fn new(to: MediumAddress, frame: Parcel) -> Self {
         Transmit { to, frame, lane: Lane::Usual }
     }
 }
@@ -103,8 +104,12 @@ impl Carried for Transmit {
         &self.to
     }
 
+    fn length(&self) -> usize {
+        self.frame.len()
+    }
+
     fn bytes(&mut self) -> &mut Bytes {
-        &mut self.frame
+        self.frame.make_whole()
     }
 }
 
@@ -113,6 +118,10 @@ impl Carried for Received {
 
     fn peer(&self) -> &MediumAddress {
         &self.from
+    }
+
+    fn length(&self) -> usize {
+        self.frame.len()
     }
 
     fn bytes(&mut self) -> &mut Bytes {

@@ -26,7 +26,7 @@ const MTU: usize = 64 * 1024;
 ///     let medium = MockTransport::start("here");
 ///     let to = MediumAddress::Memory("there".into());
 ///     medium.transport().transmit.do_send(Transmit::new(to, "hello".into()));
-///     assert_eq!(medium.expect_sent().await.frame, "hello");
+///     assert_eq!(medium.expect_sent().await.frame, "hello".into());
 /// });
 /// ```
 #[derive(Clone)]
@@ -178,7 +178,7 @@ impl Handler<Transmit> for Medium {
         match (&self.network, to) {
             (Some(network), MediumAddress::Memory(to)) if open => {
                 self.counters.sent += 1;
-                let after = network.transmit(&self.name, &to, frame);
+                let after = network.transmit(&self.name, &to, frame.into_bytes());
                 self.await_turn(to, after, context);
             }
             (None, _) if open => self.counters.sent += 1,

@@ -151,7 +151,7 @@ mod tests {
     fn send(from: &MockTransport, to: &MockTransport, numbers: std::ops::Range<u8>) {
         for number in numbers {
             let frame = Bytes::copy_from_slice(&[number]);
-            from.transport().transmit.do_send(Transmit::new(to.local(), frame));
+            from.transport().transmit.do_send(Transmit::new(to.local(), frame.into()));
         }
     }
 

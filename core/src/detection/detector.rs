@@ -262,7 +262,7 @@ impl Detector {
         id
     }
 
-    /// Counts a fault once more, with what is known of it now; no, if what stands was given up in another life.
+    /// Counts a fault once more, in its newest words; no, if what stands was given up in another life.
     fn repeat(&mut self, id: FaultId, scene: &Scene, detail: &str) -> bool {
         let Some(entry) = self.chronicle.entry_mut(id) else { return false };
         let another = scene.incarnation != entry.fault.incarnation;
@@ -271,7 +271,9 @@ impl Detector {
         }
         entry.fault.count = entry.fault.count.saturating_add(1);
         entry.fault.incarnation = scene.incarnation;
-        detail.clone_into(&mut entry.fault.detail);
+        if entry.fault.detail != detail {
+            detail.clone_into(&mut entry.fault.detail);
+        }
         if entry.fault.count.is_power_of_two() {
             let fault = entry.fault.clone();
             let tell = DetectorOutput::Tell { fault, at: scene.at, turn: Turn::Repeated };

@@ -76,7 +76,8 @@ impl Neighbourhood {
         self.nodes.contains_key(node)
     }
 
-    /// A link reports how it is. The same condition again is no news.
+    /// A link reports how it is. The same condition again is no news, but that it is down for another
+    /// reason is.
     pub(super) fn handle_link(
         &mut self,
         node: NodeName,
@@ -92,7 +93,12 @@ impl Neighbourhood {
             let (place, incarnation) = (Place::Link { node, link, neighbour }, Incarnation(0));
             return Some(News { place, incarnation, finding: Finding::Link(condition) });
         }
-        let known = before.as_ref().map(|seen| discriminant(&seen.condition));
+        let known = before.as_ref().is_some_and(|seen| match (&seen.condition, &condition) {
+            (LinkCondition::Down { reason: before }, LinkCondition::Down { reason }) => {
+                before == reason
+            }
+            (before, now) => discriminant(before) == discriminant(now),
+        });
         let last_sign = if carries { Some(now) } else { before.as_ref().and_then(|b| b.last_sign) };
         // A link that is down does not say who was at its other end.
         let neighbour = neighbour.or(before.and_then(|seen| seen.neighbour));
@@ -100,7 +106,7 @@ impl Neighbourhood {
             Place::Link { node: node.clone(), link: link.clone(), neighbour: neighbour.clone() };
         // Whoever leaves takes its ends of the cables along.
         let left = neighbour.as_ref().is_some_and(|node| self.has_left(node));
-        let is_news = known != Some(discriminant(&condition)) && (carries || !left);
+        let is_news = !known && (carries || !left);
         let finding = Finding::Link(condition.clone());
         self.links.insert((node, link), LinkSeen { neighbour, condition, last_sign });
         is_news.then_some(News { place, incarnation: Incarnation::default(), finding })
@@ -282,12 +288,13 @@ mod tests {
         Instant::from_millis(millis)
     }
 
-    fn conditions() -> [LinkCondition; 3] {
+    fn conditions() -> [LinkCondition; 4] {
         let reason = "because".to_string();
         [
             LinkCondition::Up,
             LinkCondition::Degraded { reason: reason.clone() },
             LinkCondition::Down { reason },
+            LinkCondition::Down { reason: "for another reason".to_string() },
         ]
     }
 
@@ -395,14 +402,23 @@ mod tests {
         assert!(told(&Reachable));
     }
 
+    /// Tells of one node's lives; answers whether that is news, and whether the node is at rest then.
+    fn rest_told_of() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
+        let mut around = Neighbourhood::default();
+        move |life, condition| {
+            let news = around.handle_node(node("b"), Incarnation(life), condition, at(1));
+            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
+            (news.map(|news| news.is_some()), rests)
+        }
+    }
+
     #[test]
     fn a_node_is_at_rest_from_when_it_says_so_until_it_says_otherwise_or_another_life_is_there() {
         use NodeCondition::{AtRest, AtWork, Left, Lost, Reachable};
-        let mut around = Neighbourhood::default();
-        let mut told = |life: u64, condition: NodeCondition| {
-            let news = around.handle_node(node("b"), Incarnation(life), condition, at(1));
-            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
-            (news.expect("no life is over").is_some(), rests)
+        let mut told = rest_told_of();
+        let mut told = |life, condition| {
+            let (news, rests) = told(life, condition);
+            (news.expect("no life is over"), rests)
         };
         let rest = || AtRest { reason: "it panics".into() };
         let lost = || Lost { reason: "no path".into() };
@@ -424,12 +440,7 @@ mod tests {
     #[test]
     fn that_a_life_rests_which_another_one_has_followed_is_no_news() {
         use NodeCondition::{AtRest, AtWork, Lost, Reachable};
-        let mut around = Neighbourhood::default();
-        let mut told = |life: u64, condition: NodeCondition| {
-            let news = around.handle_node(node("b"), Incarnation(life), condition, at(1));
-            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
-            (news.map(|news| news.is_some()), rests)
-        };
+        let mut told = rest_told_of();
         let rest = || AtRest { reason: "it panics".into() };
 
         // Of a life that nobody knows yet.
@@ -447,7 +458,7 @@ mod tests {
     #[test]
     fn the_cables_of_a_node_that_left_go_down_without_news() {
         let mut around = Neighbourhood::default();
-        let [up, _, down] = conditions();
+        let [up, _, down, _] = conditions();
         let told = |around: &mut Neighbourhood, condition: &LinkCondition| {
             let (here, there) = (node("a"), Some(node("b")));
             around.handle_link(here, "eth".into(), there, condition.clone(), at(1)).is_some()
@@ -467,7 +478,7 @@ mod tests {
     #[test]
     fn rows_show_what_is_down_and_for_how_long_nothing_was_heard() {
         let mut around = Neighbourhood::default();
-        let [up, _, down] = conditions();
+        let [up, _, down, _] = conditions();
         around.handle_link(node("a"), "eth".into(), Some(node("b")), up, at(0));
         around.handle_link(node("a"), "eth".into(), None, down, at(50));
         let _ = around.handle_node(node("b"), Incarnation(7), NodeCondition::Reachable, at(60));

@@ -16,8 +16,8 @@ use super::greeting::{ShortEcho, Word};
 use super::link::{Link, LinkOutput};
 use super::node_id::NodeId;
 use super::router::LinkNumber;
+use crate::Parcel;
 use crate::{Instant, Machine};
-use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
@@ -30,7 +30,7 @@ pub struct Bundle {
     mtu: usize,
     /// Whom each link's word went to last; `None` where there is no bus.
     bus: Option<BTreeMap<LinkNumber, Told>>,
-    greetings: VecDeque<Bytes>,
+    greetings: VecDeque<Parcel>,
 }
 
 /// What was said to a neighbour last.
@@ -47,7 +47,7 @@ pub enum BundleOutput {
     /// What one of its links wants done.
     Of(LinkNumber, LinkOutput),
     /// Give this frame to all nodes of the bus.
-    Greet(Bytes),
+    Greet(Parcel),
 }
 
 impl Bundle {
@@ -183,7 +183,7 @@ impl Bundle {
         let Some((_, link)) = self.crowd.iter().next() else { return };
         let words = words.into_iter().map(|(_, _, _, word)| word).collect();
         let greeting = link.greeting(sequence, turn, words);
-        self.greetings.push_back(Frame::Greeting(greeting).encode());
+        self.greetings.push_back(Frame::Greeting(greeting).parcel());
     }
 }
 
@@ -260,7 +260,7 @@ mod tests {
             }
         }
         assert_eq!(said.len(), 1, "one for all");
-        match Frame::decode(said.remove(0)) {
+        match Frame::decode(said.remove(0).into_bytes()) {
             Ok(Frame::Greeting(greeting)) => greeting,
             other => panic!("{other:?}"),
         }

@@ -9,13 +9,15 @@
 //! was begun in one is never answered in the next.
 
 mod dealings;
+mod hall;
 mod incoming;
 mod requests;
 mod vocabulary;
 
-pub use self::vocabulary::{Call, Epoch, ExchangeOutput, TopicContract};
+pub use self::vocabulary::{Call, Epoch, ExchangeOutput, Sent, TopicContract};
 
-use self::dealings::{Binding, Numbers, Pending, Session, WAITING, Waiting, carry};
+use self::dealings::{Binding, Numbers, Pending, Session, Waiting, carry};
+use self::hall::Entrance;
 use self::requests::Requests;
 
 use super::message::{FORMS_MAX, Message};
@@ -23,13 +25,12 @@ use super::naming::Announcement;
 use super::node_id::NodeId;
 use super::segment::Stream;
 use super::wire::Refusals;
+use crate::Parcel;
 use crate::{ContractIdentity, Delivery, Incarnation, Instant, ObjectName, Why};
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-/// The most messages that wait for one binding, whatever senders were told.
-const WAITING_MAX: usize = 8 * WAITING;
 /// The most bindings and subscriptions that a peer may have here, each.
 const BINDINGS_MAX: usize = 16 * 1024;
 
@@ -99,9 +100,14 @@ impl Exchange {
         self.refusals
     }
 
-    /// A path to this node is known, or none any more.
-    pub fn handle_reachable(&mut self, peer: NodeId, reachable: bool) {
-        self.peers.entry(peer).or_default().reachable = reachable;
+    /// A path to this node is known.
+    pub fn handle_reachable(&mut self, peer: NodeId) {
+        self.peers.entry(peer).or_default().reachable = true;
+    }
+
+    /// No path to this node is known any more.
+    pub fn handle_unreachable(&mut self, peer: NodeId) {
+        self.peers.entry(peer).or_default().reachable = false;
     }
 
     /// Whether a path to this node is known.
@@ -129,12 +135,12 @@ impl Exchange {
         let Some(mut session) = state.session.take() else { return };
         state.past = std::mem::take(&mut session.numbers);
         for pending in session.calls.into_values() {
-            give_up(state, &mut self.outputs, pending, why, true);
+            give_up(state, &mut self.outputs, pending, why, Sent::Perhaps);
         }
         for ((object, contract, _), binding) in session.bindings {
             for waiting in binding.waiting.into_iter().flatten() {
                 match waiting.pending {
-                    Some(pending) => give_up(state, &mut self.outputs, pending, why, false),
+                    Some(pending) => give_up(state, &mut self.outputs, pending, why, Sent::Nothing),
                     None => {
                         let to = Some((object.clone(), contract));
                         self.outputs.push_back(ExchangeOutput::Lost { peer, to, why: why.clone() });
@@ -165,23 +171,21 @@ impl Exchange {
         let key = (object, contract.name, contract.fingerprint);
         let pending = reply_as.map(|reply_as| Pending { reply_as, until, again });
         let waiting = Waiting { id, sent, payload, pending };
-        match session.bindings.get_mut(&key) {
-            Some(Binding { waiting: None, number, contract }) => {
-                let bound = (*number, contract.delivery);
-                let sent = session.send(peer, bound, waiting, &mut self.next_call);
-                self.outputs.push_back(sent);
+        if let Some(Binding { waiting: None, number, contract }) = session.bindings.get(&key) {
+            let bound = (*number, contract.delivery);
+            let sent = session.send(peer, bound, waiting, &mut self.next_call);
+            return self.outputs.push_back(sent);
+        }
+        match session.hall.enter(waiting.payload.len()) {
+            Entrance::Open => {}
+            Entrance::Closing => self.outputs.push_back(ExchangeOutput::Full { peer }),
+            Entrance::Shut => {
+                let refused = refuse(peer, (key.0, key.1), reply_as, Why::Full);
+                return self.outputs.push_back(refused);
             }
-            Some(Binding { waiting: Some(queue), .. }) => {
-                if queue.len() == WAITING {
-                    self.outputs.push_back(ExchangeOutput::Full { peer });
-                }
-                if queue.len() < WAITING_MAX {
-                    queue.push(waiting);
-                } else {
-                    let refused = refuse(peer, (key.0, key.1), reply_as, Why::Full);
-                    self.outputs.push_back(refused);
-                }
-            }
+        }
+        match session.bindings.get_mut(&key).and_then(|binding| binding.waiting.as_mut()) {
+            Some(queue) => queue.push(waiting),
             None => {
                 self.next_binding = self.next_binding.wrapping_add(1);
                 let number = self.next_binding;
@@ -219,14 +223,19 @@ impl Exchange {
         self.outputs.push_back(control(peer, &answer));
     }
 
-    /// An object here has no room for what came through this binding, or has room again.
-    pub fn handle_room(&mut self, peer: NodeId, binding: u32, room: bool) {
+    /// An object here has no room for what came through this binding.
+    pub fn handle_full(&mut self, peer: NodeId, binding: u32) {
+        self.tell(peer, &Message::Full { binding });
+    }
+
+    /// It has room again.
+    pub fn handle_room(&mut self, peer: NodeId, binding: u32) {
+        self.tell(peer, &Message::Room { binding });
+    }
+
+    fn tell(&mut self, peer: NodeId, message: &Message) {
         if self.is_open(peer) {
-            let message = match room {
-                false => Message::Full { binding },
-                true => Message::Room { binding },
-            };
-            self.outputs.push_back(control(peer, &message));
+            self.outputs.push_back(control(peer, message));
         }
     }
 
@@ -300,7 +309,7 @@ impl Exchange {
         &mut self,
         peer: NodeId,
         (subscription, delivery): (u32, Delivery),
-        payload: Bytes,
+        payload: Parcel,
         sent: Instant,
     ) {
         if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
@@ -323,7 +332,7 @@ impl Exchange {
         match self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) {
             Some(session) => {
                 session.notices.insert(number);
-                let message = Message::Notice { number, payload };
+                let message = Message::Notice { number, payload: payload.into() };
                 self.outputs.push_back(control(peer, &message));
             }
             None => self.outputs.push_back(ExchangeOutput::Noticed { number, arrived: false }),
@@ -384,9 +393,8 @@ impl Exchange {
         (session.epoch == epoch).then_some(session)
     }
 
-    /// A message that did not arrive, or perhaps not if some of it was `sent`: its session ended first,
-    /// or it was full.
-    pub fn handle_returned(&mut self, peer: NodeId, message: Bytes, why: Why, sent: bool) {
+    /// A message that did not arrive, or perhaps not: its session ended first, or was full.
+    pub fn handle_returned(&mut self, peer: NodeId, message: Bytes, why: Why, sent: Sent) {
         let Ok(message) = Message::decode(message) else { return };
         match message {
             Message::Request { call, .. } => {
@@ -431,7 +439,7 @@ fn give_up(
     outputs: &mut VecDeque<ExchangeOutput>,
     pending: Pending,
     why: &Why,
-    sent: bool,
+    sent: Sent,
 ) {
     let Pending { reply_as, again, .. } = pending;
     // Whoever has left, or has no room, is not asked again.
@@ -440,7 +448,7 @@ fn give_up(
         Some(call) if helps && state.again.len() < AGAIN_MAX => state.again.push(*call),
         _ => {
             let result = Err(match why {
-                why if !sent => why.clone(),
+                why if sent == Sent::Nothing => why.clone(),
                 // Its death is certain, and so is that nobody will answer.
                 Why::PeerDied { .. } => why.clone(),
                 why => Why::OutcomeUnknown { reason: why.to_string() },

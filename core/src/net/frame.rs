@@ -28,6 +28,7 @@
 use super::greeting::Greeting;
 use super::packet;
 use super::wire::{Reader, WireError, Write};
+use crate::Parcel;
 use crate::{Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
 
@@ -52,7 +53,7 @@ pub enum Frame {
     /// For the neighbour's router itself: what it should know of the network.
     Routing(Bytes),
     /// A packet on its way.
-    Data(Bytes),
+    Data(Parcel),
     /// I live, and this is what I hear of each of you.
     Greeting(Greeting),
     /// A part of what the neighbour's router should know, where no frame carries it whole.
@@ -113,18 +114,23 @@ pub struct Echo {
 }
 
 impl Frame {
-    /// The frame's bytes.
+    /// The frame's bytes, in one piece.
     pub fn encode(&self) -> Bytes {
+        self.parcel().into_bytes()
+    }
+
+    /// The frame's bytes. What is large of what it carries is not copied.
+    pub fn parcel(&self) -> Parcel {
         match self {
-            Frame::Hello(hello) => hello.encode(),
-            Frame::Routing(bytes) => wrap(ROUTING, bytes),
-            Frame::Data(bytes) => wrap(DATA, bytes),
+            Frame::Hello(hello) => hello.encode().into(),
+            Frame::Routing(bytes) => wrap(ROUTING, &bytes.clone().into()),
+            Frame::Data(packet) => wrap(DATA, packet),
             Frame::Greeting(greeting) => {
                 let mut bytes = BytesMut::with_capacity(greeting.length_at_most());
                 bytes.put_u8(MAGIC | VERSION);
                 bytes.put_u8(GREETING);
                 greeting.encode(&mut bytes);
-                bytes.freeze()
+                bytes.freeze().into()
             }
             Frame::RoutingPart(part) => {
                 let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 1 + part.bytes.len());
@@ -133,7 +139,7 @@ impl Frame {
                 let last = if part.last { RoutingPart::LAST } else { 0 };
                 bytes.put_u8(last | part.index & RoutingPart::INDEX_MAX);
                 bytes.put_slice(&part.bytes);
-                bytes.freeze()
+                bytes.freeze().into()
             }
         }
     }
@@ -155,7 +161,7 @@ impl Frame {
         match reader.u8()? {
             HELLO => Hello::decode(reader).map(Frame::Hello),
             ROUTING => Ok(Frame::Routing(reader.rest())),
-            DATA => Ok(Frame::Data(reader.rest())),
+            DATA => Ok(Frame::Data(reader.rest().into())),
             GREETING => Greeting::decode(reader).map(Frame::Greeting),
             ROUTING_PART => {
                 let first = reader.u8()?;
@@ -176,26 +182,25 @@ impl RoutingPart {
 
 /// Whether these bytes are a hello, or a greeting. They go before all else: a link that they do not keep
 /// up carries nothing.
-pub fn is_hello(frame: &[u8]) -> bool {
-    matches!(frame, [_, HELLO | GREETING, ..])
+pub fn is_hello(frame: &Parcel) -> bool {
+    matches!(frame.pieces()[0], [_, HELLO | GREETING, ..])
 }
 
 /// Whether these bytes of a frame should overtake what waits for a slow medium: hellos, what routers tell
 /// each other, and packets of the class [`Control`](super::Class::Control), such as acknowledgements.
-pub fn is_urgent(frame: &[u8]) -> bool {
-    match frame {
+pub fn is_urgent(frame: &Parcel) -> bool {
+    match frame.pieces()[0] {
         [_, DATA, packet @ ..] => packet::is_control(packet),
         [_, kind, ..] => *kind != DATA,
         _ => false,
     }
 }
 
-fn wrap(kind: u8, payload: &[u8]) -> Bytes {
-    let mut bytes = BytesMut::with_capacity(FRAME_HEADER + payload.len());
+fn wrap(kind: u8, payload: &Parcel) -> Parcel {
+    let mut bytes = BytesMut::with_capacity(FRAME_HEADER + payload.copied());
     bytes.put_u8(MAGIC | VERSION);
     bytes.put_u8(kind);
-    bytes.put_slice(payload);
-    bytes.freeze()
+    payload.behind(bytes)
 }
 
 impl Hello {
@@ -268,7 +273,7 @@ mod tests {
             0, 0, 0x0a, 0, 0, 0, 9, 0, 0, 1, 0, 2, b'm', b'1',
         ];
         assert_eq!(&Frame::Hello(hello()).encode()[..], golden);
-        assert_eq!(&Frame::Data(Bytes::from_static(b"xy")).encode()[..], b"\xb1\x02xy");
+        assert_eq!(&Frame::Data(Bytes::from_static(b"xy").into()).encode()[..], b"\xb1\x02xy");
         assert_eq!(&Frame::Routing(Bytes::from_static(b"z")).encode()[..], b"\xb1\x01z");
         let part = RoutingPart { index: 3, last: true, bytes: Bytes::from_static(b"z") };
         assert_eq!(&Frame::RoutingPart(part).encode()[..], b"\xb1\x04\x83z");
@@ -281,7 +286,7 @@ mod tests {
         for frame in [
             Frame::Hello(hello()),
             Frame::Hello(nothing_heard),
-            Frame::Data(Bytes::new()),
+            Frame::Data(Bytes::new().into()),
             Frame::RoutingPart(part(false)),
             Frame::RoutingPart(part(true)),
         ] {
@@ -291,22 +296,24 @@ mod tests {
 
     #[test]
     fn hellos_and_routing_and_control_are_urgent_and_messages_are_not() {
-        let check = |frame: Frame, expected| assert_eq!(is_urgent(&frame.encode()), expected);
+        let check = |frame: Frame, expected| assert_eq!(is_urgent(&frame.parcel()), expected);
         check(Frame::Hello(hello()), true);
         check(Frame::Routing(Bytes::from_static(b"z")), true);
-        assert!(is_hello(&Frame::Hello(hello()).encode()));
-        assert!(!is_hello(&Frame::Routing(Bytes::new()).encode()));
+        assert!(is_hello(&Frame::Hello(hello()).parcel()));
+        assert!(!is_hello(&Frame::Routing(Bytes::new()).parcel()));
         for (class, expected) in
             [(Class::Control, true), (Class::Data, false), (Class::Bulk, false)]
         {
-            let copy = Payload::Copy { copy: 1, relays: vec![NodeId(3)], segment: Bytes::new() };
-            for payload in [Payload::Segment(Bytes::new()), copy] {
+            let copy =
+                Payload::Copy { copy: 1, relays: vec![NodeId(3)], segment: Bytes::new().into() };
+            for payload in [Payload::Segment(Bytes::new().into()), copy] {
                 let (destination, source) = (NodeId(1), NodeId(2));
-                let packet = Packet { class, hops: 1, destination, source, payload };
-                check(Frame::Data(packet.encode()), expected);
+                let packet =
+                    Packet { class, hops: 1, destination, source, passed: vec![], payload };
+                check(Frame::Data(packet.encode().into()), expected);
             }
         }
-        assert!(!is_urgent(b""));
+        assert!(!is_urgent(&Parcel::default()));
     }
 
     #[test]

@@ -35,6 +35,7 @@ use self::quality::{Gauge, Limits};
 use super::arrival::{Arrival, Arrivals};
 use super::frame::{Echo, Frame, Hello, Stance};
 use super::wire::{Refusals, WireError};
+use crate::Parcel;
 use crate::{Incarnation, Instant, Machine};
 use bytes::Bytes;
 use std::collections::VecDeque;
@@ -63,8 +64,6 @@ pub struct Link {
     /// It is suspect for what was, and not for what is.
     proving: bool,
     given_up: GivenUp,
-    /// It is up because the neighbour uses it: the next hello may still be from before that.
-    overtaken: bool,
     /// It is one of a bus: others say its hellos, of which this one is due.
     on_bus: bool,
     greeting: Option<u32>,
@@ -138,7 +137,6 @@ impl Link {
             calm: 0,
             proving: false,
             given_up: GivenUp::default(),
-            overtaken: false,
             on_bus: false,
             greeting: None,
             mtu: 0,
@@ -184,26 +182,27 @@ impl Link {
     }
 
     /// Sends a packet. Dropped and counted when the link is not up.
-    pub fn handle_packet(&mut self, packet: Bytes) {
-        self.carry(Frame::Data(packet));
+    pub fn handle_packet(&mut self, packet: impl Into<Parcel>) {
+        self.carry(Frame::Data(packet.into()));
     }
 
     fn carry(&mut self, frame: Frame) {
         if self.carries() {
-            self.outputs.push_back(LinkOutput::Transmit(frame.encode()));
+            self.outputs.push_back(LinkOutput::Transmit(frame.parcel()));
         } else {
             self.refusals.unexpected += 1;
         }
     }
 
-    /// Whether what comes is taken. A neighbour that sends something is ready, whether its hello
-    /// that says so has come or not.
-    fn takes(&mut self) -> bool {
-        if !self.carries() && self.has_proved() {
-            self.overtaken = true;
-            self.change(LinkState::Up, "the neighbour uses it");
+    /// Whether what comes is taken. A neighbour may send packets before its hello that it uses the link is
+    /// here. Nothing but hellos brings a link up: what else comes has no number, and may be of the past.
+    fn takes(&self, frame: &Frame) -> bool {
+        match frame {
+            Frame::Hello(_) | Frame::Greeting(_) => true,
+            Frame::Data(_) => self.carries() || self.has_proved(),
+            // Routers know no link that is not up; the neighbour's repeats itself.
+            Frame::Routing(_) | Frame::RoutingPart(_) => self.carries(),
         }
-        self.carries()
     }
 
     /// Whether a hello is not late at present.
@@ -218,17 +217,17 @@ impl Link {
     /// A frame came from the transport.
     pub fn handle_frame(&mut self, frame: Bytes, now: Instant) {
         match Frame::decode(frame) {
+            Ok(frame) if !self.takes(&frame) => self.refusals.unexpected += 1,
             Ok(Frame::Hello(hello)) => self.handle_hello(hello, now),
             Ok(Frame::Greeting(greeting)) => self.handle_greeting(greeting, now),
-            Ok(Frame::Routing(_) | Frame::RoutingPart(_) | Frame::Data(_)) if !self.takes() => {
-                self.refusals.unexpected += 1;
-            }
             Ok(Frame::Routing(bytes)) => self.outputs.push_back(LinkOutput::Routing(bytes)),
             Ok(Frame::RoutingPart(part)) => match self.parts.handle(&part) {
                 Ok(whole) => self.outputs.extend(whole.map(LinkOutput::Routing)),
                 Err(error) => self.refusals.count(&error),
             },
-            Ok(Frame::Data(packet)) => self.outputs.push_back(LinkOutput::Packet(packet)),
+            Ok(Frame::Data(packet)) => {
+                self.outputs.push_back(LinkOutput::Packet(packet.into_bytes()))
+            }
             Err(error) => self.refusals.count(&error),
         }
     }
@@ -307,8 +306,7 @@ impl Link {
         self.listen(&hello, missed, now);
         self.hear_out(hello.stance, now);
         self.judge_quality(now);
-        let overtaken = std::mem::take(&mut self.overtaken);
-        if self.carries() && hello.stance == Stance::Down && !overtaken {
+        if self.carries() && hello.stance == Stance::Down {
             self.go_down("the neighbour has given it up", now);
         }
         self.rise(now);
@@ -453,7 +451,7 @@ impl Link {
         if self.on_bus {
             self.greeting = Some(hello.sequence);
         } else {
-            self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).encode()));
+            self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).parcel()));
         }
     }
 

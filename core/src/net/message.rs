@@ -19,8 +19,8 @@
 //!      │ ◄─────────────────────────── room 1      │
 //! ```
 
-use super::parcel::Parcel;
 use super::wire::{Reader, WireError, Write};
+use crate::Parcel;
 use crate::{MessageId, ObjectName, Why, codec};
 use bytes::{BufMut, Bytes, BytesMut};
 
@@ -76,7 +76,7 @@ pub enum Message {
         /// By which identity a repeated message is known.
         id: Option<MessageId>,
         /// The message.
-        payload: Bytes,
+        payload: Parcel,
     },
     /// The reply.
     Reply {
@@ -94,7 +94,7 @@ pub enum Message {
         /// By which identity a repeated message is known.
         id: Option<MessageId>,
         /// The message.
-        payload: Bytes,
+        payload: Parcel,
     },
     /// Send me what is published with you on this topic.
     Subscribe {
@@ -125,14 +125,14 @@ pub enum Message {
         /// When it was published.
         stamp_us: u64,
         /// The event.
-        payload: Bytes,
+        payload: Parcel,
     },
     /// A fault, for the receiver's recoverer.
     Notice {
         /// By which number to confirm.
         number: u64,
         /// The fault, as the fault chain encodes it.
-        payload: Bytes,
+        payload: Parcel,
     },
     /// The fault has arrived.
     Confirmed {
@@ -187,24 +187,20 @@ const ROOM: u8 = 16;
 impl Message {
     /// The message's bytes. A large payload is not copied.
     pub fn encode(&self) -> Parcel {
-        let nothing = Bytes::new();
-        let payload = self.payload().unwrap_or(&nothing);
-        let (behind, apart) =
-            if payload.len() < Parcel::APART { (payload, &nothing) } else { (&nothing, payload) };
-        let mut bytes = BytesMut::with_capacity(24 + behind.len());
+        let payload = self.payload().unwrap_or_default();
+        let mut bytes = BytesMut::with_capacity(24 + payload.copied());
         self.put_head(&mut bytes);
-        bytes.put_slice(behind);
-        Parcel::apart(bytes.freeze(), apart.clone())
+        payload.behind(bytes)
     }
 
     /// What it ends with, as it is.
-    fn payload(&self) -> Option<&Bytes> {
+    fn payload(&self) -> Option<Parcel> {
         match self {
             Message::Request { payload, .. }
-            | Message::Reply { result: Ok(payload), .. }
             | Message::Tell { payload, .. }
             | Message::Event { payload, .. }
-            | Message::Notice { payload, .. } => Some(payload),
+            | Message::Notice { payload, .. } => Some(payload.clone()),
+            Message::Reply { result: Ok(payload), .. } => Some(payload.clone().into()),
             _ => None,
         }
     }
@@ -310,7 +306,7 @@ impl Message {
                 stamp: reader.varint()?,
                 within: reader.varint()?,
                 id: read_id(&mut reader)?,
-                payload: reader.rest(),
+                payload: reader.rest().into(),
             },
             REPLY => Message::Reply { call: reader.varint()?, result: Ok(reader.rest()) },
             REPLY_FAILED => {
@@ -323,7 +319,7 @@ impl Message {
                 binding: number(&mut reader)?,
                 stamp_us: reader.varint()?,
                 id: read_id(&mut reader)?,
-                payload: reader.rest(),
+                payload: reader.rest().into(),
             },
             SUBSCRIBE => Message::Subscribe {
                 subscription: number(&mut reader)?,
@@ -344,9 +340,9 @@ impl Message {
             EVENT => Message::Event {
                 subscription: number(&mut reader)?,
                 stamp_us: reader.varint()?,
-                payload: reader.rest(),
+                payload: reader.rest().into(),
             },
-            NOTICE => Message::Notice { number: reader.varint()?, payload: reader.rest() },
+            NOTICE => Message::Notice { number: reader.varint()?, payload: reader.rest().into() },
             CONFIRMED => {
                 let number = reader.varint()?;
                 reader.end(what)?;
@@ -475,7 +471,7 @@ mod tests {
                     stamp: 300,
                     within: 5,
                     id: None,
-                    payload: payload.clone(),
+                    payload: payload.clone().into(),
                 },
                 b"\x03\x01\x07\xac\x02\x05\0xy",
             ),
@@ -486,14 +482,19 @@ mod tests {
                     stamp: 0,
                     within: 0,
                     id,
-                    payload: payload.clone(),
+                    payload: payload.clone().into(),
                 },
                 b"\x03\x01\x07\0\0\x01\0\0\0\0\0\0\0\x02\xac\x02xy",
             ),
             (Message::Reply { call: 7, result: Ok(payload.clone()) }, b"\x04\x07xy"),
             (Message::Reply { call: 7, result: Err(unknown.clone()) }, b"\x05\x07\x01\x02"),
             (
-                Message::Tell { binding: 1, stamp_us: 9, id: None, payload: payload.clone() },
+                Message::Tell {
+                    binding: 1,
+                    stamp_us: 9,
+                    id: None,
+                    payload: payload.clone().into(),
+                },
                 b"\x06\x01\x09\0xy",
             ),
             (
@@ -507,10 +508,10 @@ mod tests {
             (Message::SubscribeRefused { subscription: 3, why: unknown }, b"\x08\x03\x01\x02"),
             (Message::Unsubscribe { subscription: 3 }, b"\x09\x03"),
             (
-                Message::Event { subscription: 3, stamp_us: 300, payload: payload.clone() },
+                Message::Event { subscription: 3, stamp_us: 300, payload: payload.clone().into() },
                 b"\x0a\x03\xac\x02xy",
             ),
-            (Message::Notice { number: 4, payload }, b"\x0b\x04xy"),
+            (Message::Notice { number: 4, payload: payload.into() }, b"\x0b\x04xy"),
             (Message::Confirmed { number: 4 }, b"\x0c\x04"),
             (
                 Message::Names {

@@ -53,7 +53,6 @@ pub mod message;
 pub mod naming;
 pub mod node_id;
 pub mod packet;
-pub mod parcel;
 pub mod router;
 pub mod segment;
 pub mod session;

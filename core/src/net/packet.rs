@@ -5,13 +5,18 @@
 //! ┌──────────┬───────────────┬───────────────┬──────────────────────┐
 //! │ cc k hops│ destination   │ source        │ segment, or a return │
 //! └──────────┴───────────────┴───────────────┴──────────────────────┘
-//!   cc   class: 0 control, 1 data, 2 bulk; 3 for a copy, which says its class itself
-//!   k    0 a segment for the destination's session, 1 a packet's return to its source
+//!   cc   class: 0 control, 1 data, 2 bulk; 3 for what says its class itself: copies, and what was passed on
+//!   k    0 a segment for the destination's session, 1 a packet's return to its source;
+//!        with cc 3: 0 a copy, 1 passed on
 //!   hops how many more nodes may pass it on, 0 to 31
 //!
-//! return: the destination that was not reached (4), the reason (1)
-//! copy:   cc 2 bits, which copy 2 bits, n 4 bits │ n × relay 4 │ segment
+//! return:    the destination that was not reached (4), the reason (1)
+//! copy:      cc 2 bits, which copy 2 bits, n 4 bits │ n × relay 4 │ segment
+//! passed on: cc 2 bits, k 1 bit, n 5 bits │ n × relay 4 │ segment, or a return
 //! ```
+//!
+//! Who passes a packet on writes itself behind those who did before, and gives it to none of them: whatever
+//! the nodes know of each other, no packet goes over a node twice. Between neighbours the list takes no byte.
 //!
 //! A copy's relays are those that still follow after whoever receives it. Each takes the first off the list
 //! and passes the copy on to that one, the last to the destination: the list only becomes shorter, and no
@@ -19,6 +24,7 @@
 
 use super::node_id::NodeId;
 use super::wire::{Reader, WireError};
+use crate::Parcel;
 use bytes::{BufMut, Bytes, BytesMut};
 use std::fmt;
 
@@ -34,8 +40,14 @@ pub const RELAYS_MAX: usize = 15;
 /// The most bytes that a copy's way takes before its segment.
 pub(crate) const WAY_MAX: usize = 1 + 4 * RELAYS_MAX;
 
+/// The bytes that a list of so many takes who have passed a packet on.
+pub(crate) const fn passed_length(relays: usize) -> usize {
+    if relays == 0 { 0 } else { 1 + 4 * relays }
+}
+
 const RETURN: u8 = 0x20;
 const COPY: u8 = 0xc0;
+const PASSED: u8 = COPY | RETURN;
 
 /// How urgent a packet is. A queue that is not empty lets the more urgent go first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -59,6 +71,8 @@ pub struct Packet {
     pub destination: NodeId,
     /// Whom it is from.
     pub source: NodeId,
+    /// Who has passed it on so far, at most [`HOPS_MAX`]. Of a copy that is not written.
+    pub passed: Vec<NodeId>,
     /// What it carries.
     pub payload: Payload,
 }
@@ -67,7 +81,7 @@ pub struct Packet {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Payload {
     /// For the destination's session with the source.
-    Segment(Bytes),
+    Segment(Parcel),
     /// The same, one of several that go different ways, and by no other than its own.
     Copy {
         /// Which, below [`COPIES_MAX`].
@@ -75,7 +89,7 @@ pub enum Payload {
         /// The nodes that it is still to pass after the one that has it, at most [`RELAYS_MAX`].
         relays: Vec<NodeId>,
         /// The segment.
-        segment: Bytes,
+        segment: Parcel,
     },
     /// A packet of the receiver's could not be delivered.
     Return {
@@ -121,32 +135,44 @@ impl fmt::Display for Undelivered {
 }
 
 impl Packet {
-    /// The packet's bytes.
+    /// The packet's bytes, in one piece.
     pub fn encode(&self) -> Bytes {
+        self.parcel().into_bytes()
+    }
+
+    /// The packet's bytes. What is large of what it carries is not copied.
+    pub fn parcel(&self) -> Parcel {
         let class = (self.class as u8) << 6;
         let (kind, length) = match &self.payload {
-            Payload::Segment(segment) => (class, segment.len()),
-            Payload::Copy { segment, .. } => (COPY, WAY_MAX + segment.len()),
+            Payload::Segment(segment) => (class, segment.copied()),
+            Payload::Copy { segment, .. } => (COPY, WAY_MAX + segment.copied()),
             Payload::Return { .. } => (class | RETURN, 5),
         };
-        let mut bytes = BytesMut::with_capacity(PACKET_HEADER + length);
-        bytes.put_u8(kind | self.hops.min(HOPS_MAX));
+        let was_passed = kind != COPY && !self.passed.is_empty();
+        let list = passed_length(self.passed.len());
+        let mut bytes = BytesMut::with_capacity(PACKET_HEADER + list + length);
+        bytes.put_u8(if was_passed { PASSED } else { kind } | self.hops.min(HOPS_MAX));
         bytes.put_u32(self.destination.0);
         bytes.put_u32(self.source.0);
+        if was_passed {
+            debug_assert!(self.passed.len() <= HOPS_MAX.into());
+            bytes.put_u8(kind | self.passed.len() as u8);
+            self.passed.iter().for_each(|relay| bytes.put_u32(relay.0));
+        }
         match &self.payload {
-            Payload::Segment(segment) => bytes.put_slice(segment),
+            Payload::Segment(segment) => segment.behind(bytes),
             Payload::Copy { copy, relays, segment } => {
                 debug_assert!(usize::from(*copy) < COPIES_MAX && relays.len() <= RELAYS_MAX);
                 bytes.put_u8(class | copy << 4 | relays.len() as u8);
                 relays.iter().for_each(|relay| bytes.put_u32(relay.0));
-                bytes.put_slice(segment);
+                segment.behind(bytes)
             }
             Payload::Return { destination, reason } => {
                 bytes.put_u32(destination.0);
                 bytes.put_u8(*reason as u8);
+                bytes.freeze().into()
             }
         }
-        bytes.freeze()
     }
 
     /// Reads a packet.
@@ -159,16 +185,20 @@ impl Packet {
         let hops = first & HOPS_MAX;
         let destination = NodeId(reader.u32()?);
         let source = NodeId(reader.u32()?);
-        if first & COPY == COPY {
-            if first & RETURN != 0 {
-                return Err(WireError::Malformed { what: "a packet's kind" });
+        let (mut kind, mut passed) = (first, Vec::new());
+        if first & PASSED == PASSED {
+            kind = reader.u8()?;
+            passed = read_relays(&mut reader, kind & HOPS_MAX, destination, source)?;
+            if passed.is_empty() {
+                return Err(WireError::Malformed { what: "a list of nobody" });
             }
+        } else if first & COPY == COPY {
             let (class, payload) = read_copy(reader, destination, source)?;
-            return Ok(Packet { class, hops, destination, source, payload });
+            return Ok(Packet { class, hops, destination, source, passed, payload });
         }
-        let class = read_class(first)?;
-        let payload = if first & RETURN == 0 {
-            Payload::Segment(reader.rest())
+        let class = read_class(kind)?;
+        let payload = if kind & RETURN == 0 {
+            Payload::Segment(reader.rest().into())
         } else {
             let destination = NodeId(reader.u32()?);
             let reason = match reader.u8()? {
@@ -180,17 +210,35 @@ impl Packet {
             reader.end("a return")?;
             Payload::Return { destination, reason }
         };
-        Ok(Packet { class, hops, destination, source, payload })
+        Ok(Packet { class, hops, destination, source, passed, payload })
     }
 }
 
-/// Whether the bytes of a packet say that it is of the class [`Control`](Class::Control).
+/// Whether the first bytes of a packet say that it is of the class [`Control`](Class::Control).
 pub(crate) fn is_control(packet: &[u8]) -> bool {
     let class = match packet.first() {
         Some(first) if first & COPY == COPY => packet.get(PACKET_HEADER),
         first => first,
     };
     class.is_some_and(|class| class >> 6 == Class::Control as u8)
+}
+
+/// Nodes between the source and the destination, each once.
+fn read_relays(
+    reader: &mut Reader,
+    count: u8,
+    destination: NodeId,
+    source: NodeId,
+) -> Result<Vec<NodeId>, WireError> {
+    let mut relays = Vec::new();
+    for _ in 0..count {
+        let relay = NodeId(reader.u32()?);
+        if relay == destination || relay == source || relays.contains(&relay) {
+            return Err(WireError::Malformed { what: "a packet's way, which goes in a circle," });
+        }
+        relays.push(relay);
+    }
+    Ok(relays)
 }
 
 fn read_class(first: u8) -> Result<Class, WireError> {
@@ -210,15 +258,8 @@ fn read_copy(
     let way = reader.u8()?;
     let class = read_class(way)?;
     let copy = way >> 4 & (COPIES_MAX as u8 - 1);
-    let mut relays = Vec::with_capacity(RELAYS_MAX);
-    for _ in 0..way & RELAYS_MAX as u8 {
-        let relay = NodeId(reader.u32()?);
-        if relay == destination || relay == source || relays.contains(&relay) {
-            return Err(WireError::Malformed { what: "a copy's way, which goes in a circle," });
-        }
-        relays.push(relay);
-    }
-    Ok((class, Payload::Copy { copy, relays, segment: reader.rest() }))
+    let relays = read_relays(&mut reader, way & RELAYS_MAX as u8, destination, source)?;
+    Ok((class, Payload::Copy { copy, relays, segment: reader.rest().into() }))
 }
 
 #[cfg(test)]
@@ -231,33 +272,56 @@ mod tests {
             hops: 8,
             destination: NodeId(0x01020304),
             source: NodeId(5),
+            passed: Vec::new(),
             payload,
         }
     }
 
+    fn passed_by(relays: &[u32], payload: Payload) -> Packet {
+        Packet { passed: relays.iter().map(|relay| NodeId(*relay)).collect(), ..packet(payload) }
+    }
+
     fn copy_over(relays: &[u32]) -> Payload {
         let relays = relays.iter().map(|relay| NodeId(*relay)).collect();
-        Payload::Copy { copy: 1, relays, segment: Bytes::from_static(b"hi") }
+        Payload::Copy { copy: 1, relays, segment: Bytes::from_static(b"hi").into() }
     }
 
     #[test]
     fn the_bytes_of_a_packet_are_these_for_ever() {
-        let segment = packet(Payload::Segment(Bytes::from_static(b"hi")));
+        let segment = packet(Payload::Segment(Bytes::from_static(b"hi").into()));
         assert_eq!(&segment.encode()[..], b"\x48\x01\x02\x03\x04\0\0\0\x05hi");
         let returned = Payload::Return { destination: NodeId(7), reason: Undelivered::TooManyHops };
         assert_eq!(&packet(returned).encode()[..], b"\x68\x01\x02\x03\x04\0\0\0\x05\0\0\0\x07\x01");
         let bytes = b"\xc8\x01\x02\x03\x04\0\0\0\x05\x52\0\0\0\x07\0\0\0\x08hi";
         assert_eq!(&packet(copy_over(&[7, 8])).encode()[..], bytes);
+        let segment = Payload::Segment(Bytes::from_static(b"hi").into());
+        let bytes = b"\xe8\x01\x02\x03\x04\0\0\0\x05\x42\0\0\0\x07\0\0\0\x08hi";
+        assert_eq!(&passed_by(&[7, 8], segment).encode()[..], bytes);
     }
 
     #[test]
     fn a_packet_comes_back_as_it_was_and_nothing_else_does() {
         let returned = Payload::Return { destination: NodeId(7), reason: Undelivered::NoRoute };
-        for payload in [Payload::Segment(Bytes::from_static(b"hi")), returned] {
+        for payload in [Payload::Segment(Bytes::from_static(b"hi").into()), returned] {
             let packet = packet(payload);
             assert_eq!(Packet::decode(packet.encode()), Ok(packet.clone()));
             for cut in 0..PACKET_HEADER {
                 assert_eq!(Packet::decode(packet.encode().slice(..cut)), Err(WireError::Truncated));
+            }
+        }
+        for payload in [
+            Payload::Segment(Bytes::from_static(b"hi").into()),
+            Payload::Return { destination: NodeId(7), reason: Undelivered::NoRoute },
+        ] {
+            let relays: Vec<_> = (10..10 + u32::from(HOPS_MAX)).collect();
+            for relays in [&[7][..], &relays] {
+                let packet = passed_by(relays, payload.clone());
+                assert_eq!(Packet::decode(packet.encode()), Ok(packet.clone()));
+                let list = PACKET_HEADER + passed_length(relays.len());
+                for cut in 0..list {
+                    let cut = packet.encode().slice(..cut);
+                    assert_eq!(Packet::decode(cut), Err(WireError::Truncated));
+                }
             }
         }
         let relays: Vec<_> = (10..10 + RELAYS_MAX as u32).collect();
@@ -276,11 +340,15 @@ mod tests {
             Packet::decode(Bytes::from_static(&[0x20, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 9]));
         assert!(matches!(no_reason, Err(WireError::Malformed { .. })));
     }
+
     #[test]
     fn a_way_that_goes_in_a_circle_is_refused() {
         // Over a node twice, back to where it is from, or on from where it should end.
         for relays in [&[7, 8, 7][..], &[7, 5], &[0x01020304, 7]] {
             let refused = Packet::decode(packet(copy_over(relays)).encode());
+            assert!(matches!(refused, Err(WireError::Malformed { .. })), "{relays:?}");
+            let segment = Payload::Segment(Bytes::from_static(b"hi").into());
+            let refused = Packet::decode(passed_by(relays, segment).encode());
             assert!(matches!(refused, Err(WireError::Malformed { .. })), "{relays:?}");
         }
         let returned = Packet::decode(Bytes::from_static(&[0xe0; 10]));

@@ -26,6 +26,7 @@
 
 use super::wire::{Reader, WireError, Write, varint_length};
 use crate::Incarnation;
+use crate::Parcel;
 use bytes::{BufMut, Bytes, BytesMut};
 
 /// The most ranges that one acknowledgement lists; the rest is listed in later ones.
@@ -125,7 +126,7 @@ pub struct Data {
     /// What has arrived in the other direction.
     pub ack: Option<Ack>,
     /// The bytes.
-    pub payload: Bytes,
+    pub payload: Parcel,
 }
 
 /// A message that is not repeated.
@@ -140,7 +141,7 @@ pub struct Datagram {
     /// This is not the whole message.
     pub piece: Option<Piece>,
     /// The bytes.
-    pub payload: Bytes,
+    pub payload: Parcel,
 }
 
 /// One of several pieces.
@@ -173,8 +174,13 @@ const RESET: u8 = 6;
 const REDUNDANT: u8 = 7;
 
 impl Segment {
-    /// The segment's bytes.
+    /// The segment's bytes, in one piece.
     pub fn encode(&self) -> Bytes {
+        self.parcel().into_bytes()
+    }
+
+    /// The segment's bytes. What is large of what it carries is not copied.
+    pub fn parcel(&self) -> Parcel {
         match self {
             Segment::Open(open) => {
                 let mut bytes = begin(OPEN, 0, 22);
@@ -183,10 +189,10 @@ impl Segment {
                 bytes.put_u32(open.echo);
                 bytes.put_u64(open.incarnation.0);
                 bytes.put_u32(open.number);
-                bytes.freeze()
+                bytes.freeze().into()
             }
-            Segment::Data(data) => data.encode(),
-            Segment::Datagram(datagram) => datagram.encode(),
+            Segment::Data(data) => data.parcel(),
+            Segment::Datagram(datagram) => datagram.parcel(),
             Segment::Acknowledge { tag, control, data, redundant } => {
                 let flags = u8::from(control.is_some())
                     | u8::from(data.is_some()) << 1
@@ -196,7 +202,7 @@ impl Segment {
                 for ack in [control, data, redundant].into_iter().flatten() {
                     ack.put(&mut bytes);
                 }
-                bytes.freeze()
+                bytes.freeze().into()
             }
             Segment::Close { tag } => tagged(CLOSE, *tag),
             Segment::Closed { tag } => tagged(CLOSED, *tag),
@@ -253,10 +259,10 @@ fn begin(kind: u8, flags: u8, length: usize) -> BytesMut {
     bytes
 }
 
-fn tagged(kind: u8, tag: u32) -> Bytes {
+fn tagged(kind: u8, tag: u32) -> Parcel {
     let mut bytes = begin(kind, 0, 5);
     bytes.put_u32(tag);
-    bytes.freeze()
+    bytes.freeze().into()
 }
 
 impl Open {
@@ -274,7 +280,7 @@ impl Open {
 }
 
 impl Data {
-    fn encode(&self) -> Bytes {
+    fn parcel(&self) -> Parcel {
         let (kind, lowest) = match self.stream {
             Stream::Control => (DATA, false),
             Stream::Data => (DATA, true),
@@ -285,15 +291,14 @@ impl Data {
             | u8::from(self.last) << 2
             | u8::from(self.ack.is_some()) << 3
             | u8::from(self.piece.is_some()) << 4;
-        let mut bytes = begin(kind, flags, data_header(self.sequence) + 16 + self.payload.len());
+        let mut bytes = begin(kind, flags, data_header(self.sequence) + 16 + self.payload.copied());
         bytes.put_u32(self.tag);
         bytes.varint(self.sequence);
         Piece::put(self.piece, &mut bytes);
         if let Some(ack) = &self.ack {
             ack.put(&mut bytes);
         }
-        bytes.put_slice(&self.payload);
-        bytes.freeze()
+        self.payload.behind(bytes)
     }
 
     fn read(kind: u8, tag: u32, flags: u8, mut reader: Reader) -> Result<Data, WireError> {
@@ -307,21 +312,20 @@ impl Data {
         let piece = Piece::read(flags, &mut reader)?;
         let ack = (flags & 8 != 0).then(|| Ack::read(&mut reader)).transpose()?;
         let (first, last) = (flags & 2 != 0, flags & 4 != 0);
-        let payload = reader.rest();
+        let payload = reader.rest().into();
         Ok(Data { tag, stream, sequence, first, last, again, piece, ack, payload })
     }
 }
 
 impl Datagram {
-    fn encode(&self) -> Bytes {
+    fn parcel(&self) -> Parcel {
         let flags = u8::from(self.piece.is_some()) << 4;
-        let mut bytes = begin(DATAGRAM, flags, 24 + self.payload.len());
+        let mut bytes = begin(DATAGRAM, flags, 24 + self.payload.copied());
         bytes.put_u32(self.tag);
         bytes.varint(self.channel.into());
         bytes.varint(self.sequence);
         Piece::put(self.piece, &mut bytes);
-        bytes.put_slice(&self.payload);
-        bytes.freeze()
+        self.payload.behind(bytes)
     }
 
     fn read(tag: u32, flags: u8, mut reader: Reader) -> Result<Datagram, WireError> {
@@ -329,7 +333,7 @@ impl Datagram {
             .map_err(|_| WireError::TooLarge { what: "a channel's number" })?;
         let sequence = reader.varint()?;
         let piece = Piece::read(flags, &mut reader)?;
-        Ok(Datagram { tag, channel, sequence, piece, payload: reader.rest() })
+        Ok(Datagram { tag, channel, sequence, piece, payload: reader.rest().into() })
     }
 }
 
@@ -413,7 +417,7 @@ mod tests {
             again: false,
             piece: None,
             ack: None,
-            payload: Bytes::from_static(b"\x02hi"),
+            payload: Bytes::from_static(b"\x02hi").into(),
         };
         let piece = Some(Piece { index: 1, count: 2 });
         let acking = Data { piece, ack: Some(ack.clone()), ..data.clone() };
@@ -423,7 +427,7 @@ mod tests {
             channel: 4,
             sequence: 9,
             piece: None,
-            payload: Bytes::from_static(b"x"),
+            payload: Bytes::from_static(b"x").into(),
         };
         vec![
             (

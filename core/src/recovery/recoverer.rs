@@ -10,142 +10,18 @@
 //! restart is still worth it is not decided here but by the supervisor.
 
 use super::{Ladder, Measure, Plan};
-use crate::{Fault, FaultId, FaultKind, Incarnation, Instant, Machine, NodeName, Place};
+use crate::{Fault, FaultId, FaultKind, Instant, Machine, NodeName, Place};
 use std::collections::{BTreeMap, VecDeque};
-use std::time::Duration;
 
 mod rest;
 #[cfg(test)]
 mod tests;
+mod vocabulary;
+
+pub use self::vocabulary::{Done, Failed, Order, RecovererAction, RecovererLimits, Settled};
 
 /// The detector latches by place and kind: a place with more faults than this is out of its mind.
 const FAULTS_LIMIT: usize = 32;
-
-/// One measure to be carried out.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Order {
-    /// The order's number at its recoverer.
-    pub number: u64,
-    /// What is to be done.
-    pub measure: Measure,
-    /// Against what. Of several faults of one place it is one of the newest life: the one that says
-    /// that it does not answer, or else the first.
-    pub fault: Fault,
-    /// The how-manieth attempt at this measure, from 1.
-    pub attempt: u32,
-    /// How long it is given. After that it has failed.
-    pub within: Duration,
-}
-
-/// A measure has worked.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Done {
-    /// The life that is at work because of it, if it began one.
-    pub incarnation: Option<Incarnation>,
-}
-
-/// A measure has not worked.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Failed {
-    /// Why.
-    pub reason: String,
-}
-
-impl<T: Into<String>> From<T> for Failed {
-    fn from(reason: T) -> Self {
-        Failed { reason: reason.into() }
-    }
-}
-
-/// What became of a fault.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Settled {
-    /// This is being done about it.
-    Decided {
-        /// What.
-        measure: Measure,
-        /// The how-manieth attempt, from 1.
-        attempt: u32,
-    },
-    /// Nothing is done about it but to keep it in the record.
-    Observed,
-    /// Service is restored.
-    Recovered {
-        /// The life that is at work now, if a new one began.
-        incarnation: Option<Incarnation>,
-    },
-    /// No measure helped. Safe stop follows.
-    GaveUp {
-        /// What the last measure said.
-        reason: String,
-    },
-    /// Service is not restored, but the place can do no harm any more.
-    Contained {
-        /// Isolated, or stopped.
-        measure: Measure,
-    },
-    /// What it was a symptom of is settled. Unless it is cleared now, it is acted upon itself.
-    RootSettled,
-}
-
-/// What a recoverer wants done.
-#[derive(Clone, Debug, PartialEq)]
-pub enum RecovererAction {
-    /// Have this order carried out, by the strategy of the measure's name.
-    CarryOut(Order),
-    /// Tell the detector, which has found it.
-    Settle {
-        /// The fault's number in its finder's record.
-        fault: FaultId,
-        /// Where it is.
-        place: Place,
-        /// What became of it.
-        settled: Settled,
-    },
-    /// This strategy has had nothing to do for a while: let it go.
-    Release {
-        /// The measure that it carries out.
-        measure: Measure,
-    },
-    /// Not even safe stop could be carried out: the whole node is to come to rest.
-    LastResort {
-        /// What could not be contained.
-        fault: Fault,
-        /// What safe stop said.
-        reason: String,
-    },
-}
-
-/// The recoverer's bounds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RecovererLimits {
-    /// Open cases. More places than this at once, and further ones are given up loudly; as many as a
-    /// large node has objects.
-    pub cases: usize,
-    /// Symptoms that wait for their roots. More, and a symptom is acted upon at once.
-    pub symptoms: usize,
-    /// From the root's recovery to acting upon a symptom that was not cleared. Longer leaves victims
-    /// more time to come back by themselves.
-    pub grace: Duration,
-    /// A fault that returns within this time after a reset, or a strategy of the application's own, had
-    /// cured it is not treated from the beginning but goes on up its ladder.
-    pub memory: Duration,
-    /// A strategy without work is released after this. Longer keeps it warm; shorter frees memory.
-    pub idle: Duration,
-}
-
-impl Default for RecovererLimits {
-    fn default() -> Self {
-        RecovererLimits {
-            cases: 4096,
-            symptoms: 4096,
-            grace: Duration::from_millis(200),
-            memory: Duration::from_secs(10),
-            idle: Duration::from_secs(30),
-        }
-    }
-}
 
 /// One fault of a case. It is cured by orders that were given after it was known.
 #[derive(Clone, Debug)]

@@ -2,7 +2,9 @@
 
 use crate::ROBOT;
 use crate::world::{CALM, Frames, MS, STORM, Weather, World, for_seeds};
+use blastema_core::net::link::LinkState;
 use blastema_core::{Incarnation, Instant};
+use bytes::Bytes;
 use std::time::Duration;
 
 /// Every node reaches every other in its present life, and has a session with that.
@@ -115,6 +117,72 @@ fn what_a_life_that_is_over_has_said_changes_nothing_whichever_number_is_greater
             assert_eq!(world.delivered.len(), delivered + 2);
         });
     }
+}
+
+/// A network that talks, and all that was on its wires for ten seconds.
+fn recorded(seed: u64) -> (World, Vec<(usize, usize, Bytes)>) {
+    let mut world = World::new(seed, 3, &ROBOT, CALM);
+    world.run(1000 * MS);
+    for _ in 0..500 {
+        world.send(0, 1, 100);
+        world.send(2, 1, 100);
+        world.run(20 * MS);
+    }
+    let before = world.now;
+    // Each frame is on its way for a tenth of a millisecond at least.
+    let said = watch(&mut world, Duration::from_secs(10)).into_values().collect();
+    assert!(world.now > before && is_whole(&world));
+    (world, said)
+}
+
+/// Runs for a millisecond, in which some of these arrive again: in turn, or any.
+fn repeat(world: &mut World, said: &[(usize, usize, Bytes)], in_turn: bool) {
+    for _ in 0..3 {
+        world.count += 1;
+        let one = match in_turn {
+            true => world.count % said.len() as u64,
+            false => world.random.below(said.len() as u64),
+        };
+        let key = (world.now, (1 << 60) + world.count);
+        world.frames.insert(key, said[one as usize].clone());
+    }
+    world.run(MS);
+}
+
+#[test]
+fn what_was_said_before_takes_no_link_down() {
+    for_seeds(260..262, |seed| {
+        for in_turn in [true, false] {
+            let (mut world, said) = recorded(seed);
+            for _ in 0..2_000 {
+                repeat(&mut world, &said, in_turn);
+                assert!(is_whole(&world), "{:?}", world.now);
+                let mut links = world.nodes.iter().flatten().flat_map(|node| &node.links);
+                assert!(links.all(|(_, _, link)| link.state() == LinkState::Up));
+            }
+        }
+    });
+}
+
+#[test]
+fn a_node_that_begins_anew_while_its_past_is_repeated_is_back_within_a_second() {
+    for_seeds(262..264, |seed| {
+        for (in_turn, life) in [(true, 1), (false, 1), (true, 900), (false, 900)] {
+            let (mut world, said) = recorded(seed);
+            world.kill(1);
+            for _ in 0..200 {
+                repeat(&mut world, &said, in_turn);
+            }
+            world.lives[1] = life;
+            world.start(1);
+            let began = world.now;
+            while !is_whole(&world) {
+                repeat(&mut world, &said, in_turn);
+                let took = world.now - began;
+                assert!(took < Duration::from_secs(1), "{took:?}, {in_turn} {life}");
+            }
+        }
+    });
 }
 
 #[test]

@@ -239,7 +239,7 @@ impl World {
                 busy = true;
                 let (link, router) = (&node.links[index].2, &mut node.router);
                 match output {
-                    LinkOutput::Transmit(frame) => self.throw(wire, side, &frame),
+                    LinkOutput::Transmit(frame) => self.throw(wire, side, &frame.into_bytes()),
                     LinkOutput::Changed { .. } | LinkOutput::Quality(_) => {
                         let Some(neighbour) = link.neighbour().cloned() else { continue };
                         let health = match link.state() {

@@ -156,6 +156,11 @@ fn the_map_shows_every_package() {
     holds(pages::map, "add the row `folder/` | `package` | what it holds to the README's map");
 }
 
+#[test]
+fn pages_are_wrapped() {
+    holds(pages::width, "wrap the paragraph at 120 columns");
+}
+
 mod a_rule_can_fail {
     use super::*;
 
@@ -172,6 +177,12 @@ mod a_rule_can_fail {
     }
 
     const CORE: &str = "[package]\nname = \"blastema-core\"\n[dependencies]\n";
+
+    #[test]
+    fn when_a_line_of_a_page_is_too_wide() {
+        let wide = format!("| {0} |\n{0}\n{0}ä\n", "ä".repeat(120));
+        check(pages::width, &[("docs/page.md", &wide)], &[("docs/page.md", 3)]);
+    }
 
     #[test]
     fn when_an_arrow_points_up() {

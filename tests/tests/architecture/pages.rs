@@ -65,6 +65,21 @@ pub(crate) fn map(tree: &Tree) -> Vec<Breach> {
 }
 
 /// The lines below a heading, up to the next one of its rank.
+/// A page is read in a terminal beside the code. A row of a table cannot be broken.
+const WIDTH: usize = 120;
+
+/// No line of a page is wider than that, but for tables.
+pub(crate) fn width(tree: &Tree) -> Vec<Breach> {
+    let pages = tree.files.iter().filter(|(path, _)| path.ends_with(".md"));
+    let lines = pages.flat_map(|(path, text)| text.lines().zip(1..).map(move |line| (path, line)));
+    lines
+        .filter(|(_, (line, _))| {
+            !line.trim_start().starts_with('|') && line.chars().count() > WIDTH
+        })
+        .map(|(path, (_, number))| Breach::new(path, number, "wider than 120 columns".to_owned()))
+        .collect()
+}
+
 fn section<'a>(tree: &'a Tree, heading: &'a str) -> impl Iterator<Item = &'a str> {
     let text = tree.files.get("README.md").map_or("", String::as_str);
     text.lines()

@@ -29,4 +29,5 @@ mod silence;
 mod strategies;
 mod throwers;
 mod tree;
+mod two_types;
 mod variables;

@@ -19,7 +19,9 @@ pub const PREAMBLE: usize = 8;
 /// How long the length before each frame is, in bytes.
 pub const HEADER: usize = 4;
 /// Memory is taken in pieces of this size, and shared by the frames in it.
-pub(super) const CHUNK: usize = 64 * 1024;
+const CHUNK: usize = 64 * 1024;
+/// From this size on a frame is not copied out of what was read, in bytes.
+const LARGE: usize = CHUNK / 4;
 
 const MAGIC: [u8; 4] = *b"BLST";
 const VERSION: u8 = 1;
@@ -140,6 +142,18 @@ pub fn decode(buffer: &mut BytesMut, limit: usize) -> Result<Option<Bytes>, Fram
     Ok(Some(part_frame(buffer, length, CHUNK)))
 }
 
+/// How many bytes should be read next, into a buffer without a whole frame in it.
+///
+/// A large frame is read to its end, and with it the header of the next, so that each lies in memory of its
+/// own and nothing of it is moved.
+pub(super) fn room(buffer: &BytesMut, limit: usize) -> usize {
+    let length = buffer.first_chunk::<HEADER>().map_or(0, |header| u32::from_be_bytes(*header));
+    match usize::try_from(length).unwrap_or(usize::MAX) {
+        length @ LARGE.. if length <= limit => 2 * HEADER + length - buffer.len(),
+        _ => CHUNK.min(2 * HEADER + limit),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -170,6 +184,30 @@ mod tests {
         for piece in [1, 3, 4, 5, 1000, 16_384, bytes.len()] {
             assert_eq!(decode_in_pieces(&bytes, piece, 65_536), frames, "in pieces of {piece}");
         }
+    }
+
+    #[test]
+    fn a_large_frame_is_read_in_one_go_with_the_header_of_the_next_and_small_ones_together() {
+        let reads = |length: usize| {
+            let frames = vec![Bytes::from(vec![7; length]); 50];
+            let (bytes, mut buffer, mut came) = (stream(&frames), BytesMut::new(), 0);
+            let (mut rest, mut reads) = (&bytes[..], 0);
+            while !rest.is_empty() {
+                let (read, later) = rest.split_at(room(&buffer, 65_535).min(rest.len()));
+                buffer.extend_from_slice(read);
+                (rest, reads) = (later, reads + 1);
+                while let Some(frame) = decode(&mut buffer, 65_535).unwrap() {
+                    assert_eq!(frame, frames[0]);
+                    came += 1;
+                }
+                assert!(length < LARGE || buffer.len() == HEADER || reads == 1 || rest.is_empty());
+            }
+            assert_eq!(came, 50);
+            reads
+        };
+
+        assert_eq!(reads(65_535), 50 + 1, "the first in two, for nobody knew how large it is");
+        assert_eq!(reads(100), 1);
     }
 
     #[test]

@@ -21,6 +21,7 @@ use crate::outlet::Outlet;
 use crate::reopening::Reopening;
 use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use bytes::BytesMut;
+use bytes::buf::Limit;
 use std::collections::VecDeque;
 use std::fmt::Debug;
 use std::future::Future;
@@ -42,7 +43,8 @@ pub(crate) type Underway<T> = Pin<Box<dyn Future<Output = io::Result<T>>>>;
 
 /// A connection, as tokio's streams are.
 pub(crate) trait ByteStream: 'static {
-    fn try_read_buf(&self, buffer: &mut BytesMut) -> io::Result<usize>;
+    /// Reads so many bytes at most.
+    fn try_read_buf(&self, buffer: &mut Limit<&mut BytesMut>) -> io::Result<usize>;
     fn try_write_vectored(&self, slices: &[IoSlice<'_>]) -> io::Result<usize>;
     fn poll_read_ready(&self, task: &mut task::Context<'_>) -> Poll<io::Result<()>>;
     fn poll_write_ready(&self, task: &mut task::Context<'_>) -> Poll<io::Result<()>>;
@@ -51,7 +53,10 @@ pub(crate) trait ByteStream: 'static {
 macro_rules! byte_stream {
     ($stream:ty) => {
         impl crate::stream::ByteStream for $stream {
-            fn try_read_buf(&self, buffer: &mut bytes::BytesMut) -> std::io::Result<usize> {
+            fn try_read_buf(
+                &self,
+                buffer: &mut bytes::buf::Limit<&mut bytes::BytesMut>,
+            ) -> std::io::Result<usize> {
                 <$stream>::try_read_buf(self, buffer)
             }
 

@@ -3,20 +3,22 @@
 use super::ByteStream;
 use super::framing::{HEADER, encode_header};
 use blastema_contract::transport::Lane;
-use bytes::Bytes;
+use blastema_core::Parcel;
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
 use std::task::{self, Poll};
 
 /// So many frames go into one system call.
 const AT_ONCE: usize = 32;
+/// A frame's length, and its two pieces.
+const SLICES: usize = 3;
 /// What a frame costs beside its bytes, so that empty frames have a bound too.
 const OVERHEAD: usize = 64;
 
 /// A bounded queue of frames before one peer, the urgent before the usual.
 #[derive(Default)]
 pub(super) struct Outgoing {
-    frames: VecDeque<(Lane, Bytes)>,
+    frames: VecDeque<(Lane, Parcel)>,
     /// What the frames of each lane cost together, in the order in which they go.
     costs: [usize; 3],
     /// How much of the first frame, with its header, is written already.
@@ -25,7 +27,7 @@ pub(super) struct Outgoing {
 
 impl Outgoing {
     /// Takes a frame, unless those of its lane would cost more than `limit` bytes together.
-    pub(super) fn push(&mut self, lane: Lane, frame: Bytes, limit: usize) -> bool {
+    pub(super) fn push(&mut self, lane: Lane, frame: Parcel, limit: usize) -> bool {
         let cost = &mut self.costs[lane as usize];
         let more = *cost + frame.len() + OVERHEAD;
         if more > limit {
@@ -86,14 +88,14 @@ impl Outgoing {
         for (header, (_, frame)) in headers.iter_mut().zip(&self.frames) {
             *header = encode_header(frame.len());
         }
-        let mut slices = [IoSlice::new(&[]); 2 * AT_ONCE];
-        for (pair, (header, (_, frame))) in
-            slices.chunks_exact_mut(2).zip(headers.iter().zip(&self.frames))
+        let mut slices = [IoSlice::new(&[]); SLICES * AT_ONCE];
+        for (own, (header, (_, frame))) in
+            slices.chunks_exact_mut(SLICES).zip(headers.iter().zip(&self.frames))
         {
-            pair[0] = IoSlice::new(header);
-            pair[1] = IoSlice::new(frame);
+            let [head, body] = frame.pieces();
+            own.copy_from_slice(&[header, head, body].map(IoSlice::new));
         }
-        let mut slices = &mut slices[..2 * self.frames.len().min(AT_ONCE)];
+        let mut slices = &mut slices[..SLICES * self.frames.len().min(AT_ONCE)];
         IoSlice::advance_slices(&mut slices, self.written);
         match stream.try_write_vectored(slices)? {
             0 => Err(io::ErrorKind::WriteZero.into()),
@@ -139,10 +141,13 @@ mod tests {
         let mut outgoing = Outgoing::default();
 
         let taken =
-            (0..10_000).filter(|_| outgoing.push(Lane::Usual, Bytes::new(), 64 * 100)).count();
+            (0..10_000).filter(|_| outgoing.push(Lane::Usual, Parcel::default(), 64 * 100)).count();
 
         assert_eq!(taken, 100);
-        assert!(outgoing.push(Lane::Urgent, Bytes::new(), 64), "the urgent has a place of its own");
+        assert!(
+            outgoing.push(Lane::Urgent, Parcel::default(), 64),
+            "the urgent has a place of its own"
+        );
         assert_eq!(outgoing.clear(), 101);
     }
 
@@ -161,7 +166,7 @@ mod tests {
         }
         push(&mut outgoing, Lane::Hello, "h");
 
-        let order: Vec<_> = outgoing.frames.iter().map(|(_, frame)| &frame[..]).collect();
+        let order: Vec<_> = outgoing.frames.iter().map(|(_, frame)| frame.pieces()[0]).collect();
         assert_eq!(order, [b"a", b"h", b"x", b"y", b"b"]);
     }
 }

@@ -1,12 +1,12 @@
 //! One peer, and how the connection with it stands.
 
-use super::framing::{CHUNK, decode};
+use super::framing::{decode, room};
 use super::outgoing::Outgoing;
 use super::{ByteStream, Family, Underway};
 use crate::medium::Budget;
 use crate::outlet::Outlet;
 use blastema_core::recovery::Backoff;
-use bytes::BytesMut;
+use bytes::{BufMut, BytesMut};
 use std::future::Future;
 use std::io;
 use std::pin::Pin;
@@ -146,8 +146,9 @@ impl<F: Family> Peer<F> {
                 outlet.deliver(self.address.clone().into(), frame);
                 continue;
             }
-            buffer.reserve(CHUNK);
-            match stream.try_read_buf(buffer) {
+            let room = room(buffer, limit);
+            buffer.reserve(room);
+            match stream.try_read_buf(&mut buffer.limit(room)) {
                 Ok(0) => return Err(Broken::Lost),
                 Ok(_) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {

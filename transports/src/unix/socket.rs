@@ -17,7 +17,7 @@ use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions, Permissions, TryLockError};
 use std::io;
 use std::os::unix::ffi::{OsStrExt, OsStringExt};
-use std::os::unix::fs::{FileTypeExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -30,6 +30,8 @@ use tokio::time::timeout;
 pub struct PathListener {
     pub(super) socket: UnixListener,
     path: Arc<Path>,
+    /// Which file it is: device and number.
+    file: (u64, u64),
     /// Held for as long as we listen; the system gives it back when we die.
     _lock: File,
 }
@@ -53,9 +55,11 @@ impl PathListener {
         // Nobody can connect before it listens, and so nobody does who may not.
         let opened = fs::set_permissions(path, Permissions::from_mode(mode))
             .and_then(|()| socket.listen(BACKLOG))
-            .and_then(|()| UnixListener::from_std(socket.into()));
+            .and_then(|()| Ok((UnixListener::from_std(socket.into())?, file_at(path)?)));
         match opened {
-            Ok(socket) => Ok(PathListener { socket, path: path.clone(), _lock: lock }),
+            Ok((socket, file)) => {
+                Ok(PathListener { socket, path: path.clone(), file, _lock: lock })
+            }
             Err(error) => {
                 // What is left would look like a dead process's.
                 let _ = fs::remove_file(path);
@@ -73,13 +77,25 @@ impl PathListener {
     pub async fn accept(&self) -> io::Result<UnixStream> {
         self.socket.accept().await.map(|(stream, _)| stream)
     }
+
+    /// Whether its file is still there, so that somebody can connect: the system says nothing when one is
+    /// removed.
+    pub fn stands(&self) -> bool {
+        file_at(&self.path).is_ok_and(|file| file == self.file)
+    }
 }
 
 impl Drop for PathListener {
     fn drop(&mut self) {
-        // The folder may be gone already, and the file with it.
-        let _ = fs::remove_file(&self.path);
+        // The folder may be gone already, and the file with it, or be another's by now.
+        if self.stands() {
+            let _ = fs::remove_file(&self.path);
+        }
     }
+}
+
+fn file_at(path: &Path) -> io::Result<(u64, u64)> {
+    fs::symlink_metadata(path).map(|file| (file.dev(), file.ino()))
 }
 
 /// Takes the lock beside the socket. Its file stays behind: who removes it may take it from under
@@ -121,11 +137,18 @@ fn clear(path: &Path, address: &SockAddr) -> io::Result<()> {
 /// What a person may do about a socket that does not open.
 pub fn explain(path: &Path, error: &io::Error) -> String {
     let advice = match error.kind() {
-        io::ErrorKind::AddrInUse => "another process listens there: end it, or choose another path",
+        io::ErrorKind::AddrInUse => {
+            "another node, or another process listens there: end it, or choose another path"
+        }
+        io::ErrorKind::AlreadyExists if path.is_dir() => {
+            "there is a folder: choose the path of a file in it"
+        }
         io::ErrorKind::AlreadyExists => {
             "there is a file that is no socket: remove it, or choose another path"
         }
         io::ErrorKind::NotFound => "its folder does not exist: create it",
+        io::ErrorKind::NotADirectory => "what should be its folder is none: choose another path",
+        io::ErrorKind::ReadOnlyFilesystem => "nothing can be written there: choose another path",
         io::ErrorKind::PermissionDenied => {
             "the system forbids it: let this user write to the folder, or choose another"
         }

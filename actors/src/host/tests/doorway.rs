@@ -3,6 +3,7 @@
 use super::{Add, Boom, Note, Stage, acc, boom, logged, order};
 use crate::registry::{Asked, Postmark, RemoteDoor, RemoteDoors, ReplyTo};
 use crate::{DeadReason, Incarnation, ObjectName, Request, SpecError, WhenFull, Why};
+use blastema_core::Parcel;
 use blastema_core::{Contract, ContractIdentity, MessageId, NodeName, ObjectAddress, codec};
 use blastema_doubles::{paused, settle};
 use bytes::Bytes;
@@ -180,9 +181,9 @@ impl RemoteDoors for Mirror {
     }
 }
 impl RemoteDoor for MirrorDoor {
-    fn send(&self, message: Bytes, asked: Option<Asked>) -> Result<(), Why> {
+    fn send(&self, message: Parcel, asked: Option<Asked>) -> Result<(), Why> {
         let id = asked.as_ref().and_then(|asked| asked.id);
-        self.0.deliver(&message, postmark(id), asked.map(|asked| asked.reply_to))
+        self.0.deliver(&message.into_bytes(), postmark(id), asked.map(|asked| asked.reply_to))
     }
     fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         Box::pin(std::future::ready(()))

@@ -227,7 +227,7 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         publish(&stage, "other", 5);
         settle().await;
         let bytes = shipped.lock().unwrap().pop().unwrap();
-        topics.inject(&key, 0, &bytes, Duration::ZERO).unwrap();
+        topics.inject(&key, 0, &bytes.into_bytes(), Duration::ZERO).unwrap();
         settle().await;
         assert_eq!(logged(&log), [5, 5]);
         assert!(shipped.lock().unwrap().is_empty(), "what came in is not sent out again");

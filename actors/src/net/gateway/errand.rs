@@ -7,7 +7,7 @@ use blastema_contract::Confirmed;
 use blastema_contract::session::Credit;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::Epoch;
-use blastema_core::{ContractIdentity, Instant, MessageId, ObjectAddress, Why};
+use blastema_core::{ContractIdentity, Instant, MessageId, ObjectAddress, Parcel, Why};
 use bytes::Bytes;
 use tokio::sync::oneshot;
 
@@ -22,7 +22,7 @@ pub(in crate::net) struct Ship {
     pub(in crate::net) sent: Instant,
     /// When its answer is no use any more.
     pub(in crate::net) until: Option<Instant>,
-    pub(in crate::net) payload: Bytes,
+    pub(in crate::net) payload: Parcel,
     pub(in crate::net) reply_to: Option<ReplyTo>,
     pub(in crate::net) credit: Credit,
 }
@@ -43,7 +43,7 @@ pub(super) struct Answered {
 pub(super) struct Published {
     pub(super) peer: NodeId,
     pub(super) subscription: u32,
-    pub(super) event: Bytes,
+    pub(super) event: Parcel,
     pub(super) sent: Instant,
     pub(super) credit: Credit,
 }

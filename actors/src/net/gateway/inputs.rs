@@ -12,7 +12,7 @@ use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::{BeginAnew, Leave, PeerSeen, SessionReported};
 use blastema_contract::strategy::IsolateNode;
 use blastema_core::net::NodeId;
-use blastema_core::net::exchange::Call;
+use blastema_core::net::exchange::{Call, Sent};
 use blastema_core::net::isolation::Decision;
 use blastema_core::recovery::{Done, Failed};
 use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
@@ -25,8 +25,8 @@ impl Handler<SessionReported> for Gateway {
         match message {
             SessionReported::Reachable { node, incarnation } => {
                 let (peer, gate) = self.meet(&node);
-                self.exchange.handle_reachable(peer, true);
-                gate.set_path(true);
+                self.exchange.handle_reachable(peer);
+                gate.path_found();
                 self.peers
                     .entry(peer)
                     .and_modify(|peer| peer.left &= peer.incarnation == incarnation);
@@ -36,8 +36,8 @@ impl Handler<SessionReported> for Gateway {
             }
             SessionReported::Unreachable { node } => {
                 let (peer, gate) = self.meet(&node);
-                self.exchange.handle_reachable(peer, false);
-                gate.set_path(false);
+                self.exchange.handle_unreachable(peer);
+                gate.path_lost();
                 if !gate.has_session() {
                     self.set(peer, Condition::Unreachable);
                 }
@@ -56,6 +56,7 @@ impl Handler<SessionReported> for Gateway {
             }
             SessionReported::Returned { peer, message, why, sent } => {
                 let why = self.because(peer, why);
+                let sent = if sent { Sent::Perhaps } else { Sent::Nothing };
                 self.exchange.handle_returned(peer, message, why, sent);
             }
             SessionReported::Ended { peer, why } => self.session_ended(peer, why),

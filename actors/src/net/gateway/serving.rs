@@ -161,7 +161,7 @@ impl Gateway {
         match self.queues.room.handle_full(peer, &object, binding, (held, bytes)) {
             Admission::First => {
                 debug!(%peer, %object, "full: the peer is told to stop");
-                self.exchange.handle_room(peer, binding, false);
+                self.exchange.handle_full(peer, binding);
                 self.watch(peer, object, room, context);
             }
             Admission::Behind => {}
@@ -208,7 +208,7 @@ impl Gateway {
             }
             if let Some(binding) = self.queues.room.handle_taken(peer, &object) {
                 self.queues.watches.remove(&(peer, object));
-                self.exchange.handle_room(peer, binding, true);
+                self.exchange.handle_room(peer, binding);
                 return;
             }
         }
@@ -229,11 +229,13 @@ impl Gateway {
         self.offends(peer, "it breaks a contract that it has agreed to");
     }
 
-    /// Whoever goes on for seconds although it was told to stop is named.
+    /// Whoever goes on for seconds although it was told to stop is named, until it was quiet.
     pub(super) fn look_at_refusals(&mut self) {
+        let now = platform::now();
         let looks: Vec<_> = self.queues.room.refusals().collect();
         for (peer, refusals) in looks {
-            let Some(since) = self.queues.complaints.handle_look(peer, refusals) else { continue };
+            let told = self.queues.complaints.handle_look(peer, refusals, now);
+            let Some(since) = told else { continue };
             let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
             let lost = since.too_large;
             let detail = format!(
@@ -242,7 +244,10 @@ impl Gateway {
             );
             warn!("{detail}");
             self.offends(peer, "it did not stop sending to what has no room");
-            self.declare(FaultKind::CheckFailed, detail);
+            self.wiring.faults.declare(FaultKind::CheckFailed, detail);
+        }
+        if self.queues.complaints.take_over(now) {
+            self.wiring.faults.mend(FaultKind::CheckFailed);
         }
     }
 }

@@ -26,12 +26,13 @@ async fn under_fire(
     let source = NodeId::of(&NodeName::new(source).unwrap());
     let words: Vec<Bytes> = words.iter().map(Segment::encode).collect();
     let sender = friend.sender::<Add>("left:acc");
+    let before = sender.ask_within(Add(0), 100 * MS).await.unwrap();
     for n in 1..=50 {
         for segment in words.iter().cycle().take(20) {
             let segment = segment.clone();
             victim.net.sessions.do_send(SegmentArrived { source, segment, direct });
         }
-        assert_eq!(sender.ask_within(Add(1), 100 * MS).await.unwrap(), n);
+        assert_eq!(sender.ask_within(Add(1), 100 * MS).await.unwrap(), before + n);
         advance(100 * MS).await;
     }
     victim.declared.drain()
@@ -78,6 +79,41 @@ fn forged_and_replayed_sessions_are_refused_counted_and_named_and_the_forged_one
         assert_eq!(lost, 0);
         // It came by way of others: who has made it up, nobody can tell.
         assert_eq!(offences(&left), Vec::<String>::new());
+    });
+}
+
+/// A minute without it, and a second until it is looked at.
+const QUIET: Duration = Duration::from_secs(62);
+
+/// What is declared of this object has an end by itself, and is told again when `again` repeats it.
+async fn ends_and_is_told_again(victim: &Module, object: &str, again: impl AsyncFn()) {
+    advance(QUIET - 10_000 * MS).await;
+    victim.declared.drain();
+    assert_eq!(victim.mended.drain(), [], "it may not be over yet");
+    advance(10_000 * MS).await;
+    let mended = victim.mended.drain();
+    let over = |fault: &FaultMended| (fault.object.to_string(), fault.kind.clone());
+    assert_eq!(
+        mended.iter().map(over).collect::<Vec<_>>(),
+        [(object.into(), FaultKind::CheckFailed)]
+    );
+    advance(QUIET).await;
+    assert_eq!((victim.declared.drain(), victim.mended.drain()), (vec![], vec![]));
+
+    again().await;
+}
+
+#[test]
+fn that_a_session_must_be_refused_ends_by_itself_and_is_told_again() {
+    paused(async {
+        let (_robot, [left, _right, middle]) = three().await;
+        let words = stale(99);
+        let fire = async || {
+            let declared = under_fire((&left, &middle), ("right", false), &words).await;
+            assert_eq!(declared.len(), 1, "{declared:?}");
+        };
+        fire().await;
+        ends_and_is_told_again(&left, "net/sessions", fire).await;
     });
 }
 
@@ -167,7 +203,7 @@ async fn garbage(sender: &Addr<Memory>, seconds: &[usize]) {
     for count in seconds {
         for _ in 0..*count {
             let frame = Bytes::from_static(b"\xffgarbage");
-            sender.do_send(blastema_contract::transport::Transmit::new(to.clone(), frame));
+            sender.do_send(blastema_contract::transport::Transmit::new(to.clone(), frame.into()));
         }
         advance(1000 * MS).await;
     }
@@ -191,6 +227,12 @@ fn lasting_garbage_from_a_neighbours_address_is_a_fault_of_the_links_and_passing
         assert_eq!(declared[0].object.as_str(), "net/links/a");
         let detail = &declared[0].detail;
         assert!(detail.contains("a/right") && detail.contains("100 foreign"), "{detail}");
+
+        ends_and_is_told_again(&left, "net/links/a", async || {
+            garbage(&sender, &[100, 100, 100, 100]).await;
+            assert_eq!(left.declared.drain().len(), 1);
+        })
+        .await;
     });
 }
 

@@ -298,7 +298,8 @@ fn blurt(left: &Module, count: usize) {
     let mut payload = Vec::new();
     codec::encode(&Job(7), &mut payload).unwrap();
     let payload = Bytes::from(payload);
-    let message = Message::Tell { binding: 1, stamp_us: 0, id: None, payload }.encode();
+    let message =
+        Message::Tell { binding: 1, stamp_us: 0, id: None, payload: payload.into() }.encode();
     let peer = NodeId::of(&NodeName::new("right").unwrap());
     for _ in 0..count {
         let (stream, message) = (Stream::Data, message.clone());

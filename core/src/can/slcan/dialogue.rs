@@ -63,7 +63,7 @@ pub struct Dialogue {
     /// When it is asked next how the bus is, while it answers.
     question: Option<Instant>,
     unanswered: u8,
-    trouble: Trouble,
+    alarm: Alarm,
     /// When all that was sent will be on the bus.
     free: Instant,
     refused: u64,
@@ -92,8 +92,8 @@ enum Step {
 
 /// What the adapter says of its bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Trouble {
-    None,
+enum Alarm {
+    Quiet,
     /// It is to be told.
     New,
     Told,
@@ -108,7 +108,7 @@ impl Dialogue {
             state: State::Saying(Step::Close),
             question: Some(Instant::ORIGIN),
             unanswered: 0,
-            trouble: Trouble::None,
+            alarm: Alarm::Quiet,
             free: Instant::ORIGIN,
             refused: 0,
         }
@@ -116,9 +116,9 @@ impl Dialogue {
 
     /// Whether the adapter has found that nobody confirms its frames any more; it is told once.
     pub fn poll_trouble(&mut self) -> bool {
-        let is_new = self.trouble == Trouble::New;
+        let is_new = self.alarm == Alarm::New;
         if is_new {
-            self.trouble = Trouble::Told;
+            self.alarm = Alarm::Told;
         }
         is_new
     }
@@ -174,9 +174,9 @@ impl Dialogue {
         let Ok(flags) = u8::from_str_radix(flags, 16) else { return };
         self.unanswered = 0;
         let silent = flags & ERROR_PASSIVE != 0 && flags & BUS_ERROR != 0;
-        self.trouble = match (silent, self.trouble) {
-            (false, _) => Trouble::None,
-            (true, Trouble::None) => Trouble::New,
+        self.alarm = match (silent, self.alarm) {
+            (false, _) => Alarm::Quiet,
+            (true, Alarm::Quiet) => Alarm::New,
             (true, known) => known,
         };
     }

@@ -191,6 +191,21 @@ fn everything_on_the_list_is_found_under_its_kind() {
 }
 
 #[test]
+fn a_fault_that_is_found_again_is_told_in_its_newest_words() {
+    let mut bench = Bench::new();
+    let down = |reason: &str| Finding::Link(LinkCondition::Down { reason: reason.into() });
+
+    bench.see("-eth-n", ONE, down("the adapter does not answer"));
+    bench.see("-eth-n", ONE, down("node a has the address"));
+
+    assert_eq!(bench.said(), ["Found 1", "Repeated 1", "+1"]);
+    assert_eq!(
+        (bench.fault(1).detail.as_str(), bench.fault(1).count),
+        ("node a has the address", 2)
+    );
+}
+
+#[test]
 fn what_is_no_fault_is_not_recorded() {
     let harmless = [
         ("arm", exited(Exit::Stopped)),
@@ -283,17 +298,6 @@ fn the_same_fault_again_is_counted_and_told_at_powers_of_two() {
 
     assert_eq!(bench.fault(1).count, 9);
     assert_eq!(bench.said(), ["Found 1", "Repeated 1", "Repeated 1", "Repeated 1", "+1"]);
-}
-
-#[test]
-fn a_fault_that_is_seen_again_stands_as_it_is_now() {
-    let mut bench = Bench::new();
-    for detail in ["two go without", "three go without", "one goes without"] {
-        let detail = detail.to_owned();
-        bench.see("arm", ONE, Finding::Declared { kind: FaultKind::NameTaken, detail });
-    }
-
-    assert_eq!((bench.fault(1).count, &*bench.fault(1).detail), (3, "one goes without"));
 }
 
 #[test]

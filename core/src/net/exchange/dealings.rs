@@ -1,18 +1,15 @@
 //! What is going on with one peer, as long as its session lasts.
 
+use super::hall::Hall;
 use super::vocabulary::{Call, Epoch, ExchangeOutput};
+use crate::Parcel;
 use crate::net::age::Ages;
 use crate::net::message::{Message, TICK_US};
 use crate::net::node_id::NodeId;
 use crate::net::segment::Stream;
 use crate::{ContractIdentity, Delivery, Incarnation, Instant, MessageId, ObjectName};
-use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
-
-/// The messages that should wait for one binding at most: one round trip's worth of a fast sender.
-/// Beyond, senders are told to stop.
-pub(super) const WAITING: usize = 1024;
 
 /// A binding: the object, the contract's name and fingerprint.
 pub(super) type Bound = (ObjectName, &'static str, u64);
@@ -41,6 +38,8 @@ pub(super) struct Session {
     pub(super) redundant_calls: BTreeSet<u64>,
     /// The peer's objects that have no room, and by which of our bindings it has said so.
     pub(super) full: BTreeMap<ObjectName, BTreeSet<u32>>,
+    /// How much waits for bindings.
+    pub(super) hall: Hall,
 }
 
 #[derive(Debug)]
@@ -55,7 +54,7 @@ pub(super) struct Binding {
 pub(super) struct Waiting {
     pub(super) id: Option<MessageId>,
     pub(super) sent: Instant,
-    pub(super) payload: Bytes,
+    pub(super) payload: Parcel,
     pub(super) pending: Option<Pending>,
 }
 
@@ -84,18 +83,23 @@ impl Session {
             redundant: BTreeSet::new(),
             redundant_calls: BTreeSet::new(),
             full: BTreeMap::new(),
+            hall: Hall::default(),
         }
     }
 
-    /// The peer says whether an object has room. Answers whether that is news, and of which object;
-    /// `None` if nothing was bound or said that this could be about.
-    pub(super) fn room(&mut self, binding: u32, room: bool) -> Option<(ObjectName, bool)> {
+    /// The peer says that an object has no room. Answers whether that is news, and of which object; `None`
+    /// if nothing was bound that this could be about.
+    pub(super) fn no_room(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
         let (object, ..) = self.numbers.get(&binding)?;
-        if !room {
-            let full = self.full.entry(object.clone()).or_default();
-            let news = full.is_empty();
-            return full.insert(binding).then(|| (object.clone(), news));
-        }
+        let full = self.full.entry(object.clone()).or_default();
+        let news = full.is_empty();
+        full.insert(binding).then(|| (object.clone(), news))
+    }
+
+    /// The peer says that an object has room again. Answers likewise; `None` also if the contrary was not
+    /// said.
+    pub(super) fn room_again(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
+        let (object, ..) = self.numbers.get(&binding)?;
         let full = self.full.get_mut(object)?;
         if !full.remove(&binding) {
             return None;
@@ -139,6 +143,12 @@ impl Session {
         carry(peer, (binding << 1) | 1, delivery, &message)
     }
 
+    /// These wait no longer. Answers whether senders that were told to stop may go on.
+    pub(super) fn let_out(&mut self, waiting: &[Waiting]) -> bool {
+        let bytes = waiting.iter().map(|waiting| waiting.payload.len()).sum();
+        self.hall.leave(waiting.len(), bytes)
+    }
+
     /// The peer has agreed: what waited goes out. `None` if nothing was asked.
     pub(super) fn bound(
         &mut self,
@@ -149,7 +159,7 @@ impl Session {
         let key = self.numbers.get(&number)?;
         let binding = self.bindings.get_mut(key)?;
         let (waiting, delivery) = (binding.waiting.take()?, binding.contract.delivery);
-        let room = (waiting.len() > WAITING).then_some(ExchangeOutput::Room { peer });
+        let room = self.let_out(&waiting).then_some(ExchangeOutput::Room { peer });
         let sent = waiting
             .into_iter()
             .map(|waiting| self.send(peer, (number, delivery), waiting, next_call));

@@ -1,6 +1,6 @@
 //! What an exchange does with what a peer says.
 
-use super::dealings::{Binding, Pending, WAITING, Waiting};
+use super::dealings::{Binding, Pending, Waiting};
 use super::requests::Admission;
 use super::{
     BINDINGS_MAX, CALLS_MAX, Epoch, Exchange, ExchangeOutput, Interest, TopicContract, control,
@@ -62,7 +62,7 @@ impl Exchange {
                             id,
                             age,
                             until,
-                            payload,
+                            payload: payload.into_bytes(),
                         });
                     }
                     Some(Admission::Wait) => {}
@@ -83,7 +83,7 @@ impl Exchange {
                     id,
                     age,
                     until,
-                    payload,
+                    payload: payload.into_bytes(),
                 });
             }
             Message::Reply { call, result } => match session.calls.remove(&call) {
@@ -105,9 +105,10 @@ impl Exchange {
             }
             Message::Event { subscription, stamp_us, payload } => {
                 let age = session.age(stamp_us, now);
-                self.handle_peers_event(subscription, age, payload);
+                self.handle_peers_event(subscription, age, payload.into_bytes());
             }
             Message::Notice { number, payload } => {
+                let payload = payload.into_bytes();
                 self.outputs.push_back(ExchangeOutput::Notice { peer, epoch, number, payload });
             }
             Message::Confirmed { number } => {
@@ -121,14 +122,14 @@ impl Exchange {
                 self.outputs.push_back(ExchangeOutput::Names { peer, announcement });
             }
             Message::Bye => self.outputs.push_back(ExchangeOutput::Bye { peer }),
-            Message::Full { binding } => match session.room(binding, false) {
+            Message::Full { binding } => match session.no_room(binding) {
                 Some((object, true)) => {
                     self.outputs.push_back(ExchangeOutput::ObjectFull { peer, object });
                 }
                 Some((_, false)) => {}
                 None => self.refusals.unexpected += 1,
             },
-            Message::Room { binding } => match session.room(binding, true) {
+            Message::Room { binding } => match session.room_again(binding) {
                 Some((object, true)) => {
                     self.outputs.push_back(ExchangeOutput::ObjectRoom { peer, object });
                 }
@@ -215,7 +216,7 @@ impl Exchange {
             self.outputs.push_back(ExchangeOutput::Differs { peer, difference });
         }
         let waiting = waiting.unwrap_or_default();
-        if waiting.len() > WAITING {
+        if session.let_out(&waiting) {
             self.outputs.push_back(ExchangeOutput::Room { peer });
         }
         for Waiting { pending, .. } in waiting {

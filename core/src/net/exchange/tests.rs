@@ -70,7 +70,7 @@ impl Pair {
         let mut pair = Pair::new();
         for end in 0..2 {
             let peer = pair.ids[1 - end];
-            pair.ends[end].handle_reachable(peer, true);
+            pair.ends[end].handle_reachable(peer);
             pair.ends[end].handle_opened(peer, Incarnation(1), at(0));
         }
         pair.run();
@@ -115,7 +115,7 @@ impl Pair {
             id: None,
             sent: at(self.now),
             until: None,
-            payload: payload(),
+            payload: payload().into(),
             reply_as,
         };
         self.ends[0].handle_call(call);
@@ -226,7 +226,7 @@ fn without_a_session_a_call_is_refused_with_the_reason() {
     let resolved = |why| ExchangeOutput::Resolve { reply_as: 10, result: Err(why) };
     assert_eq!(pair.take(0), [resolved(why)]);
 
-    pair.ends[0].handle_reachable(pair.ids[1], true);
+    pair.ends[0].handle_reachable(pair.ids[1]);
     pair.call(count(), Some(10));
     assert_eq!(pair.take(0), [resolved(Why::Restarting)]);
     pair.call(count(), None);
@@ -237,11 +237,12 @@ fn without_a_session_a_call_is_refused_with_the_reason() {
 #[test]
 fn too_many_messages_for_one_binding_are_told_and_then_refused() {
     let mut pair = Pair::open();
-    for _ in 0..WAITING_MAX + 1 {
+    for _ in 0..4 * hall::MESSAGES + 1 {
         let (node, object) = (node("right"), arm());
         let (id, reply_as, contract) = (None, None, count());
         let (sent, until, payload) = (at(0), None, payload());
-        let call = Call { node, object, contract, id, sent, until, payload, reply_as };
+        let call =
+            Call { node, object, contract, id, sent, until, payload: payload.into(), reply_as };
         pair.ends[0].handle_call(call);
     }
     pair.run();
@@ -252,7 +253,7 @@ fn too_many_messages_for_one_binding_are_told_and_then_refused() {
     pair.agree();
 
     assert_eq!(pair.take(0), [ExchangeOutput::Room { peer }]);
-    assert_eq!(pair.take(1).len(), WAITING_MAX);
+    assert_eq!(pair.take(1).len(), 4 * hall::MESSAGES);
 }
 
 #[test]
@@ -269,7 +270,7 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     };
     assert_eq!(*wanted, topic());
 
-    pair.ends[1].handle_event(*peer, (*subscription, Delivery::Reliable), payload(), at(0));
+    pair.ends[1].handle_event(*peer, (*subscription, Delivery::Reliable), payload().into(), at(0));
     pair.run();
     let event =
         ExchangeOutput::Event { topic: topic(), form: 0, age: Duration::ZERO, payload: payload() };
@@ -279,7 +280,7 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     pair.run();
     let (peer, subscription) = (*peer, *subscription);
     assert_eq!(pair.take(1), [ExchangeOutput::Unsubscribe { peer, subscription }]);
-    pair.ends[1].handle_event(peer, (subscription, Delivery::Reliable), payload(), at(0));
+    pair.ends[1].handle_event(peer, (subscription, Delivery::Reliable), payload().into(), at(0));
     pair.run();
     assert_eq!(pair.take(0), []);
     assert_eq!(pair.ends[0].refusals().stale, 1);
@@ -315,7 +316,7 @@ fn a_returned_message_resolves_its_request() {
         id: None,
         sent: at(0),
         until: None,
-        payload: payload(),
+        payload: payload().into(),
         reply_as,
     };
     let mut told = vec![];
@@ -324,7 +325,7 @@ fn a_returned_message_resolves_its_request() {
         let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
             panic!("it is sent");
         };
-        pair.ends[0].handle_returned(peer, message.into_bytes(), Why::Full, false);
+        pair.ends[0].handle_returned(peer, message.into_bytes(), Why::Full, Sent::Nothing);
         told.extend(pair.ends[0].poll_output());
     }
 
@@ -385,8 +386,8 @@ fn an_object_without_room_is_told_of_once_however_many_bindings_lead_there() {
         numbers.push(*binding);
     }
     pair.take(0);
-    let mut says = |binding: u32, room: bool| {
-        pair.ends[1].handle_room(left, binding, room);
+    let mut says = |binding: u32, word: fn(&mut Exchange, NodeId, u32)| {
+        word(&mut pair.ends[1], left, binding);
         pair.run();
         pair.take(0)
     };
@@ -394,17 +395,17 @@ fn an_object_without_room_is_told_of_once_however_many_bindings_lead_there() {
     let full = ExchangeOutput::ObjectFull { peer, object: object.clone() };
     let room = ExchangeOutput::ObjectRoom { peer, object };
 
-    assert_eq!(says(numbers[0], false), std::slice::from_ref(&full));
-    assert_eq!(says(numbers[1], false), []);
-    assert_eq!(says(numbers[0], true), []);
-    assert_eq!(says(numbers[1], true), [room]);
-    assert_eq!(says(numbers[1], false), [full]);
+    assert_eq!(says(numbers[0], Exchange::handle_full), std::slice::from_ref(&full));
+    assert_eq!(says(numbers[1], Exchange::handle_full), []);
+    assert_eq!(says(numbers[0], Exchange::handle_room), []);
+    assert_eq!(says(numbers[1], Exchange::handle_room), [room]);
+    assert_eq!(says(numbers[1], Exchange::handle_full), [full]);
 
     // What makes no sense changes nothing, and is counted.
-    assert_eq!(says(numbers[1], false), []);
-    assert_eq!(says(numbers[0], true), []);
-    assert_eq!(says(99, false), []);
-    assert_eq!(says(99, true), []);
+    assert_eq!(says(numbers[1], Exchange::handle_full), []);
+    assert_eq!(says(numbers[0], Exchange::handle_room), []);
+    assert_eq!(says(99, Exchange::handle_full), []);
+    assert_eq!(says(99, Exchange::handle_room), []);
     assert_eq!(pair.ends[0].refusals().unexpected, 4);
 }
 
@@ -418,7 +419,7 @@ fn a_reply_that_no_session_carries_is_told_to_have_been_made() {
     let reply = Message::Reply { call: 1, result: Ok(payload()) }.encode().into_bytes();
 
     let why = Why::TooLargeForSession { limit: 5 };
-    pair.ends[1].handle_returned(left, reply, why, false);
+    pair.ends[1].handle_returned(left, reply, why, Sent::Nothing);
     pair.run();
 
     let result = Err(Why::ReplyTooLarge { limit: 5 });

@@ -1,8 +1,8 @@
 //! What an exchange is told, and wants done.
 
+use crate::Parcel;
 use crate::net::naming::Announcement;
 use crate::net::node_id::NodeId;
-use crate::net::parcel::Parcel;
 use crate::net::segment::Stream;
 use crate::{ContractIdentity, Instant, MessageId, NodeName, ObjectName, PeerIdentity, Why};
 use bytes::Bytes;
@@ -37,9 +37,18 @@ pub struct Call {
     /// When the answer is no use any more.
     pub until: Option<Instant>,
     /// The message.
-    pub payload: Bytes,
+    pub payload: Parcel,
     /// The number by which the caller knows the request; `None` if it wants no reply.
     pub reply_as: Option<u64>,
+}
+
+/// How much of a message that came back was on its way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sent {
+    /// Nothing: it has certainly not arrived.
+    Nothing,
+    /// Some of it, or all: it may have arrived.
+    Perhaps,
 }
 
 /// What an exchange wants done.

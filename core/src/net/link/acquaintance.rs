@@ -14,6 +14,10 @@
 //! no sequel, one that was made up without hearing us no echo, and one of a life that is over echoes what
 //! we said while that life was there.
 //!
+//! What was recorded and comes again cannot echo what we said later. So a hello that echoes more of us
+//! outdoes one that echoes less: whoever repeats the past keeps nobody from becoming the neighbour, and does
+//! not stay it, also where we began anew and heard the past first.
+//!
 //! Which life is the present one is thus decided by who answers, and not by whose number is greater: a
 //! node whose clock was set back while it was off is no worse off than another. Of two that both answer,
 //! the first has the link.
@@ -43,6 +47,8 @@ pub(super) struct Claimant {
     last: Instant,
     /// Our first hello that is later than its first.
     challenge: u32,
+    /// The latest of our hellos that it has echoed.
+    answered: Option<u32>,
 }
 
 impl Link {
@@ -99,13 +105,15 @@ impl Link {
         {
             let arrival = heard.arrivals.handle(hello.sequence, now);
             match arrival {
-                Arrival::New { .. } => self.claimant = None,
+                Arrival::New { .. } if heard.echoed.is_some() => self.claimant = None,
+                // It does not hear us, or is of the past: somebody else may.
+                Arrival::New { .. } => {}
                 Arrival::Old => self.refusals.stale += 1,
             }
             return arrival;
         }
         // It would be given up before it had said a second hello.
-        let slower = same && interval > interval_before && self.echoes_us(hello);
+        let slower = same && interval > interval_before && self.echo_in(hello).is_some();
         if !slower && !self.has_confirmed(hello, interval, now) {
             match same || self.is_older(hello) {
                 true => self.refusals.stale += 1,
@@ -123,33 +131,30 @@ impl Link {
             .is_some_and(|known| known.node == hello.node && hello.incarnation < known.incarnation)
     }
 
-    /// Whether it names one of our latest hellos.
-    fn echoes_us(&self, hello: &Hello) -> bool {
-        hello.echo.is_some_and(|echo| {
-            echo.incarnation == self.config.incarnation
-                && self.sent.iter().any(|(sequence, _)| *sequence == echo.sequence)
-        })
+    /// Which of our latest hellos it names.
+    fn echo_in(&self, hello: &Hello) -> Option<u32> {
+        let echo = hello.echo.filter(|echo| echo.incarnation == self.config.incarnation)?;
+        let mut sent = self.sent.iter().map(|(sequence, _)| *sequence);
+        sent.find(|sequence| *sequence == echo.sequence)
     }
 
     /// Whether this hello shows that the claimant, whose it is, hears us now, while the neighbour is
-    /// silent. If there was none, or another one, its is the claim from now on.
+    /// silent or does not. If there was none, or one that says less, its is the claim from now on.
     fn has_confirmed(&mut self, hello: &Hello, interval: Duration, now: Instant) -> bool {
-        let echoes_us = self.echoes_us(hello);
+        let answered = self.echo_in(hello);
         let silent = self.neighbour.as_ref().is_none_or(|heard| {
             // Of one life, it is the same end that says both.
-            heard.neighbour.is(hello) || heard.arrivals.expected() <= now
+            heard.neighbour.is(hello) || heard.arrivals.expected() <= now || heard.echoed.is_none()
         });
         let challenge = (self.next_hello.as_nanos() / self.interval().as_nanos() as u64) as u32;
         match &mut self.claimant {
             Some(claimant) if claimant.goes_on_with(hello, interval, now) => {
                 (claimant.sequence, claimant.last) = (hello.sequence, now);
-                let since = |sequence: u32| sequence.wrapping_sub(claimant.challenge).cast_signed();
-                silent && echoes_us && hello.echo.is_some_and(|echo| since(echo.sequence) >= 0)
+                claimant.answered = answered.or(claimant.answered);
+                silent && answered.is_some_and(|echo| is_from(claimant.challenge, echo))
             }
-            // Late or doubled: it takes nobody's place.
-            Some(claimant) if claimant.neighbour.is(hello) && claimant.interval == interval => {
-                false
-            }
+            // Late, doubled, or of the past: it takes nobody's place.
+            Some(claimant) if !claimant.is_outdone_by(hello, interval, answered) => false,
             _ => {
                 self.claimant = Some(Claimant {
                     neighbour: Neighbour::of(hello),
@@ -157,6 +162,7 @@ impl Link {
                     sequence: hello.sequence,
                     last: now,
                     challenge,
+                    answered,
                 });
                 false
             }
@@ -164,16 +170,15 @@ impl Link {
     }
 
     /// What our next hello echoes, if it is the claimant's turn: while the neighbour speaks as well, every
-    /// other time.
+    /// other time, and where that hears us, only if the claimant does, too.
     pub(super) fn claimants_turn(&self) -> Option<(Incarnation, u32, Instant)> {
         let (number, said) = self.sent.back().copied().unwrap_or((0, Instant::ORIGIN));
         let claimant = self.claimant.as_ref().filter(|claimant| claimant.last >= said)?;
-        let contested = self.neighbour.as_ref().is_some_and(|heard| heard.last >= said);
-        (!contested || number % 2 == 0).then_some((
-            claimant.neighbour.incarnation,
-            claimant.sequence,
-            claimant.last,
-        ))
+        let rival = self.neighbour.as_ref().filter(|heard| heard.last >= said);
+        let its_turn = rival.is_none_or(|rival| {
+            number % 2 == 0 && (claimant.answered.is_some() || rival.echoed.is_none())
+        });
+        its_turn.then_some((claimant.neighbour.incarnation, claimant.sequence, claimant.last))
     }
 
     /// A new neighbour, or a new life of the old one, begins from nothing.
@@ -214,6 +219,16 @@ impl Claimant {
             && hello.sequence.wrapping_sub(self.sequence).cast_signed() > 0
             && !is_far_ahead(self.sequence, hello.sequence, now - self.last, interval)
     }
+
+    /// Whether a hello that does not go on from its last takes its place.
+    fn is_outdone_by(&self, hello: &Hello, interval: Duration, answered: Option<u32>) -> bool {
+        match (self.answered, answered) {
+            (Some(before), Some(answered)) => is_from(before.wrapping_add(1), answered),
+            (Some(_), None) => false,
+            (None, Some(_)) => true,
+            (None, None) => !self.neighbour.is(hello) || self.interval != interval,
+        }
+    }
 }
 
 impl Neighbour {
@@ -224,6 +239,11 @@ impl Neighbour {
     fn is(&self, hello: &Hello) -> bool {
         self.incarnation == hello.incarnation && self.node == hello.node
     }
+}
+
+/// Whether a number is the first or a later one.
+fn is_from(first: u32, number: u32) -> bool {
+    number.wrapping_sub(first).cast_signed() >= 0
 }
 
 /// Whether a number is too old for a hello that was merely overtaken.

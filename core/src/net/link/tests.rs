@@ -5,6 +5,7 @@ use crate::{Incarnation, NodeName};
 
 mod given_up;
 mod lives;
+mod repeated;
 
 fn at(millis: u64) -> Instant {
     Instant::from_millis(millis)
@@ -48,6 +49,7 @@ impl Cable {
                     match output {
                         LinkOutput::Transmit(_) if self.cut[from] => {}
                         LinkOutput::Transmit(frame) => {
+                            let frame = frame.into_bytes();
                             self.said.push((from, frame.clone()));
                             self.in_flight.push((self.now + 1, 1 - from, frame));
                         }
@@ -166,17 +168,18 @@ fn a_link_is_used_by_both_ends_or_by_neither() {
 }
 
 #[test]
-fn what_a_neighbour_sends_that_is_ready_earlier_is_taken() {
+fn what_a_neighbour_sends_that_is_ready_earlier_is_taken_and_brings_nothing_up() {
     let mut cable = wary_on_the_left();
     while !cable.ends[1].has_proved() {
         cable.run_until(cable.now + 1);
     }
     assert_eq!(cable.ends[1].state(), LinkState::Down);
 
-    let packet = Frame::Data(Bytes::from_static(b"packet")).encode();
-    cable.ends[1].handle_frame(packet, at(cable.now));
+    let packet = Bytes::from_static(b"packet");
+    cable.ends[1].handle_frame(Frame::Data(packet.clone().into()).encode(), at(cable.now));
 
-    assert_eq!(cable.ends[1].state(), LinkState::Up);
+    assert_eq!(cable.ends[1].poll_output(), Some(LinkOutput::Packet(packet)));
+    assert_eq!(cable.ends[1].state(), LinkState::Down, "its hellos say that it is ready");
 }
 
 #[test]
@@ -356,7 +359,7 @@ fn a_link_whose_interface_lost_its_carrier_is_down_at_once_and_hellos_bring_it_b
 #[test]
 fn data_passes_only_while_the_link_carries() {
     let mut cable = Cable::new(config("left", 1), config("right", 1));
-    let packet = Frame::Data(Bytes::from_static(b"packet")).encode();
+    let packet = Frame::Data(Bytes::from_static(b"packet").into()).encode();
 
     cable.ends[0].handle_packet(Bytes::from_static(b"too early"));
     cable.ends[0].handle_frame(packet.clone(), at(0));

@@ -1,6 +1,7 @@
 //! What a link is configured with, is known for, and wants done.
 
 use super::quality::Quality;
+use crate::Parcel;
 use crate::net::node_id::NodeId;
 use crate::{Incarnation, NodeName};
 use bytes::Bytes;
@@ -126,7 +127,7 @@ pub enum LinkRefusal {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LinkOutput {
     /// Give this frame to the transport.
-    Transmit(Bytes),
+    Transmit(Parcel),
     /// The link is now in another state.
     Changed {
         /// Which.

@@ -75,7 +75,7 @@ impl Router {
         let Stamp { origin, incarnation, .. } = contender;
         if origin == self.id {
             if incarnation > self.own.stamp.incarnation {
-                self.defend(incarnation, true);
+                self.defend(incarnation);
             }
             return;
         }
@@ -113,21 +113,27 @@ impl Router {
         }
     }
 
-    /// Another node of our name, of a later life, is there, or was: it is for us to say that we are.
-    pub(super) fn defend(&mut self, against: Incarnation, alive: bool) {
-        if alive && self.usurper != Some(against) {
-            self.usurper = Some(against);
-            let (incarnation, first) = (against, true);
-            self.outputs.push_back(RouterOutput::NameTaken { incarnation, first });
-            self.begin_trouble(Trouble::NameTaken);
-        } else {
-            if alive {
-                self.go_on(Trouble::NameTaken);
-            }
-            if self.now < self.defended_at + Self::TELL_AGAIN {
-                return;
-            }
+    /// Another node of our name, of a later life, is there: it is for us to say that we are.
+    pub(super) fn defend(&mut self, against: Incarnation) {
+        if self.usurper == Some(against) {
+            self.go_on(Trouble::NameTaken);
+            return self.defend_against_rumour(against);
         }
+        self.usurper = Some(against);
+        let (incarnation, first) = (against, true);
+        self.outputs.push_back(RouterOutput::NameTaken { incarnation, first });
+        self.begin_trouble(Trouble::NameTaken);
+        self.say_that_we_are(against);
+    }
+
+    /// It is there, or was once.
+    pub(super) fn defend_against_rumour(&mut self, against: Incarnation) {
+        if self.now >= self.defended_at + Self::TELL_AGAIN {
+            self.say_that_we_are(against);
+        }
+    }
+
+    fn say_that_we_are(&mut self, against: Incarnation) {
         self.defended_at = self.now;
         self.renew();
         let advertisement = self.own.clone();

@@ -272,8 +272,11 @@ impl Router {
         if advertisement.node != self.own.node {
             self.tell_collision(Some(self.own.node.clone()), advertisement.node.clone());
         } else if theirs.incarnation > ours.incarnation {
-            let alive = self.is_more_than_a_rumour(theirs);
-            self.defend(theirs.incarnation, alive);
+            if self.is_more_than_a_rumour(theirs) {
+                self.defend(theirs.incarnation);
+            } else {
+                self.defend_against_rumour(theirs.incarnation);
+            }
             return false;
         } else if theirs < ours {
             return false;

@@ -1,6 +1,7 @@
 //! What a router is configured with, is told, and wants done.
 
 use super::LinkNumber;
+use crate::Parcel;
 use crate::net::link::Neighbour;
 use crate::net::node_id::NodeId;
 use crate::net::packet::Undelivered;
@@ -98,7 +99,7 @@ pub enum RouterOutput {
         /// Which link.
         link: LinkNumber,
         /// The packet.
-        packet: Bytes,
+        packet: Parcel,
     },
     /// A segment arrived for our session with the source.
     Segment {

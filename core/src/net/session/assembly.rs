@@ -1,6 +1,7 @@
 //! Puts pieces together, within bounds of space and time.
 
 use crate::Instant;
+use crate::Parcel;
 use crate::net::segment::{PIECES_MAX, Piece};
 use bytes::{Bytes, BytesMut};
 use std::collections::BTreeMap;
@@ -96,7 +97,7 @@ impl<K: Ord + Copy> Assembly<K> {
 }
 
 /// One whole, or pieces of at most `room` bytes.
-pub(crate) fn pieces_of(payload: &Bytes, room: usize) -> Vec<(Option<Piece>, Bytes)> {
+pub(crate) fn pieces_of(payload: &Parcel, room: usize) -> Vec<(Option<Piece>, Parcel)> {
     if payload.len() <= room {
         return vec![(None, payload.clone())];
     }

@@ -2,6 +2,7 @@
 
 use super::assembly::{Assembly, pieces_of};
 use crate::Instant;
+use crate::Parcel;
 use crate::net::segment::{Datagram, PIECES_MAX};
 use bytes::Bytes;
 use std::collections::BTreeMap;
@@ -55,7 +56,7 @@ impl BestEffort {
         &mut self,
         tag: u32,
         channel: u32,
-        message: &Bytes,
+        message: &Parcel,
         room: usize,
     ) -> impl Iterator<Item = Datagram> + use<> {
         let sequence = self.sent.entry(channel).or_insert(0);
@@ -67,6 +68,7 @@ impl BestEffort {
 
     pub(crate) fn handle(&mut self, datagram: Datagram, now: Instant) -> Came {
         let Datagram { channel, sequence, piece, payload, .. } = datagram;
+        let payload = payload.into_bytes();
         let full = self.delivered.len() >= self.channels_max;
         match self.delivered.get(&channel) {
             Some(newest) if sequence == *newest => return Came::Again,

@@ -66,7 +66,7 @@ impl SessionConfig {
             buffer_messages: 4096,
             window: 256,
             window_bytes: 1024 * 1024,
-            part_max: 32 * 1024,
+            part_max: 64 * 1024,
             ack_delay: Duration::from_millis(2),
             // Ten times the delay of acknowledgements.
             retransmit_min: Duration::from_millis(20),

@@ -38,7 +38,7 @@ mod transmission;
 
 pub use self::config::{PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
-pub use self::standing::{SessionState, Standing};
+pub use self::standing::{SessionStanding, SessionState};
 
 use self::assembly::Assembly;
 use self::best_effort::BestEffort;
@@ -47,9 +47,9 @@ use self::outbound::Outbound;
 use self::replicas::Replicas;
 use self::round_trip::RoundTrip;
 use super::packet::{Class, Undelivered};
-use super::parcel::Parcel;
 use super::segment::{Data, Datagram, Segment, Stream};
 use super::wire::Refusals;
+use crate::Parcel;
 use crate::{Incarnation, Instant, Machine, Why};
 use bytes::Bytes;
 use std::collections::VecDeque;
@@ -236,13 +236,13 @@ impl Session {
         now: Instant,
     ) -> Result<(), Refused> {
         self.now = now;
-        let message = self.check(message.into())?.into_bytes();
+        let message = self.check(message.into())?;
         let (State::Open { peer }, Some(room)) = (self.state, self.path) else {
-            return Err((Why::Restarting, message));
+            return Err((Why::Restarting, message.into_bytes()));
         };
         let limit = BestEffort::most(room);
         if message.len() > limit {
-            return Err((Why::TooLargeForSession { limit }, message));
+            return Err((Why::TooLargeForSession { limit }, message.into_bytes()));
         }
         for datagram in self.best_effort.cut(peer.tag, channel, &message, room) {
             self.transmit(Class::Data, Segment::Datagram(datagram));
@@ -268,7 +268,8 @@ impl Session {
         self.now = now;
         self.path = Some(mtu);
         let narrow = self.is_narrow();
-        self.trips.iter_mut().for_each(|trip| trip.change_path(narrow));
+        let enter = if narrow { RoundTrip::enter_narrow_path } else { RoundTrip::enter_path };
+        self.trips.iter_mut().for_each(enter);
         if narrow {
             self.congestion = self.congestion.min(Self::CONGESTION_NARROW);
         }
@@ -454,12 +455,12 @@ impl Session {
     }
 
     fn transmit(&mut self, class: Class, segment: Segment) {
-        let segment = segment.encode();
+        let segment = segment.parcel();
         self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: false });
     }
 
     fn transmit_everywhere(&mut self, class: Class, segment: Segment) {
-        let segment = segment.encode();
+        let segment = segment.parcel();
         self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: true });
     }
 

@@ -1,7 +1,7 @@
 //! The sending half of an ordered stream.
 
 use crate::Instant;
-use crate::net::parcel::Parcel;
+use crate::Parcel;
 use crate::net::segment::Ack;
 use crate::net::wire::{WireError, Write, varint_length};
 use bytes::{Bytes, BytesMut};
@@ -42,7 +42,7 @@ struct Held {
 pub(crate) struct Part {
     pub(crate) first: bool,
     pub(crate) last: bool,
-    pub(crate) payload: Bytes,
+    pub(crate) payload: Parcel,
     sent: Instant,
     /// Its place among all transmissions of the session.
     order: u64,
@@ -66,6 +66,13 @@ pub(crate) struct Progress {
     pub(crate) round_trip: Option<Duration>,
     /// The latest transmission among them.
     pub(crate) order: Option<u64>,
+}
+
+/// The length that stands before a message.
+fn length_of(message: usize) -> BytesMut {
+    let mut bytes = BytesMut::with_capacity(64);
+    bytes.varint(message as u64);
+    bytes
 }
 
 impl Outbound {
@@ -154,7 +161,7 @@ impl Outbound {
     }
 
     /// As many whole messages as fit, or as much of a large one.
-    fn cut_part(&mut self, room: usize, sequence: u64) -> (bool, bool, Bytes) {
+    fn cut_part(&mut self, room: usize, sequence: u64) -> (bool, bool, Parcel) {
         let front = &mut self.messages[self.cut];
         let length = front.message.len();
         let prefix = varint_length(length as u64);
@@ -169,14 +176,18 @@ impl Outbound {
             }
             return (false, end == length, payload);
         }
-        let mut payload = BytesMut::with_capacity(room.min(prefix + length));
         if prefix + length > room {
             let end = room - prefix;
-            payload.varint(length as u64);
-            front.message.put(0..end, &mut payload);
             self.cut_bytes = end;
-            return (true, false, payload.freeze());
+            return (true, false, front.message.slice(0..end).behind(length_of(length)));
         }
+        if prefix + length > room / 2 {
+            // Few others would go with it, and it would be copied.
+            front.last = Some(sequence);
+            self.cut += 1;
+            return (true, true, front.message.behind(length_of(length)));
+        }
+        let mut payload = BytesMut::with_capacity(prefix + length);
         while let Some(held) = self.messages.get_mut(self.cut) {
             let length = held.message.len();
             if payload.len() + varint_length(length as u64) + length > room {
@@ -187,7 +198,7 @@ impl Outbound {
             held.last = Some(sequence);
             self.cut += 1;
         }
-        (true, true, payload.freeze())
+        (true, true, payload.freeze().into())
     }
 
     /// The peer has told what arrived.

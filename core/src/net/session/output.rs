@@ -1,5 +1,6 @@
 //! What a session wants done, and what it did.
 
+use crate::Parcel;
 use crate::net::packet::{Class, Undelivered};
 use crate::net::segment::Stream;
 use crate::{Incarnation, Why};
@@ -13,7 +14,7 @@ pub enum SessionOutput {
         /// How urgent it is.
         class: Class,
         /// The segment.
-        segment: Bytes,
+        segment: Parcel,
         /// A copy is to go over every way that there is.
         everywhere: bool,
     },

@@ -19,6 +19,7 @@ impl Session {
         if copied && self.replicas.handle(sequence) == replicas::Came::Replica {
             return self.close_when_done();
         }
+        let payload = payload.into_bytes();
         let whole = match piece {
             Some(piece) if self.streams[stream as usize].inbound.expects(sequence) => {
                 self.pieces.handle((stream, sequence), piece, payload, self.now)

@@ -62,11 +62,17 @@ impl RoundTrip {
         sample - least
     }
 
-    /// Another path has another shortest. On a narrow one a single segment may take long.
-    pub(crate) fn change_path(&mut self, narrow: bool) {
+    /// Another path has another shortest.
+    pub(crate) fn enter_path(&mut self) {
         self.least = None;
-        self.narrow = narrow;
+        self.narrow = false;
         self.progress();
+    }
+
+    /// On a narrow one a single segment may take long.
+    pub(crate) fn enter_narrow_path(&mut self) {
+        self.enter_path();
+        self.narrow = true;
     }
 
     pub(crate) fn timeout(&self) -> Duration {
@@ -118,7 +124,7 @@ mod tests {
     #[test]
     fn on_a_narrow_path_no_small_message_shortens_it_and_its_doublings_last_until_a_measurement() {
         let mut trip = RoundTrip::new(20 * MS, 500 * MS);
-        trip.change_path(true);
+        trip.enter_narrow_path();
         assert_eq!(trip.timeout(), 1000 * MS);
         for _ in 0..100 {
             trip.measure(30 * MS);

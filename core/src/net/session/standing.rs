@@ -39,7 +39,7 @@ impl fmt::Display for SessionState {
 
 /// A session at one moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Standing {
+pub struct SessionStanding {
     /// Where it stands.
     pub state: SessionState,
     /// Which of the peer's lives it is with; `None` while there is none open.
@@ -96,7 +96,7 @@ impl Session {
     }
 
     /// How it stands now.
-    pub fn standing(&self) -> Standing {
+    pub fn standing(&self) -> SessionStanding {
         let state = match self.state {
             State::Idle => SessionState::Away,
             State::Opening { .. } if self.path.is_none() => SessionState::Away,
@@ -106,7 +106,7 @@ impl Session {
             State::Closed => SessionState::Closed,
         };
         let held = STREAMS.map(|stream| self.streams[stream as usize].outbound.messages());
-        Standing {
+        SessionStanding {
             state,
             incarnation: self.peer(),
             round_trip: self.round_trip(),

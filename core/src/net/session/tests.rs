@@ -103,6 +103,7 @@ impl Pair {
                     self.told[end].push(output);
                     continue;
                 };
+                let segment = segment.into_bytes();
                 let decoded = Segment::decode(segment.clone()).unwrap();
                 if !(self.lose)(end, &decoded) {
                     let takes = self.rate.map_or(1, |rate| segment.len() as u64 * 1000 / rate);
@@ -272,8 +273,17 @@ fn a_piece_with_an_acknowledgement_on_board_is_no_larger_than_the_narrow_path() 
         let payload = Bytes::from_static(b"\x02hi");
         let (first, last, again) = (true, true, false);
         let stream = Stream::Data;
-        let data =
-            Data { tag, stream, sequence, first, last, again, piece: None, ack: None, payload };
+        let data = Data {
+            tag,
+            stream,
+            sequence,
+            first,
+            last,
+            again,
+            piece: None,
+            ack: None,
+            payload: payload.into(),
+        };
         pair.ends[0].handle_segment(Segment::Data(data).encode(), at(pair.now));
     }
     pair.sent.clear();

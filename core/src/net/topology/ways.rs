@@ -65,11 +65,12 @@ struct Arc {
     /// It can be taken.
     open: bool,
     /// What it stands for.
-    edge: Option<Edge>,
+    stretch: Option<Stretch>,
 }
 
+/// A link between two nodes, of which ways are made.
 #[derive(Clone, Copy, Debug)]
-struct Edge {
+struct Stretch {
     /// Ours, with which a way begins.
     link: Option<LinkNumber>,
     cost: u16,
@@ -114,27 +115,34 @@ impl Flow {
                 if let (Some((cost, mtu)), true) =
                     (topology.agreed(id, next, cost, mtu), next != here)
                 {
-                    let edge = Edge { link: None, cost, mtu };
-                    flow.connect(going(id), coming(next), cost.into(), SHARED_EDGE, Some(edge));
+                    let stretch = Stretch { link: None, cost, mtu };
+                    flow.connect(going(id), coming(next), cost.into(), SHARED_EDGE, Some(stretch));
                 }
             }
         }
         for (number, link) in topology.links {
-            let edge = Edge { link: Some(*number), cost: link.cost, mtu: link.mtu };
+            let stretch = Stretch { link: Some(*number), cost: link.cost, mtu: link.mtu };
             let cost = link.cost.into();
-            flow.connect(flow.source, coming(link.id), cost, SHARED_EDGE, Some(edge));
+            flow.connect(flow.source, coming(link.id), cost, SHARED_EDGE, Some(stretch));
         }
         flow
     }
 
     /// Once for its cost, and once more for what sharing it costs.
-    fn connect(&mut self, from: usize, to: usize, cost: u64, shared: u64, edge: Option<Edge>) {
+    fn connect(
+        &mut self,
+        from: usize,
+        to: usize,
+        cost: u64,
+        shared: u64,
+        stretch: Option<Stretch>,
+    ) {
         for cost in [cost, cost + shared] {
             let cost = cost.cast_signed();
             self.from[from].push(self.arcs.len());
-            self.arcs.push(Arc { to, cost, open: true, edge });
+            self.arcs.push(Arc { to, cost, open: true, stretch });
             self.from[to].push(self.arcs.len());
-            self.arcs.push(Arc { to: from, cost: -cost, open: false, edge: None });
+            self.arcs.push(Arc { to: from, cost: -cost, open: false, stretch: None });
         }
     }
 
@@ -187,8 +195,8 @@ impl Flow {
             let arc = &mut self.arcs[number];
             arc.open = true;
             at = arc.to;
-            match arc.edge {
-                Some(Edge { link, cost, mtu }) => {
+            match arc.stretch {
+                Some(Stretch { link, cost, mtu }) => {
                     way.link = link.unwrap_or(way.link);
                     way.cost += u64::from(cost);
                     way.mtu = way.mtu.min(mtu);

@@ -1,9 +1,10 @@
 //! Decisions in words: outputs are compared as lines such as `#1 restart laser, attempt 2`.
 
 use super::*;
-use crate::ObjectAddress;
 use crate::recovery::Backoff;
+use crate::{Incarnation, ObjectAddress};
 use std::sync::Arc;
+use std::time::Duration;
 
 struct Rig {
     machine: Recoverer,

@@ -53,30 +53,3 @@ fn of_a_link_that_is_not_used_the_word_says_nothing() {
         !matches!(told, LinkOutput::Changed { state: LinkState::Suspect, .. })
     }));
 }
-
-#[test]
-fn a_hello_that_was_overtaken_by_what_came_after_it_does_not_take_the_link_down() {
-    let mut cable = running();
-    pull(&mut cable);
-    cable.run_until(200);
-    cable.cut = [false; 2];
-    let right = |cable: &Cable| cable.ends[1].state();
-    while !cable.ends[1].has_proved() {
-        let now = cable.now;
-        cable.run_until(now + 1);
-    }
-    // A hello of the other end, which says "down", is still under way.
-    assert_eq!(right(&cable), LinkState::Down);
-    cable.ends[1].handle_frame(Frame::Routing(Bytes::new()).encode(), at(cable.now));
-    assert_eq!(right(&cable), LinkState::Up);
-    let last = cable.said.iter().rev().find(|(from, _)| *from == 0).unwrap().1.clone();
-    let Ok(Frame::Hello(hello)) = Frame::decode(last) else { panic!() };
-    let late = Hello { stance: Stance::Down, sequence: hello.sequence + 1, ..hello.clone() };
-    let again = Hello { sequence: hello.sequence + 2, ..late.clone() };
-
-    cable.ends[1].handle_frame(Frame::Hello(late).encode(), at(cable.now));
-    assert_eq!(right(&cable), LinkState::Up);
-
-    cable.ends[1].handle_frame(Frame::Hello(again).encode(), at(cable.now));
-    assert_eq!(right(&cable), LinkState::Down, "it says so again");
-}

@@ -3,7 +3,7 @@
 use super::*;
 
 /// What has gone from one end to the other.
-fn hellos_of(cable: &Cable, from: usize) -> Vec<Bytes> {
+pub(super) fn hellos_of(cable: &Cable, from: usize) -> Vec<Bytes> {
     let hello = |frame: &&Bytes| matches!(Frame::decode((*frame).clone()), Ok(Frame::Hello(_)));
     let sent = cable.said.iter().filter(|(end, _)| *end == from).map(|(_, frame)| frame);
     sent.filter(hello).cloned().collect()
@@ -166,7 +166,7 @@ fn of_two_lives_that_both_answer_the_first_has_the_link() {
             }
             while let Some(output) = other.poll_output() {
                 if let LinkOutput::Transmit(frame) = output {
-                    cable.ends[0].handle_frame(frame, at(cable.now));
+                    cable.ends[0].handle_frame(frame.into_bytes(), at(cable.now));
                 }
             }
         }

@@ -6,14 +6,16 @@ const THIRD: LinkNumber = LinkNumber(2);
 
 fn copy_to(destination: &str, hops: u8, copy: u8, relays: &[&str]) -> Packet {
     let relays = relays.iter().map(|relay| id(relay)).collect();
-    let payload = Payload::Copy { copy, relays, segment: Bytes::from_static(b"segment") };
+    let payload = Payload::Copy { copy, relays, segment: Bytes::from_static(b"segment").into() };
     Packet { payload, ..packet_to(destination, hops) }
 }
 
 fn sent(router: &mut Router) -> Vec<(LinkNumber, Packet)> {
     let outputs = std::iter::from_fn(|| router.poll_output());
     let packets = outputs.map(|output| match output {
-        RouterOutput::Packet { link, packet } => (link, Packet::decode(packet).unwrap()),
+        RouterOutput::Packet { link, packet } => {
+            (link, Packet::decode(packet.into_bytes()).unwrap())
+        }
         other => panic!("{other:?}"),
     });
     packets.collect()
@@ -25,7 +27,7 @@ fn come(router: &mut Router, packet: &Packet) -> Vec<(LinkNumber, Packet)> {
 }
 
 fn copies_to(router: &mut Router, destination: &str) -> Vec<(LinkNumber, Payload)> {
-    router.handle_copies(id(destination), Class::Data, &Bytes::from_static(b"segment"));
+    router.handle_copies(id(destination), Class::Data, &"segment".into());
     sent(router).into_iter().map(|(link, packet)| (link, packet.payload)).collect()
 }
 
@@ -42,13 +44,16 @@ fn each_copy_has_its_way_written_in_it() {
 
     let copies = copies_to(&mut router, "beyond");
 
-    let copy =
-        |copy, relays| Payload::Copy { copy, relays, segment: Bytes::from_static(b"segment") };
+    let copy = |copy, relays| Payload::Copy {
+        copy,
+        relays,
+        segment: Bytes::from_static(b"segment").into(),
+    };
     assert_eq!(copies, [(FIRST, copy(0, vec![id("far")])), (SECOND, copy(1, vec![]))]);
     // To a neighbour, the direct one needs no words.
     let copies = copies_to(&mut router, "right");
     assert_eq!(copies[0], (FIRST, copy(0, vec![id("far")])));
-    assert_eq!(copies[1], (SECOND, Payload::Segment(Bytes::from_static(b"segment"))));
+    assert_eq!(copies[1], (SECOND, Payload::Segment(Bytes::from_static(b"segment").into())));
 }
 
 #[test]
@@ -59,8 +64,8 @@ fn where_there_is_one_way_only_routes_are_followed() {
 
     let copies = copies_to(&mut router, "far");
 
-    assert_eq!(copies, [(FIRST, Payload::Segment(Bytes::from_static(b"segment")))]);
-    router.handle_copies(id("nobody"), Class::Data, &Bytes::new());
+    assert_eq!(copies, [(FIRST, Payload::Segment(Bytes::from_static(b"segment").into()))]);
+    router.handle_copies(id("nobody"), Class::Data, &Bytes::new().into());
     assert!(matches!(router.poll_output(), Some(RouterOutput::Undelivered { .. })));
 }
 
@@ -119,7 +124,7 @@ fn copies_that_must_pass_the_same_two_nodes_take_different_cables_between_them()
         let segment = Bytes::from_static(segment);
         [0, 1].map(|copy| {
             let payload =
-                Payload::Copy { copy, relays: vec![id("right")], segment: segment.clone() };
+                Payload::Copy { copy, relays: vec![id("right")], segment: segment.clone().into() };
             let packet = Packet { payload, ..packet_to("far", 9) };
             come(&mut router, &packet).first().map(|(link, _)| *link)
         })
@@ -141,9 +146,9 @@ fn a_way_that_is_too_small_or_longer_than_a_packet_may_go_is_left_out() {
     outputs(&mut router, 1030);
     assert_eq!(copies_to(&mut router, "far").len(), 2);
 
-    router.handle_copies(id("far"), Class::Data, &segment);
+    router.handle_copies(id("far"), Class::Data, &segment.clone().into());
 
-    let packet = Payload::Segment(segment.clone());
+    let packet = Payload::Segment(segment.clone().into());
     assert_eq!(sent(&mut router).into_iter().map(|(_, p)| p.payload).collect::<Vec<_>>(), [packet]);
     router.config.hops = 0;
     assert_eq!(copies_to(&mut router, "far").len(), 1);

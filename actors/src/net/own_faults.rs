@@ -1,0 +1,41 @@
+//! What an object of the network declares as a fault of its own, and takes back.
+
+use crate::guardian::alive;
+use actix::prelude::*;
+use blastema_contract::reports::{FaultDeclared, FaultMended};
+use blastema_core::{FaultKind, ObjectName};
+
+/// Where one object of the network tells what is wrong. Where nobody is named, nobody is told.
+#[derive(Clone)]
+pub(super) struct OwnFaults {
+    object: ObjectName,
+    declared: Option<Recipient<FaultDeclared>>,
+    mended: Option<Recipient<FaultMended>>,
+}
+
+impl OwnFaults {
+    /// Of the object with this name within the network.
+    pub(super) fn of(
+        object: &str,
+        declared: Option<Recipient<FaultDeclared>>,
+        mended: Option<Recipient<FaultMended>>,
+    ) -> Self {
+        OwnFaults { object: super::named(object), declared, mended }
+    }
+
+    /// Something is wrong.
+    pub(super) fn declare(&self, kind: FaultKind, detail: String) {
+        if let Some(declared) = &self.declared {
+            let (object, incarnation) = (self.object.clone(), alive().incarnation);
+            declared.do_send(FaultDeclared { object, incarnation, kind, detail });
+        }
+    }
+
+    /// All that was wrong of this kind is over.
+    pub(super) fn mend(&self, kind: FaultKind) {
+        if let Some(mended) = &self.mended {
+            let (object, incarnation) = (self.object.clone(), alive().incarnation);
+            mended.do_send(FaultMended { object, incarnation, kind });
+        }
+    }
+}

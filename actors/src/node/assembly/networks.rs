@@ -1,0 +1,160 @@
+//! The networks of a node: what stands on its media, and how that is led to the fault chain.
+
+use super::chain::Parts;
+use super::{middleware, named, own_arbiter};
+use crate::host::environment::HostEnvironment;
+use crate::net::claims::{ClaimsBody, ClaimsSetup};
+use crate::net::rest::{RestBody, RestSetup};
+use crate::net::{self, NetEnvironment, NetHandle};
+use crate::node::builder::{Placement, StartError};
+use crate::node::keeper::TellRest;
+use crate::node::network::{Cable, Network};
+use actix::prelude::*;
+use blastema_contract::monitor::Enrol;
+use blastema_contract::notifier::AddPort;
+use blastema_contract::transport::Close;
+use blastema_core::detection::Port;
+use blastema_core::net::isolation::Judges;
+use blastema_core::{Incarnation, NodeName};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// The networks of a node that runs.
+pub(in crate::node) struct Networks {
+    pub(in crate::node) handle: NetHandle,
+    pub(in crate::node) cables: BTreeMap<String, Cable>,
+    transports: Vec<Recipient<Close>>,
+    pub(super) arbiter: Option<ArbiterHandle>,
+}
+
+/// How long a node that ends waits until its peers have what was sent to them. One that is gone must
+/// not keep it.
+const FAREWELL: Duration = Duration::from_secs(1);
+/// How often it looks whether they have.
+const FAREWELL_LOOK: Duration = Duration::from_millis(5);
+
+impl Networks {
+    /// Delivers what was sent, and ends every session.
+    pub(in crate::node) async fn leave(&self) {
+        self.handle.leave();
+        let gone = async {
+            while self
+                .handle
+                .read_sessions()
+                .await
+                .iter()
+                .any(|row| row.standing.incarnation.is_some())
+            {
+                tokio::time::sleep(FAREWELL_LOOK).await;
+            }
+        };
+        // Whatever is left after that is lost with the peers.
+        let _ = tokio::time::timeout(FAREWELL, gone).await;
+    }
+
+    pub(in crate::node) fn stop(&self) {
+        // On an arbiter that others use too, links would go on saying that the node lives.
+        self.transports.iter().for_each(|transport| transport.do_send(Close));
+        self.handle.stop();
+        if let Some(arbiter) = &self.arbiter {
+            arbiter.stop();
+        }
+    }
+}
+
+/// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
+pub(super) fn make_networks(
+    (networks, judges): (Vec<Network>, Judges),
+    placement: Placement,
+    (node, incarnation): (&NodeName, Incarnation),
+    parts: &Parts,
+    environment: &HostEnvironment,
+) -> Result<(Networks, Vec<Enrol>), StartError> {
+    let Parts { guardian, chain, monitor, .. } = parts;
+    let arbiter = match placement {
+        Placement::Here => None,
+        Placement::Threads { .. } | Placement::ComponentsHere => Some(own_arbiter()?),
+    };
+    let (mut specs, mut cables) = (Vec::new(), BTreeMap::new());
+    let (mut neighbours, mut enrolments) = (BTreeSet::new(), Vec::new());
+    for network in networks {
+        let laid = network.lay(node, guardian, arbiter.as_ref())?;
+        if let Some(cable) = laid.cable {
+            cables.insert(laid.spec.name.to_string(), cable);
+        }
+        enrolments.extend(laid.transports.into_iter().map(|name| middleware(name, None)));
+        neighbours.extend(laid.neighbours);
+        specs.push(laid.spec);
+    }
+    let beacons = specs.iter().filter_map(|spec| spec.discovery.as_ref()?.beacons.as_ref());
+    let beacons = beacons.map(|(transport, _)| transport.close.clone());
+    let transports = specs.iter().map(|spec| spec.transport.close.clone()).chain(beacons).collect();
+    let net_environment = NetEnvironment {
+        node: node.clone(),
+        incarnation,
+        guardian: guardian.clone(),
+        arbiter: arbiter.clone(),
+        registry: environment.registry.clone(),
+        topics: environment.topics.clone(),
+        dead_letters: environment.dead_letters.clone(),
+        recoverer: Some(chain.recoverer.clone()),
+        links: Some(monitor.clone().recipient()),
+        nodes: Some(monitor.clone().recipient()),
+        faults: Some(monitor.clone().recipient()),
+        mended: Some(monitor.clone().recipient()),
+        judges,
+        envoys: Vec::new(),
+    };
+    let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();
+    let setup = claims_setup((node, incarnation), parts, environment);
+    let setup = ClaimsSetup {
+        settle: settling(slowest.unwrap_or_default()),
+        expected: neighbours.iter().cloned().collect(),
+        ..setup
+    };
+    let claims = ClaimsBody::start(setup, guardian, arbiter.as_ref());
+    enrolments.push(middleware(named("net/claims"), Some(claims.inquiries)));
+    let setup =
+        RestSetup { registry: environment.registry.clone(), nodes: monitor.clone().recipient() };
+    let rest = RestBody::start(setup, guardian, arbiter.as_ref());
+    parts.keeper.do_send(TellRest(rest.own));
+    enrolments.push(middleware(named("net/rest"), Some(rest.inquiries)));
+    let envoys = vec![claims.peers, rest.peers];
+    let net_environment = NetEnvironment { envoys, ..net_environment };
+    let handle = net::start(net_environment, specs)
+        .map_err(|error| StartError::Network(error.to_string()))?;
+    let own = handle.inquiries().into_iter();
+    enrolments.extend(own.map(|(name, inquiries)| middleware(name, Some(inquiries))));
+    // The recipient is set once, here.
+    let _ = chain.router.set((handle.reroute(), handle.isolation()));
+    for neighbour in neighbours {
+        let recover = handle.recoverer_of(&neighbour);
+        let port = Port::Remote(neighbour);
+        chain.notifier.do_send(AddPort { port, recover, stand_down: None });
+    }
+    Ok((Networks { handle, cables, transports, arbiter }, enrolments))
+}
+
+/// Claims of a node that knows nobody.
+pub(super) fn claims_setup(
+    (node, incarnation): (&NodeName, Incarnation),
+    parts: &Parts,
+    environment: &HostEnvironment,
+) -> ClaimsSetup {
+    ClaimsSetup {
+        node: node.clone(),
+        incarnation,
+        settle: Duration::ZERO,
+        expected: Vec::new(),
+        registry: environment.registry.clone(),
+        names: environment.names.clone(),
+        faults: Some(parts.monitor.clone().recipient()),
+        mended: Some(parts.monitor.clone().recipient()),
+    }
+}
+
+/// How long a node listens after its start before it grants itself a name, where hellos come so often:
+/// a link that failed once lately is up after nine of them, and the rest is for sessions on slow media.
+fn settling(hello_interval: Duration) -> Duration {
+    (hello_interval * 12 + Duration::from_millis(400)).min(Duration::from_secs(30))
+}

@@ -1,0 +1,123 @@
+//! What was said once and is said again by somebody who has recorded it: it is evidence of nothing.
+
+use super::lives::hellos_of;
+use super::*;
+use crate::random::Random;
+
+/// Runs until both ends are up, for ten seconds at most, while the left end hears `again` each
+/// millisecond. Answers how long it took.
+fn healed(cable: &mut Cable, mut again: impl FnMut() -> Option<Bytes>) -> u64 {
+    let began = cable.now;
+    while cable.states() != [LinkState::Up; 2] && cable.now < began + 10_000 {
+        cable.run_until(cable.now + 1);
+        if let Some(frame) = again() {
+            cable.ends[0].handle_frame(frame, at(cable.now));
+        }
+    }
+    cable.now - began
+}
+
+fn downs(cable: &Cable) -> usize {
+    let down = |told: &&(u64, usize, LinkOutput)| {
+        matches!(told.2, LinkOutput::Changed { state: LinkState::Down, .. })
+    };
+    cable.told.iter().filter(down).count()
+}
+
+/// The right end wants far more proof than the left one.
+fn wary_on_the_right() -> Cable {
+    let mut cable = running();
+    cable.ends[1].flaps = 3;
+    cable.ends[1].last_down = at(cable.now);
+    cable.ends[1].handle_loss(at(cable.now));
+    cable.run_until(cable.now + 15);
+    cable.told.clear();
+    cable
+}
+
+#[test]
+fn traffic_of_the_past_neither_brings_a_link_up_nor_keeps_it_down() {
+    let calm = healed(&mut wary_on_the_right(), || None);
+    let packet = || Some(Frame::Data(Bytes::from_static(b"packet").into()).encode());
+    let routing = || Some(Frame::Routing(Bytes::from_static(b"routing")).encode());
+    for again in [packet, routing] {
+        let mut cable = wary_on_the_right();
+
+        assert_eq!(healed(&mut cable, again), calm);
+
+        assert_eq!(downs(&cable), 0, "{:?}", cable.told);
+    }
+}
+
+/// A cable that has run for so long that most of what was said is long past, and what its right end said.
+fn recorded() -> (Cable, Vec<Bytes>) {
+    let mut cable = running();
+    cable.run_until(20_000);
+    let said = hellos_of(&cable, 1);
+    cable.told.clear();
+    (cable, said)
+}
+
+#[test]
+fn hellos_of_the_past_take_nothing_down_in_whichever_order_they_come() {
+    for seed in 0..5 {
+        let (mut cable, said) = recorded();
+        let mut random = Random::new(seed);
+        for n in 0..5_000 {
+            let one = match seed {
+                0 => n % said.len(),
+                _ => random.below(said.len() as u64) as usize,
+            };
+            cable.ends[0].handle_frame(said[one].clone(), at(cable.now));
+            cable.run_until(cable.now + 1);
+        }
+        assert_eq!(cable.told, [], "seed {seed}");
+    }
+}
+
+#[test]
+fn an_end_that_begins_anew_and_hears_the_past_first_finds_the_present_all_the_same() {
+    for seed in 0..10 {
+        for pace in [1, 2, 10] {
+            let (mut cable, said) = recorded();
+            let (mut random, mut n) = (Random::new(seed), 0);
+            cable.ends[0] = Link::new(config("left", 2), at(cable.now));
+            cable.ends[0].handle_frame(said[100].clone(), at(cable.now));
+            let healed = healed(&mut cable, || {
+                n += 1;
+                let one = match seed {
+                    // As it was said, from there on.
+                    0 => 100 + n / pace,
+                    _ => random.below(said.len() as u64) as usize,
+                };
+                (n % pace == 0).then(|| said[one % said.len()].clone())
+            });
+            assert!(healed <= 110, "seed {seed}, every {pace} ms: {healed} ms");
+        }
+    }
+}
+
+#[test]
+fn a_neighbour_that_begins_anew_is_found_while_its_last_life_is_repeated() {
+    for seed in 0..10 {
+        for life in [2, 1_000_000] {
+            let mut cable = Cable::new(config("left", 1), config("right", 1_000));
+            cable.run_until(20_000);
+            let said = hellos_of(&cable, 1);
+            let (mut random, mut n) = (Random::new(seed), 0);
+            cable.ends[1] = Link::new(config("right", life), at(cable.now));
+            cable.run_until(cable.now + 50);
+            let healed = healed(&mut cable, || {
+                n += 1;
+                let one = match seed {
+                    0 => n,
+                    _ => random.below(said.len() as u64) as usize,
+                };
+                Some(said[one % said.len()].clone())
+            });
+            assert!(healed <= 110, "seed {seed}, life {life}: {healed} ms");
+            let neighbour = cable.ends[0].neighbour().unwrap();
+            assert_eq!(neighbour.incarnation, Incarnation(life));
+        }
+    }
+}

@@ -1,0 +1,268 @@
+//! Workers, one look after the other.
+
+use super::*;
+use crate::Incarnation;
+
+const HOME: ArbiterId = 7;
+
+fn name(text: &str) -> ObjectName {
+    ObjectName::new(text).unwrap()
+}
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+fn ms(millis: u64) -> Duration {
+    Duration::from_millis(millis)
+}
+
+fn judged(object: &str) -> Judged {
+    Judged {
+        object: name(object),
+        arbiter: HOME,
+        max_block: ms(500),
+        max_wait: ms(1000),
+        max_silence: Some(MaxSilence { first: ms(600), between: ms(300) }),
+    }
+}
+
+/// A scanner with a culprit in slot 0 and a victim in slot 2, and the world that it looks at.
+struct World {
+    scanner: Scanner,
+    now: u64,
+    pulse: PulseReading,
+    stamps: [StampReading; 3],
+}
+
+impl World {
+    fn new() -> Self {
+        let mut scanner = Scanner::new(ScannerConfig::default());
+        scanner.handle_enter(0, judged("culprit"), at(0));
+        scanner.handle_enter(2, judged("victim"), at(0));
+        let stamp = StampReading {
+            turn: 0,
+            alive: 0,
+            incarnation: Incarnation(1),
+            speaks: false,
+            allowance: Duration::ZERO,
+        };
+        let pulse = PulseReading { beat: 0, running: None, turn: None, fenced: false };
+        World { scanner, now: 0, pulse, stamps: [stamp; 3] }
+    }
+
+    /// Time passes; the arbiter beats or stands.
+    fn pass(&mut self, millis: u64, beats: bool) -> Vec<Sighting> {
+        let mut seen = Vec::new();
+        for _ in 0..millis / 10 {
+            self.now += 10;
+            self.pulse.beat += u64::from(beats);
+            seen.extend(self.look());
+        }
+        seen
+    }
+
+    fn look(&mut self) -> Vec<Sighting> {
+        let now = at(self.now);
+        self.scanner.handle_look(now);
+        self.scanner.handle_pulse(HOME, self.pulse, now);
+        let stamps = self.stamps;
+        self.scanner.handle_stamps(now, |slot| stamps[slot as usize]);
+        std::iter::from_fn(|| self.scanner.poll_output()).collect()
+    }
+}
+
+#[test]
+fn an_arbiter_that_turns_is_left_alone() {
+    let mut world = World::new();
+    world.pulse.running = Some(0);
+    assert_eq!(world.pass(5000, true), []);
+}
+
+#[test]
+fn a_handler_that_keeps_its_arbiter_is_the_culprit_and_is_named_once() {
+    let mut world = World::new();
+    world.pass(100, true);
+    (world.pulse.running, world.pulse.turn) = (Some(0), Some(1));
+    world.stamps[0].turn = 1;
+
+    let seen = world.pass(2000, false);
+
+    let victims = vec![name("victim")];
+    let object = name("culprit");
+    assert_eq!(seen, [Sighting::Hangs { slot: 0, object, age: ms(500), victims }]);
+    assert_eq!(world.scanner.poll_timeout(), None);
+    world.scanner.handle_timeout(at(3000));
+    assert_eq!(world.scanner.poll_output(), None);
+}
+
+#[test]
+fn an_arbiter_on_which_nobody_runs_has_no_culprit() {
+    let mut world = World::new();
+    assert_eq!(world.pass(5000, false), []);
+    world.pulse.running = Some(1); // Nobody's place.
+    assert_eq!(world.pass(5000, false), []);
+}
+
+#[test]
+fn many_turns_in_one_poll_are_no_hang() {
+    let mut world = World::new();
+    world.pulse.running = Some(0);
+    for turns in 1..20 {
+        world.pulse.turn = Some(2 * turns);
+        assert_eq!(world.pass(400, false), []);
+    }
+}
+
+#[test]
+fn a_declared_long_operation_is_no_hang_before_its_time() {
+    let mut world = World::new();
+    world.stamps[0].allowance = ms(2000);
+    world.stamps[0].turn = 1;
+    world.pass(20, true);
+    (world.pulse.running, world.pulse.turn) = (Some(0), Some(1));
+
+    assert_eq!(world.pass(2000, false), []);
+
+    assert!(matches!(world.pass(20, false)[..], [Sighting::Hangs { .. }]));
+}
+
+#[test]
+fn a_hang_that_ends_is_resumed_and_nobody_is_silent_for_it() {
+    let mut world = World::new();
+    world.stamps.iter_mut().for_each(|stamp| stamp.speaks = true);
+    world.look();
+    world.pulse.running = Some(0);
+    assert_eq!(world.pass(600, false).len(), 1);
+
+    world.pulse.running = None;
+    let seen = world.pass(200, true);
+
+    let objects = vec![name("victim"), name("culprit")];
+    assert_eq!(seen, [Sighting::Resumed { objects }]);
+}
+
+#[test]
+fn a_fenced_arbiter_is_lost_when_its_grace_is_over() {
+    let mut world = World::new();
+    (world.pulse.running, world.pulse.turn) = (Some(0), Some(1));
+    world.pass(600, false);
+    world.scanner.handle_leave(0); // The culprit was given up.
+    (world.pulse.fenced, world.pulse.turn) = (true, None);
+
+    let seen = world.pass(1000, false);
+
+    let (culprit, victims) = (name("culprit"), vec![name("victim")]);
+    assert_eq!(seen, [Sighting::Lost { arbiter: HOME, culprit, victims }]);
+    assert_eq!(world.pass(100, true), [], "what comes back now comes too late");
+    world.scanner.handle_gone(HOME);
+    assert_eq!(world.pass(100, true), []);
+}
+
+#[test]
+fn a_fence_that_is_lifted_in_time_loses_nothing() {
+    let mut world = World::new();
+    world.pulse.running = Some(0);
+    world.pass(600, false);
+    world.scanner.handle_leave(0);
+    world.pulse.fenced = true;
+    assert_eq!(world.pass(150, false), []);
+
+    world.pulse.fenced = false;
+    let seen = world.pass(1000, true);
+
+    assert_eq!(seen, [Sighting::Resumed { objects: vec![name("victim")] }]);
+}
+
+#[test]
+fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
+    let mut world = World::new();
+    world.look();
+    world.stamps[2].turn = 1;
+
+    let seen = world.pass(3000, true);
+
+    let (object, incarnation) = (name("victim"), Incarnation(1));
+    let waits = Sighting::Waits { slot: 2, object, incarnation, age: ms(1000) };
+    assert_eq!(seen, [waits]);
+    let busy: Vec<_> = world.scanner.busy().map(|(slot, turn, _)| (slot, turn)).collect();
+    assert_eq!(busy, [(2, 1)]);
+    world.stamps[2].turn = 3;
+    assert_eq!(world.pass(3000, true).len(), 1);
+    world.stamps[2].turn = 4;
+    assert_eq!(world.pass(3000, true), []);
+}
+
+#[test]
+fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
+    let mut world = World::new();
+    world.stamps[0].speaks = true;
+    world.look();
+    for _ in 0..5 {
+        world.stamps[0].alive += 1;
+        assert_eq!(world.pass(290, true), []);
+    }
+
+    let seen = world.pass(1000, true);
+    let (object, incarnation) = (name("culprit"), Incarnation(1));
+    let silent_for = ms(300);
+    let silent = Sighting::Silent { object: object.clone(), incarnation, silent_for };
+    assert_eq!(seen, [silent]);
+
+    world.stamps[0].alive += 1;
+    assert_eq!(world.pass(100, true), [Sighting::Spoke { object, incarnation }]);
+}
+
+#[test]
+fn silence_counts_only_where_signs_are_expected() {
+    let mut world = World::new();
+    assert_eq!(world.pass(1000, true), []);
+    world.stamps[0].speaks = true;
+    assert_eq!(world.pass(590, true), []);
+    world.stamps[0].allowance = ms(1000);
+    assert_eq!(world.pass(400, true), [], "a long operation was declared");
+    let mut quiet = judged("quiet");
+    quiet.max_silence = None;
+    world.scanner.handle_enter(0, quiet, at(world.now));
+    assert_eq!(world.pass(5000, true), []);
+}
+
+#[test]
+fn a_new_life_begins_with_a_clean_record() {
+    let mut world = World::new();
+    (world.stamps[0].speaks, world.stamps[0].turn) = (true, 1);
+    world.look();
+    assert_eq!(world.pass(1000, true).len(), 2, "silent and waiting");
+
+    world.stamps[0].incarnation = Incarnation(2);
+    assert_eq!(world.pass(590, true), [], "its first sign may take longer");
+    assert_eq!(world.pass(100, true).len(), 1, "silent again");
+}
+
+#[test]
+fn what_the_scanner_missed_condemns_nobody() {
+    let mut world = World::new();
+    world.stamps[0].speaks = true;
+    world.stamps[2].turn = 1;
+    world.pulse.running = Some(0);
+    world.pulse.fenced = true;
+    world.look();
+
+    world.now += 60_000;
+    let seen = world.look();
+
+    assert_eq!(seen, [Sighting::Stalled { gap: ms(60_000) }]);
+    assert_eq!(world.pass(190, false), []);
+}
+
+#[test]
+fn a_stall_of_the_scanner_does_not_end_a_hang() {
+    let mut world = World::new();
+    world.pulse.running = Some(0);
+    assert_eq!(world.pass(600, false).len(), 1);
+
+    world.now += 60_000;
+
+    assert_eq!(world.look(), [Sighting::Stalled { gap: ms(60_000) }]);
+    assert_eq!(world.pass(1000, false), [], "it was named before");
+}
