@@ -299,10 +299,28 @@ impl Replica {
 
     /// Another replica says something.
     pub fn handle_message(&mut self, from: &NodeName, message: &[u8], now: Instant) {
-        let Some(message) = self.read(from, message, now) else {
+        let read = self.accord.read(message).filter(|_| *from != self.config.own);
+        let Some((message, signed)) = read else {
             self.refused += 1;
             return;
         };
+        let agrees = self.accord.is_ours(signed);
+        if !agrees {
+            self.doubt(from, now);
+        }
+        let heard = match agrees {
+            true => self.config.members.contains(from),
+            false => self.accord.shares_state(from, signed),
+        };
+        let message = codec::decode_bounded::<Message, MESSAGE_MAX>(message);
+        match message.ok().filter(|_| heard) {
+            Some(message) if agrees => self.hear(from, message, now),
+            Some(message) => self.hear_of_other_list(from, message, now),
+            None => self.refused += 1,
+        }
+    }
+
+    fn hear(&mut self, from: &NodeName, message: Message, now: Instant) {
         self.handle_timeout(now);
         match message {
             Message::Hello { epoch, number, position, answered, heard } => {
@@ -310,7 +328,7 @@ impl Replica {
             }
             Message::Promise { epoch, number, position, answered, standing } => {
                 self.hear_loss(epoch, answered);
-                self.hear_promise(from, epoch, number, (position, standing), now);
+                self.hear_promise((from, false), epoch, number, (position, standing), now);
             }
             Message::Outdated { epoch } => match &self.role {
                 Acting::Primary(primary) if epoch > primary.epoch => self.step_down(None, now),
@@ -334,16 +352,6 @@ impl Replica {
             }
             Message::Resigned { epoch } => self.hear_resigned(from, epoch, now),
         }
-    }
-
-    fn read(&mut self, from: &NodeName, message: &[u8], now: Instant) -> Option<Message> {
-        let (message, agrees) = self.accord.read(message).filter(|_| *from != self.config.own)?;
-        if !agrees {
-            self.doubt(from, now);
-            return None;
-        }
-        self.config.members.contains(from).then_some(())?;
-        codec::decode_bounded::<Message, MESSAGE_MAX>(message).ok()
     }
 
     fn see(&mut self, epoch: u64) {
@@ -433,9 +441,9 @@ impl Replica {
 
     fn tell_others(&mut self, message: &Message) {
         let message = self.accord.sign(codec::encode_unbounded(message));
-        for to in self.config.members.iter().filter(|member| **member != self.config.own) {
-            let (to, message) = (to.clone(), message.clone());
-            self.outputs.push_back(ReplicaOutput::Send { to, message });
+        let members = self.config.members.iter().filter(|member| **member != self.config.own);
+        for to in members.cloned().chain(self.accord.unlisted()) {
+            self.outputs.push_back(ReplicaOutput::Send { to, message: message.clone() });
         }
     }
 }

@@ -55,6 +55,18 @@ impl Terms {
         self.on_partition == OnPartition::Continue && theirs.on_partition == OnPartition::Continue
     }
 
+    /// Whether what is done by the one can be followed by the others: only their lists differ, and not in all.
+    /// Or else they are two services that have one name by mistake.
+    pub(super) fn shares_state(&self, theirs: &Terms) -> bool {
+        let strict = |terms: &Terms| terms.on_partition == OnPartition::Stop;
+        self.kind == theirs.kind
+            && self.kind != StandbyKind::Cold
+            && self.hello_interval == theirs.hello_interval
+            && strict(self)
+            && strict(theirs)
+            && self.members.iter().any(|node| theirs.list(node))
+    }
+
     /// Which of two, each of which knows of the other, may rely on that the other keeps back.
     pub(super) fn leads(&self, theirs: &Terms) -> bool {
         let rank = |terms: &Terms| {

@@ -6,8 +6,8 @@
 //!      │ ◄────────────────────────────────── its own │
 //! ```
 //!
-//! Each message between replicas carries the fingerprint of its sender's terms, and one of other terms is
-//! refused: no majority is ever made of votes for different things. That alone does not keep two from
+//! Each message between replicas carries the fingerprint of its sender's terms, and no vote or promise of other
+//! terms counts: no majority is ever made of votes for different things. That alone does not keep two from
 //! serving; what does is in [`rivals`](super::rivals). Other terms are reckoned with until all who were told
 //! them say the same as this one, in a life that was told better; or have ended in order, or carry the service
 //! no more. That somebody is out of sight is no reason.
@@ -92,10 +92,15 @@ impl Accord {
         message.into()
     }
 
-    /// The message itself, and whether its sender was told the same.
-    pub(super) fn read<'a>(&self, message: &'a [u8]) -> Option<(&'a [u8], bool)> {
+    /// The message itself, and what its sender was told.
+    pub(super) fn read<'a>(&self, message: &'a [u8]) -> Option<(&'a [u8], u64)> {
         let (message, signed) = message.split_last_chunk()?;
-        Some((message, u64::from_le_bytes(*signed) == self.fingerprint))
+        Some((message, u64::from_le_bytes(*signed)))
+    }
+
+    /// These are our own terms.
+    pub(super) fn is_ours(&self, fingerprint: u64) -> bool {
+        fingerprint == self.fingerprint
     }
 
     /// What differs: first of members, who are sure to be meant.

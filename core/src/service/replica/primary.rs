@@ -34,6 +34,8 @@ pub(super) struct Follower {
     pub(super) promised: Instant,
     pub(super) step: Step,
     position: Position,
+    /// It was told another list: it follows, and its promise counts for nothing.
+    pub(super) learns: bool,
 }
 
 /// Whether a standby has what the primary has.
@@ -72,7 +74,8 @@ impl Primary {
         if needed == 0 || config.on_partition == OnPartition::Continue {
             return None;
         }
-        let promised = self.standbys.values().map(|follower| follower.promised);
+        let voters = self.standbys.values().filter(|follower| !follower.learns);
+        let promised = voters.map(|follower| follower.promised);
         // Those who voted have promised so, since before we began.
         let mut promised: Vec<_> =
             promised.chain(std::iter::repeat_n(self.began, needed)).collect();
@@ -84,7 +87,8 @@ impl Primary {
         let supports = |node: &NodeName| {
             let follower = self.standbys.get(node);
             *node == config.own
-                || follower.is_some_and(|known| now < known.promised + config.lease())
+                || follower
+                    .is_some_and(|known| !known.learns && now < known.promised + config.lease())
         };
         self.lease_until(config).is_none_or(|until| now < until)
             && (accord.is_undisputed() || accord.allows(supports, now))
@@ -121,9 +125,15 @@ impl Replica {
         let position = self.position;
         primary.standbys.extend(voters.into_iter().map(|(node, in_step)| {
             let follower = match in_step && !lost {
-                true => Follower { promised: asked, step: Step::Abreast, position },
+                true => Follower { promised: asked, step: Step::Abreast, position, learns: false },
                 false => {
-                    Follower { promised: asked, step: Step::Behind, position: Position::default() }
+                    let nothing = Position::default();
+                    Follower {
+                        promised: asked,
+                        step: Step::Behind,
+                        position: nothing,
+                        learns: false,
+                    }
                 }
             };
             (node, follower)
@@ -169,7 +179,7 @@ impl Replica {
 
     pub(super) fn hear_promise(
         &mut self,
-        from: &NodeName,
+        (from, learns): (&NodeName, bool),
         epoch: u64,
         number: u64,
         (position, standing): (Position, Standing),
@@ -182,11 +192,16 @@ impl Replica {
             return;
         }
         let said = primary.said.iter().find(|(said, _)| *said == number).map(|(_, at)| *at);
+        // In a life that was told otherwise it has forgotten all.
+        if primary.standbys.get(from).is_some_and(|known| known.learns != learns) {
+            primary.standbys.remove(from);
+        }
         // Somebody without a promise is no follower yet.
         let Some(promised) = said.or(primary.standbys.get(from).map(|known| known.promised)) else {
             return;
         };
-        let fresh = Follower { promised, step: Step::Behind, position: Position::default() };
+        let nothing = Position::default();
+        let fresh = Follower { promised, step: Step::Behind, position: nothing, learns };
         let follower = primary.standbys.entry(from.clone()).or_insert(fresh);
         follower.promised = follower.promised.max(promised);
         follower.step = match (follower.step, standing) {
@@ -297,9 +312,9 @@ impl Replica {
             if config.kind != StandbyKind::Cold {
                 let followers = primary.standbys.values();
                 let in_step = followers.filter(|follower| follower.step == Step::Abreast);
-                let known =
-                    in_step.clone().filter(|follower| follower.position >= position).count();
-                let all = known == in_step.count();
+                let knows = |follower: &&Follower| follower.position >= position;
+                let all = in_step.clone().all(|follower| knows(&follower));
+                let known = in_step.filter(|follower| !follower.learns).filter(knows).count();
                 let enough = exposed
                     || config.on_partition == OnPartition::Continue
                     || known + 1 >= config.majority();

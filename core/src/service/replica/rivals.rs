@@ -18,12 +18,15 @@
 //! leader need not count those who are bound, a promise after they were told. So that whoever dies, or is cut off, has
 //! no say any more; a new life of it, out of sight and told the same wrong thing, is one that was never met.
 //!
+//! Where the lists alone differ, and overlap, whoever was told the other one follows the primary, and its promise counts for
+//! nothing: it learns the state, so that a new list begins with what was done by the old one.
+//!
 //! Two primaries of different terms, p that leads and q, would have disjoint majorities, as nobody is told two things. If q
 //! reckons with p's terms, too few of p's list are left to elect p. If it does not, nobody who is bound has
 //! voted for q, and too few of q's list are left to elect q. So one of them does not serve.
 
 use super::super::terms::Terms;
-use super::accord::{Accord, Opinion};
+use super::accord::{Accord, Known, Opinion};
 use super::*;
 
 /// The most terms that are told apart: beyond, nobody serves, until the node begins anew.
@@ -134,6 +137,24 @@ impl Accord {
             self.terms.excludes(theirs, |node| supports(node) || leads && keeps(node, fingerprint))
         });
         self.rivals.overflow || ours < self.terms.quorum() || !excluded
+    }
+
+    /// Whether this node, which has said so itself, has terms that differ in their list alone.
+    pub(super) fn shares_state(&self, node: &NodeName, fingerprint: u64) -> bool {
+        let known = self.known.get(node).filter(|known| holds(&known.opinion, fingerprint));
+        let rival = known.and_then(|_| self.rivals.all.get(&fingerprint));
+        rival.is_some_and(|rival| self.terms.shares_state(&rival.terms))
+    }
+
+    /// All such nodes that we do not list: they are to hear of us, too.
+    pub(super) fn unlisted(&self) -> Vec<NodeName> {
+        let shares = |(node, known): &(&NodeName, &Known)| match known.opinion {
+            Opinion::Differs { terms, .. } => {
+                !self.terms.list(node) && known.seen && self.shares_state(node, terms)
+            }
+            _ => false,
+        };
+        self.known.iter().filter(shares).map(|(node, _)| node.clone()).collect()
     }
 
     /// Those who agree, as far as is known.

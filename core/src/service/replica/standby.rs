@@ -128,6 +128,20 @@ impl Replica {
         if !self.is_reckoned_with(from, heard) {
             return;
         }
+        self.follow(from, epoch, (number, position, answered), now);
+        if let Acting::Standby(standby) = &mut self.role {
+            standby.promised_until = now + self.config.lease() + self.config.margin();
+        }
+    }
+
+    /// This one serves, by whichever list.
+    fn follow(
+        &mut self,
+        from: &NodeName,
+        epoch: u64,
+        (number, position, answered): (u64, Position, Position),
+        now: Instant,
+    ) {
         self.see(epoch);
         self.answered = self.answered.max(answered);
         self.wait_for_state(now);
@@ -141,8 +155,8 @@ impl Replica {
         }
         standby.primary = Some(from.clone());
         (standby.claiming, standby.asked, standby.inquiring) = (None, None, false);
-        standby.promised_until = now + self.config.lease() + self.config.margin();
-        standby.claim_at = standby.promised_until + turn(&self.config, Some(from));
+        let patience = self.config.lease() + self.config.margin();
+        standby.claim_at = now + patience + turn(&self.config, Some(from));
         let standing = match (self.config.kind, self.health) {
             (StandbyKind::Cold, _) => Standing::InStep,
             (StandbyKind::Hot, Health::Gone { .. }) => Standing::Unable,
@@ -152,6 +166,38 @@ impl Replica {
         let (position, answered) = (self.position, self.answered);
         self.send(from, &Message::Promise { epoch, number, position, answered, standing });
         self.tell_role();
+    }
+
+    /// A node that was told another list, and nothing else otherwise, says something. While a list is changed, what
+    /// was done by the old one is known by the new one, too: whoever serves is followed, without a promise.
+    pub(super) fn hear_of_other_list(&mut self, from: &NodeName, message: Message, now: Instant) {
+        self.handle_timeout(now);
+        let followed = match &self.role {
+            Acting::Standby(standby) => standby.primary.as_ref() == Some(from),
+            Acting::Primary(_) => false,
+        };
+        match message {
+            Message::Hello { epoch, number, position, answered, .. } => {
+                if let Acting::Standby(standby) = &self.role
+                    && epoch >= self.epoch
+                    // One of our own list goes first.
+                    && (followed || standby.primary.is_none())
+                {
+                    self.follow(from, epoch, (number, position, answered), now);
+                }
+            }
+            Message::Promise { epoch, number, position, standing, .. } => {
+                self.hear_promise((from, true), epoch, number, (position, standing), now);
+            }
+            Message::Entry { epoch, position, served, settled, after } if followed => {
+                self.hear_entry(from, (epoch, position), served, settled, after);
+            }
+            Message::Snapshot { epoch, position, state, table } if followed => {
+                self.hear_snapshot(from, (epoch, position), state, table);
+            }
+            Message::Resigned { epoch } => self.hear_resigned(from, epoch, now),
+            _ => {}
+        }
     }
 
     /// Nobody serves: this replica offers to.

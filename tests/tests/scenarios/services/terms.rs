@@ -148,7 +148,7 @@ async fn a_node_that_was_told_otherwise_and_died_or_was_cut_off_keeps_nobody_fro
 }
 
 #[blastema_testkit::test]
-async fn while_a_list_is_changed_node_by_node_the_service_is_served_by_those_who_agree() {
+async fn while_a_list_is_changed_node_by_node_the_service_goes_on_and_forgets_nothing() {
     let lists: [(&'static [&'static str], &'static [&'static str]); 2] = [
         (&["module1", "module2", "module3"], &["module1", "module2", "module3", "module0"]),
         (&["module0", "module1", "module2", "module3"], &["module1", "module2", "module3"]),
@@ -161,6 +161,8 @@ async fn while_a_list_is_changed_node_by_node_the_service_is_served_by_those_who
         }
         nodes[0].advance(2000 * MS).await;
         assert_eq!(serving(&nodes), 1);
+        let mut sum = 1;
+        assert_eq!(add(&nodes[0]).await, Ok(sum));
         for own in after.iter().rev() {
             if let Some(at) = nodes.iter().position(|node| node.name().as_str() == *own) {
                 nodes.remove(at).shutdown().await;
@@ -171,6 +173,8 @@ async fn while_a_list_is_changed_node_by_node_the_service_is_served_by_those_who
                 assert!(serving(&nodes) <= 1, "{own} begins: {:?}", who(&nodes));
             }
             assert_eq!(serving(&nodes), 1, "{own} was told {after:?}");
+            sum += 1;
+            assert_eq!(add(&nodes[0]).await, Ok(sum), "{own} was told {after:?}");
         }
     }
 }

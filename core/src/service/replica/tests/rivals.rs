@@ -54,3 +54,40 @@ fn however_lists_differ_and_whoever_is_cut_off_or_dies_there_are_never_two_who_s
     }
     assert!(served > 40, "somebody serves now and then: {served}");
 }
+
+#[test]
+fn while_a_list_is_changed_node_by_node_nothing_that_was_answered_is_forgotten() {
+    let grown: [&[usize]; 2] = [&[0, 1, 2], &[0, 1, 2, 3]];
+    let moved: [&[usize]; 2] = [&[0, 1, 2], &[1, 2, 3]];
+    let shrunk: [&[usize]; 2] = [&[0, 1, 2, 3], &[0, 1, 2]];
+    for kind in [StandbyKind::Warm, StandbyKind::Hot] {
+        for ([before, after], order) in [
+            (grown, &[3, 2, 1, 0][..]),
+            (grown, &[3, 0, 1, 2]),
+            (moved, &[3, 2, 1]),
+            (shrunk, &[2, 1, 0]),
+        ] {
+            let mut robot = Robot::new(3, 4, kind, OnPartition::Stop);
+            let those = |list: &[usize]| list.iter().copied().map(node).collect::<Vec<_>>();
+            for member in 0..4 {
+                robot.tell(member, |config| config.members = those(before));
+                if !before.contains(&member) {
+                    robot.kill(member);
+                }
+            }
+            robot.advance_ms(200);
+            robot.ask_some(3);
+            for member in order {
+                robot.tell(*member, |config| config.members = those(after));
+                robot.look_around(1000);
+                robot.ask_some(2);
+                robot.advance_ms(100);
+                let answers = robot.answers();
+                let expected: Vec<_> = (1..=answers.len() as u64).map(Some).collect();
+                assert_eq!(answers, expected, "{kind:?} {after:?}: {member} begins anew");
+            }
+            assert_eq!(robot.overlaps, 0, "{kind:?} {after:?}");
+            assert_eq!(robot.losses, 0, "{kind:?} {after:?}");
+        }
+    }
+}
