@@ -36,6 +36,8 @@ pub(super) enum After {
 pub(super) enum Standing {
     /// All that the primary has told.
     InStep,
+    /// It was sent everything, and gets what comes after; its component has yet to take it over.
+    Coming,
     /// Less: it needs everything.
     Behind,
     /// Nothing, and it can take nothing: its component rests.

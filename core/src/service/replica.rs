@@ -290,6 +290,11 @@ impl Replica {
 
     /// The component has taken over a state, or could not.
     pub fn handle_loaded(&mut self) {
+        self.end_load();
+        self.confirm_state();
+    }
+
+    fn end_load(&mut self) {
         match self.working.take() {
             Some(Job::Load { .. }) => self.void = false,
             other => self.working = other,

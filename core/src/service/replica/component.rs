@@ -75,7 +75,7 @@ impl Replica {
 
     /// The component could not take over the state that it was given.
     pub fn handle_not_loaded(&mut self, now: Instant) {
-        self.handle_loaded();
+        self.end_load();
         if self.config.kind == StandbyKind::Hot {
             self.lose_state(now);
         }

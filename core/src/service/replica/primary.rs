@@ -212,6 +212,7 @@ impl Replica {
             }
             // While it was behind, entries were not sent to it.
             (Step::Behind | Step::Unable, _) => Step::Behind,
+            (Step::Sent(_) | Step::Abreast, Standing::Coming) => Step::Sent(now),
             (Step::Sent(at), Standing::Behind) if now - at > lease => Step::Behind,
             (Step::Sent(at), Standing::Behind) => Step::Sent(at),
             // It has begun anew: what it once confirmed, it has forgotten.

@@ -145,7 +145,7 @@ impl Replica {
         self.see(epoch);
         self.answered = self.answered.max(answered);
         self.wait_for_state(now);
-        let (telling, own) = (self.tells_by_position(), self.position);
+        let (telling, own, loading) = (self.tells_by_position(), self.position, self.is_loading());
         let Acting::Standby(standby) = &mut self.role else { return };
         if telling && standby.whole && position == own {
             standby.in_step = Some(epoch);
@@ -160,8 +160,9 @@ impl Replica {
         let standing = match (self.config.kind, self.health) {
             (StandbyKind::Cold, _) => Standing::InStep,
             (StandbyKind::Hot, Health::Gone { .. }) => Standing::Unable,
-            _ if standby.in_step == Some(epoch) => Standing::InStep,
-            _ => Standing::Behind,
+            _ if standby.in_step != Some(epoch) => Standing::Behind,
+            _ if loading => Standing::Coming,
+            _ => Standing::InStep,
         };
         let (position, answered) = (self.position, self.answered);
         self.send(from, &Message::Promise { epoch, number, position, answered, standing });
@@ -432,8 +433,27 @@ impl Replica {
         self.tell_role();
     }
 
+    /// A hot component has yet to take over what its replica was sent.
+    fn is_loading(&self) -> bool {
+        let mut jobs = self.jobs.iter().chain(&self.working);
+        self.config.kind == StandbyKind::Hot && jobs.any(|job| matches!(job, Job::Load { .. }))
+    }
+
+    /// The component has what this replica has.
+    pub(super) fn confirm_state(&mut self) {
+        if let Acting::Standby(standby) = &self.role
+            && let (Some(primary), Some(epoch)) = (standby.primary.clone(), standby.in_step)
+            && self.config.kind == StandbyKind::Hot
+        {
+            self.confirm(&primary, epoch);
+        }
+    }
+
     /// Tells the primary how far we have come; this is no promise.
     fn confirm(&mut self, primary: &NodeName, epoch: u64) {
+        if self.is_loading() {
+            return;
+        }
         let (position, answered, standing) = (self.position, self.answered, Standing::InStep);
         let message = Message::Promise { epoch, number: 0, position, answered, standing };
         self.send(primary, &message);

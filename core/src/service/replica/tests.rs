@@ -86,6 +86,8 @@ struct Robot {
     /// How many states were sent, and who is sent none.
     snapshots: u64,
     withheld: Option<usize>,
+    /// Whose component takes no state over.
+    unloadable: Option<usize>,
 }
 
 impl Robot {
@@ -114,6 +116,7 @@ impl Robot {
             losses: 0,
             snapshots: 0,
             withheld: None,
+            unloadable: None,
         };
         (0..size).for_each(|member| robot.start(member));
         robot
@@ -243,6 +246,10 @@ impl Robot {
                 own.replica.handle_executed(Ok(state(own.sum)), saved, now);
             }
             ReplicaOutput::Save => own.replica.handle_saved(Ok(state(own.sum)), now),
+            ReplicaOutput::Load { .. } if self.unloadable == Some(member) => {
+                own.sum = 0;
+                own.replica.handle_not_loaded(now);
+            }
             ReplicaOutput::Load { state } => {
                 own.sum = u64::from_le_bytes(state[..].try_into().unwrap());
                 own.replica.handle_loaded();

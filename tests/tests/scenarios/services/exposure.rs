@@ -57,3 +57,18 @@ async fn a_hot_service_says_that_only_its_primary_has_the_state_and_later_that_i
     let told = standing(&robot.members[next], &FaultKind::StateLost).await.expect("it is told");
     assert!(told.detail.contains("begins anew"), "{}", told.detail);
 }
+
+#[blastema_testkit::test]
+async fn standbys_whose_components_were_removed_hold_nothing() {
+    let robot = Robot::start(StandbyKind::Hot).await;
+    assert_eq!(robot.add(5).await, Ok(5));
+    let first = robot.primary();
+    for member in (0..3).filter(|member| *member != first) {
+        robot.members[member].remove_child("counter/replica").await.unwrap();
+    }
+    robot.asker.advance(500 * MS).await;
+
+    let told = standing(&robot.members[first], &FaultKind::Unprotected).await.expect("it is told");
+    assert!(told.detail.contains("at rest, stopped"), "{}", told.detail);
+    assert_eq!(robot.add(1).await, Ok(6));
+}

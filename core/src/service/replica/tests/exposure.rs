@@ -156,6 +156,30 @@ fn replies_wait_for_a_standby_that_comes_into_step_but_not_for_one_that_never_do
 }
 
 #[test]
+fn a_standby_whose_component_cannot_take_the_state_over_holds_nothing() {
+    let mut robot = Robot::new(4, 2, StandbyKind::Hot, OnPartition::Stop);
+    robot.advance_ms(100);
+    robot.ask_some(2);
+    let standby = 1 - robot.primaries()[0];
+    robot.unloadable = Some(standby);
+    robot.lose(standby);
+    robot.advance_ms(50);
+
+    let asked = robot.ask();
+    robot.advance_ms(100);
+    assert_eq!(robot.callers[asked].answer, None, "it may take it over yet");
+    robot.advance(Duration::from_secs(1));
+    assert_eq!(robot.callers[asked].answer, Some(3));
+    let told = robot.fault(1 - standby, FaultKind::Unprotected).expect("it is told").to_owned();
+    assert!(told.contains(&format!("not in step: module{standby}")), "{told}");
+
+    robot.unloadable = None;
+    robot.advance_ms(200);
+    assert_eq!(robot.with(&FaultKind::Unprotected), []);
+    assert_eq!(robot.members[standby].as_ref().unwrap().sum, 3);
+}
+
+#[test]
 fn a_standby_at_rest_is_sent_no_state_that_it_cannot_keep() {
     let mut robot = Robot::new(4, 3, StandbyKind::Hot, OnPartition::Stop);
     robot.advance_ms(100);
