@@ -169,6 +169,18 @@ pub enum Why {
         /// The name.
         name: String,
     },
+    /// Another node had this node's name before: this one is kept out by all. Give it another name, or end the
+    /// other.
+    #[error(
+        "the name {name} of this node is taken: another node has it, in its life {by}, and this one is \
+         kept out by all; give it another name, or end the other"
+    )]
+    NameTaken {
+        /// The name of both.
+        name: String,
+        /// The life of the one that has it.
+        by: String,
+    },
     /// The message is larger than what a session carries to another node, whatever its contract
     /// allows. It was not sent: send it in parts.
     #[error(
@@ -223,7 +235,8 @@ impl Why {
             | Why::Held { .. }
             | Why::LeaseEnded
             | Why::Superseded { .. }
-            | Why::Unclaimed { .. } => Outcome::NotTaken,
+            | Why::Unclaimed { .. }
+            | Why::NameTaken { .. } => Outcome::NotTaken,
             // The callee may have been stopped, or shut out, while it served; and what cannot be decoded
             // may be the reply.
             Why::Stopped

@@ -105,6 +105,15 @@ fn a_second_node_of_a_name_is_a_fault_of_both_and_the_first_ones_traffic_is_unha
             second.sessions().await.iter().all(|session| session.standing.incarnation.is_none())
         );
 
+        // Whoever asks there is told why nobody answers.
+        let elsewhere: Sender<Add> = second.sender("head:sum").expect("a name");
+        let why = elsewhere.ask_within(Add(1), PATIENCE).await.expect_err("it is kept out").why;
+        let said = why.to_string();
+        assert!(
+            said.contains("the name arm of this node is taken") && said.contains("life"),
+            "{said}"
+        );
+
         // When the first has gone, the second is the arm.
         drop(first);
         let answered = async {

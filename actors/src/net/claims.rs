@@ -12,7 +12,7 @@ use blastema_contract::reports::{AreYouAlive, FaultDeclared, FaultMended};
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::PeerSeen;
 use blastema_core::net::claims::{
-    ClaimRefused, Claims, ClaimsConfig, ClaimsOutput, Holder, NameHeld, Wanted,
+    ClaimRefused, Claims, ClaimsConfig, ClaimsOutput, Holder, NameHeld, Wanted, Without,
 };
 use blastema_core::net::complaints::Complaints;
 use blastema_core::net::latch::Latch;
@@ -63,9 +63,11 @@ pub(crate) struct ClaimsBody {
     peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
     complaints: Complaints<NodeName>,
     faults: OwnFaults,
-    /// Names that somebody else has, without which the components of these claims go: as many as are
-    /// claimed here.
-    nameless: Latch<(ObjectName, u64)>,
+    /// Names that were lost to others, who had claimed them out of sight: as many as are claimed here.
+    lost: Latch<(ObjectName, u64)>,
+    /// Who goes without a name, and what was said of that last.
+    without: Without,
+    said: Option<String>,
 }
 
 /// Where the body is told and asked.
@@ -95,7 +97,9 @@ impl ClaimsBody {
                 peers: BTreeMap::new(),
                 complaints: Complaints::default(),
                 faults: OwnFaults::of("claims", setup.faults.clone(), setup.mended.clone()),
-                nameless: Latch::default(),
+                lost: Latch::default(),
+                without: Without::default(),
+                said: None,
                 setup,
             }
         };
@@ -137,27 +141,43 @@ impl ClaimsBody {
         self.faults.declare(kind, detail);
     }
 
-    /// Some go without their names no longer: the fault is over once nobody does.
-    fn mend(&self) {
-        if self.nameless.iter().next().is_none() {
+    /// Some names are not lost any more. Of those who go without, it is said again.
+    fn mend(&mut self) {
+        self.said = None;
+        if self.without.text().is_some() {
+            self.say_who_goes_without();
+        } else if self.lost.iter().next().is_none() {
             self.faults.mend(FaultKind::NameTaken);
         }
     }
 
+    /// As it is now.
+    fn say_who_goes_without(&mut self) {
+        match self.without.text() {
+            Some(text) if self.said.as_ref() != Some(&text) => {
+                self.said = Some(text.clone());
+                self.declare(FaultKind::NameTaken, text);
+            }
+            None if self.said.take().is_some() => self.mend(),
+            Some(_) | None => {}
+        }
+    }
+
+    /// A claim is granted, or given back.
     fn has_its_name(&mut self, name: ObjectName, number: u64) {
-        if self.nameless.end(&(name, number)) {
+        self.without.handle_end(&name, number);
+        if self.lost.end(&(name, number)) {
             self.mend();
         }
+        self.say_who_goes_without();
     }
 
     fn refused(&mut self, name: &ObjectName, refused: ClaimRefused) {
         warn!(%name, "a claim is refused: {refused}");
-        let unattended = self.own.get(name).filter(|own| own.unattended);
-        let without = unattended.map(|own| (own.wanted.object.clone(), own.number));
-        if let Some((object, number)) = without {
-            let detail = format!("{object} goes without the name {name}: {refused}");
-            self.declare(FaultKind::NameTaken, detail);
-            self.nameless.hold((name.clone(), number));
+        if let Some(own) = self.own.get(name).filter(|own| own.unattended) {
+            let object = own.wanted.object.clone();
+            self.without.handle_refused((name.clone(), own.number), object, &refused);
+            self.say_who_goes_without();
         }
         self.end(name, ClaimState::Refused(refused.into()));
     }
@@ -176,7 +196,7 @@ impl ClaimsBody {
         if self.complaints.take_over(now) {
             self.faults.mend(FaultKind::CheckFailed);
         }
-        if !self.nameless.take_over(now).is_empty() {
+        if !self.lost.take_over(now).is_empty() {
             self.mend();
         }
     }
@@ -263,13 +283,15 @@ impl Body for ClaimsBody {
                 self.declare(FaultKind::NameTaken, detail);
                 // Each of the two knows it now, and what becomes of it.
                 let number = self.own.get(&name).map_or(0, |own| own.number);
-                self.nameless.begin((name.clone(), number), platform::now());
+                self.lost.begin((name.clone(), number), platform::now());
                 match stands_by {
                     true => self.tell(&name, ClaimState::StandsBy),
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
                 }
             }
             ClaimsOutput::Held { name, holder } => {
+                self.without.handle_holder(&name, holder.as_ref());
+                self.say_who_goes_without();
                 let life = |holder: Holder| {
                     let incarnation = self.incarnation_of(&holder.node);
                     (holder, incarnation)
@@ -290,15 +312,15 @@ impl Handler<Wish> for ClaimsBody {
                 match self.own.get(&name) {
                     // The next life of the same component.
                     Some(own) if own.number == number => return,
-                    Some(_) => {
+                    Some(Own { wanted: own, .. }) => {
+                        let other = own.object.clone();
                         let holder = self.setup.node.clone();
                         let epoch = self.machine.holder(&name).map_or(0, |held| held.epoch);
                         let held = NameHeld { name, holder, epoch };
                         if unattended {
-                            let object = wanted.object;
-                            let detail = format!("{object} goes without a name: {held}");
-                            self.declare(FaultKind::NameTaken, detail);
-                            self.nameless.hold((held.name.clone(), number));
+                            let claim = (held.name.clone(), number);
+                            self.without.handle_doubled(claim, wanted.object, &other);
+                            self.say_who_goes_without();
                         }
                         told.send_replace(ClaimState::Refused(held.into()));
                         return;

@@ -1,6 +1,7 @@
 //! The ways out of this node: what stands behind a `Sender` of a remote object.
 
 use super::gateway::Ship;
+use super::outcast::Outcast;
 use crate::platform;
 use crate::registry::{Asked, RemoteDoor, RemoteDoors};
 use actix::Recipient;
@@ -21,15 +22,16 @@ const UNDER_WAY_MAX: usize = 2048;
 const BYTES_UNDER_WAY_MAX: usize = 1 << 20;
 
 /// Makes doors, and tells those behind them how their peer is.
-#[derive(Default)]
 pub(super) struct Doors {
     gateway: OnceLock<Recipient<Ship>>,
     gates: Mutex<BTreeMap<NodeName, Arc<Gate>>>,
+    outcast: Outcast,
 }
 
 /// What all doors to one peer share.
 pub(super) struct Gate {
     node: NodeName,
+    outcast: Outcast,
     condition: AtomicU8,
     /// A path leads there, or perhaps the session waits for one.
     path: AtomicBool,
@@ -72,6 +74,9 @@ impl Gate {
 
     pub(super) fn set(&self, condition: Condition) {
         self.condition.store(condition as u8, Relaxed);
+        if condition == Condition::Open {
+            self.outcast.let_in();
+        }
         self.changed.notify_waiters();
     }
 
@@ -166,7 +171,7 @@ impl Gate {
         }
         match self.condition() {
             Condition::Unreachable => Err(Why::Unreachable { node: self.node.to_string() }),
-            Condition::Opening => Err(Why::Restarting),
+            Condition::Opening => Err(self.outcast.why()),
             Condition::Full => Err(Why::Full),
             Condition::Left => Err(Why::Left { node: self.node.to_string() }),
             Condition::Open if !self.has_room(1) || self.is_full(object) => Err(Why::Full),
@@ -209,6 +214,10 @@ impl Lender for Gate {
 }
 
 impl Doors {
+    pub(super) fn new(outcast: Outcast) -> Self {
+        Doors { gateway: OnceLock::new(), gates: Mutex::default(), outcast }
+    }
+
     pub(super) fn lead_to(&self, gateway: Recipient<Ship>) {
         // Called once, when the network starts.
         let _ = self.gateway.set(gateway);
@@ -229,6 +238,7 @@ impl Doors {
         let gate = gates.entry(node.clone()).or_insert_with(|| {
             Arc::new(Gate {
                 node: node.clone(),
+                outcast: self.outcast.clone(),
                 condition: AtomicU8::new(Condition::Unreachable as u8),
                 path: AtomicBool::new(false),
                 isolated: AtomicBool::new(false),

@@ -24,6 +24,7 @@ mod gateway;
 mod letters;
 mod links;
 mod notice;
+mod outcast;
 mod own_faults;
 pub(crate) mod rest;
 mod router;
@@ -211,7 +212,9 @@ pub(crate) fn start(
     environment.envoys.extend(discovery.clone().map(Addr::recipient));
 
     let faults = environment.own_faults("router");
-    let make = router::Router::maker(life.clone(), environment.nodes.clone(), faults);
+    let outcast = outcast::Outcast::new(node.clone());
+    let told = (environment.nodes.clone(), outcast.clone());
+    let make = router::Router::maker(life.clone(), told, faults);
     let router = guardian.start(named("router"), place, make);
 
     let told = (environment.own_faults("sessions"), environment.nodes.clone());
@@ -225,7 +228,7 @@ pub(crate) fn start(
         paths: sessions.clone().recipient(),
     });
 
-    let doors = Arc::new(door::Doors::default());
+    let doors = Arc::new(door::Doors::new(outcast));
     let to_sessions = gateway::SessionPorts {
         say: sessions.clone().recipient(),
         say_newest: sessions.clone().recipient(),

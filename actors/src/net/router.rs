@@ -1,5 +1,6 @@
 //! The router's body.
 
+use super::outcast::Outcast;
 use super::own_faults::OwnFaults;
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
@@ -38,12 +39,14 @@ pub(super) struct Router {
     inquirers: Vec<(NodeName, oneshot::Sender<Result<Done, Failed>>)>,
     /// Who is isolated: a router that begins anew must know.
     kept_out: BTreeSet<NodeName>,
+    /// Whether this node itself is, for want of a name of its own.
+    outcast: Outcast,
 }
 
 impl Router {
     pub(super) fn maker(
         (node, incarnation): (NodeName, Incarnation),
-        monitor: Option<Recipient<NodeReported>>,
+        (monitor, outcast): (Option<Recipient<NodeReported>>, Outcast),
         faults: OwnFaults,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         move |_| {
@@ -60,6 +63,7 @@ impl Router {
                 reached: BTreeMap::new(),
                 inquirers: Vec::new(),
                 kept_out: BTreeSet::new(),
+                outcast,
             }
         }
     }
@@ -200,7 +204,12 @@ impl Body for Router {
                     format!("{what}: {times} times within ten seconds, by way of {neighbour}");
                 self.declare(FaultKind::CheckFailed, detail);
             }
-            RouterOutput::Over(trouble) => self.mend(trouble),
+            RouterOutput::Over(trouble) => {
+                if trouble == Trouble::NameTaken {
+                    self.outcast.let_in();
+                }
+                self.mend(trouble);
+            }
             RouterOutput::NumberTaken { node, refused } => {
                 self.declare(FaultKind::NameTaken, format!(
                     "the names {node} and {refused} give one node number: {refused} is kept out; \
@@ -215,6 +224,7 @@ impl Body for Router {
                 ));
             }
             RouterOutput::NameTaken { incarnation, first: false } => {
+                self.outcast.cast_out(incarnation);
                 let name = &self.config.node;
                 self.declare(FaultKind::NameTaken, format!(
                     "another node called {name} was there before, as {incarnation}: this one is \

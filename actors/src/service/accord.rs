@@ -67,7 +67,7 @@ impl Handler<Spoken<CompareTerms>> for ReplicaBody {
         let Spoken { by, message, answer } = spoken;
         answer.give(self.machine.terms().into());
         match by {
-            Some(from) => self.machine.handle_terms(&from, &message.terms, platform::now()),
+            Some(from) => self.machine.handle_asked(&from, &message.terms, platform::now()),
             None => self.machine.handle_forged(),
         }
         self.drive(context);

@@ -58,12 +58,13 @@ impl Roster {
         }
     }
 
-    /// The nodes that carry the service: as declared here, or as others say.
+    /// The nodes that carry the service: as declared here, and as others say. What was declared here may be
+    /// wrong.
     pub(crate) async fn members(&self, name: &ObjectName) -> Vec<NodeName> {
-        if let Some(entry) = self.lock().get(name) {
-            return entry.members.clone();
-        }
-        self.carriers(name).await
+        let mut members =
+            self.lock().get(name).map_or_else(Vec::new, |entry| entry.members.clone());
+        members.extend(self.carriers(name).await);
+        members
     }
 
     /// The other nodes that have an object of the service's name, whatever was declared.

@@ -19,10 +19,12 @@
 //! use a service, which needs a majority.
 
 mod vocabulary;
+mod without;
 
 pub use self::vocabulary::{
     ClaimPolicy, ClaimRefused, ClaimsConfig, ClaimsOutput, Holder, NameHeld, Wanted,
 };
+pub use self::without::Without;
 
 use self::vocabulary::{Message, Stake, Told};
 use super::wire::Refusals;

@@ -46,15 +46,18 @@ pub(super) enum Standing {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Message {
     /// From the primary: it acts under this epoch, has come so far, and has answered so far.
-    Hello { epoch: u64, number: u64, position: Position, answered: Position },
+    /// And it reckons with these other terms.
+    Hello { epoch: u64, number: u64, position: Position, answered: Position, heard: Vec<u64> },
     /// The standby votes for nobody else for a lease, has come so far, and knows callers to be answered so far.
     Promise { epoch: u64, number: u64, position: Position, answered: Position, standing: Standing },
     /// The sender acts under no such epoch: this one holds.
     Outdated { epoch: u64 },
     /// The sender has voted in this epoch already: claim a greater one.
     Voted { epoch: u64 },
-    /// A standby wants to be primary.
-    Claim { epoch: u64, position: Position },
+    /// A standby wants to be primary, and reckons with these other terms.
+    Claim { epoch: u64, position: Position, heard: Vec<u64> },
+    /// Somebody was told these other terms, with which the receiver has to reckon.
+    Rival { terms: Vec<u8> },
     /// It may; whether the voter has what the claimant has, and how far it knows callers to be answered.
     Vote { epoch: u64, in_step: bool, answered: Position },
     /// A request was executed; its caller has its answers below this number.

@@ -24,7 +24,7 @@
 //! component takes nothing any more, whatever the standbys do.
 //!
 //! All of this holds among those who were told the same: the same nodes, kind, rule and hello. Who finds that
-//! another one was told otherwise serves no more, and neither does that one, until both say the same.
+//! another one was told otherwise serves only where too few are left to elect somebody by those other terms.
 //!
 //! The replicas keep their table in memory. A process that begins anew has forgotten it: that is one
 //! failure. What the machine promises, it promises for fewer than half of the nodes failing at a time.

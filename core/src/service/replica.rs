@@ -4,6 +4,7 @@ mod accord;
 mod component;
 mod exposure;
 mod primary;
+mod rivals;
 mod standby;
 #[cfg(test)]
 mod tests;
@@ -298,21 +299,36 @@ impl Replica {
 
     /// Another replica says something.
     pub fn handle_message(&mut self, from: &NodeName, message: &[u8], now: Instant) {
-        let Some(message) = self.read(from, message, now) else {
+        let read = self.accord.read(message).filter(|_| *from != self.config.own);
+        let Some((message, signed)) = read else {
             self.refused += 1;
             return;
         };
+        let agrees = self.accord.is_ours(signed);
+        if !agrees {
+            self.doubt(from, now);
+        }
+        let heard = match agrees {
+            true => self.config.members.contains(from),
+            false => self.accord.shares_state(from, signed),
+        };
+        let message = codec::decode_bounded::<Message, MESSAGE_MAX>(message);
+        match message.ok().filter(|_| heard) {
+            Some(message) if agrees => self.hear(from, message, now),
+            Some(message) => self.hear_of_other_list(from, message, now),
+            None => self.refused += 1,
+        }
+    }
+
+    fn hear(&mut self, from: &NodeName, message: Message, now: Instant) {
         self.handle_timeout(now);
         match message {
-            // Whoever differs with somebody promises nothing, and helps nobody to serve.
-            Message::Hello { .. } | Message::Claim { .. } | Message::Vote { .. }
-                if self.accord.is_disputed() => {}
-            Message::Hello { epoch, number, position, answered } => {
-                self.hear_hello(from, epoch, (number, position, answered), now);
+            Message::Hello { epoch, number, position, answered, heard } => {
+                self.hear_hello(from, epoch, (number, position, answered), &heard, now);
             }
             Message::Promise { epoch, number, position, answered, standing } => {
                 self.hear_loss(epoch, answered);
-                self.hear_promise(from, epoch, number, (position, standing), now);
+                self.hear_promise((from, false), epoch, number, (position, standing), now);
             }
             Message::Outdated { epoch } => match &self.role {
                 Acting::Primary(primary) if epoch > primary.epoch => self.step_down(None, now),
@@ -321,7 +337,10 @@ impl Replica {
             },
             // That somebody has claimed in vain deposes nobody.
             Message::Voted { epoch } => self.claimed = self.claimed.max(epoch),
-            Message::Claim { epoch, position } => self.hear_claim(from, epoch, position, now),
+            Message::Claim { epoch, position, heard } => {
+                self.hear_claim(from, epoch, position, heard, now);
+            }
+            Message::Rival { terms } => self.hear_rival(&terms, now),
             Message::Vote { epoch, in_step, answered } => {
                 self.hear_vote(from, epoch, (in_step, answered), now);
             }
@@ -333,16 +352,6 @@ impl Replica {
             }
             Message::Resigned { epoch } => self.hear_resigned(from, epoch, now),
         }
-    }
-
-    fn read(&mut self, from: &NodeName, message: &[u8], now: Instant) -> Option<Message> {
-        let (message, agrees) = self.accord.read(message).filter(|_| *from != self.config.own)?;
-        if !agrees {
-            self.doubt(from, now);
-            return None;
-        }
-        self.config.members.contains(from).then_some(())?;
-        codec::decode_bounded::<Message, MESSAGE_MAX>(message).ok()
     }
 
     fn see(&mut self, epoch: u64) {
@@ -432,9 +441,9 @@ impl Replica {
 
     fn tell_others(&mut self, message: &Message) {
         let message = self.accord.sign(codec::encode_unbounded(message));
-        for to in self.config.members.iter().filter(|member| **member != self.config.own) {
-            let (to, message) = (to.clone(), message.clone());
-            self.outputs.push_back(ReplicaOutput::Send { to, message });
+        let members = self.config.members.iter().filter(|member| **member != self.config.own);
+        for to in members.cloned().chain(self.accord.unlisted()) {
+            self.outputs.push_back(ReplicaOutput::Send { to, message: message.clone() });
         }
     }
 }
@@ -455,7 +464,7 @@ impl Machine for Replica {
 
     fn poll_timeout(&self) -> Option<Instant> {
         match &self.role {
-            Acting::Primary(primary) => Some(primary.due(&self.config)),
+            Acting::Primary(primary) => Some(primary.due(&self.config, &self.accord)),
             Acting::Standby(standby) => Some(standby.due()),
         }
     }
@@ -463,7 +472,7 @@ impl Machine for Replica {
     fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
         match &self.role {
-            Acting::Primary(primary) if !primary.holds(&self.config, now) => {
+            Acting::Primary(primary) if !primary.holds(&self.config, &self.accord, now) => {
                 self.step_down(None, now);
             }
             Acting::Primary(primary) if now >= primary.hello_at => {

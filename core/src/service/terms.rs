@@ -33,6 +33,58 @@ impl Terms {
         self.members.contains(node)
     }
 
+    pub(super) fn members(&self) -> &[NodeName] {
+        &self.members
+    }
+
+    /// How many of its nodes make one of them a primary.
+    pub(super) fn quorum(&self) -> usize {
+        match self.on_partition {
+            OnPartition::Stop => self.members.len() / 2 + 1,
+            OnPartition::Continue => 1,
+        }
+    }
+
+    /// After so long nobody counts on a promise any more, whatever the clocks did.
+    pub(super) fn promise(&self) -> Duration {
+        self.hello_interval * 3 + self.hello_interval * 3 / 10
+    }
+
+    /// Whether each part of a divided network goes on by itself, as both were told.
+    pub(super) fn divide(&self, theirs: &Terms) -> bool {
+        self.on_partition == OnPartition::Continue && theirs.on_partition == OnPartition::Continue
+    }
+
+    /// Whether what is done by the one can be followed by the others: only their lists differ, and not in all.
+    /// Or else they are two services that have one name by mistake.
+    pub(super) fn shares_state(&self, theirs: &Terms) -> bool {
+        let strict = |terms: &Terms| terms.on_partition == OnPartition::Stop;
+        self.kind == theirs.kind
+            && self.kind != StandbyKind::Cold
+            && self.hello_interval == theirs.hello_interval
+            && strict(self)
+            && strict(theirs)
+            && self.members.iter().any(|node| theirs.list(node))
+    }
+
+    /// Which of two, each of which knows of the other, may rely on that the other keeps back.
+    pub(super) fn leads(&self, theirs: &Terms) -> bool {
+        let rank = |terms: &Terms| {
+            let strict = terms.on_partition == OnPartition::Stop;
+            (strict, terms.members.len(), terms.fingerprint())
+        };
+        rank(self) > rank(theirs)
+    }
+
+    /// Whether nobody serves by the others' terms while all of these keep from it.
+    pub(super) fn excludes(&self, theirs: &Terms, keeps: impl Fn(&NodeName) -> bool) -> bool {
+        // Whoever begins anew waits for what it may have promised before, as long as its new terms say: where
+        // that was longer by the old ones, it may be counted by two.
+        let alike = self.hello_interval == theirs.hello_interval;
+        let free = theirs.members.iter().filter(|node| !keeps(node)).count();
+        alike && free < theirs.quorum()
+    }
+
     pub(super) fn encode(&self) -> Vec<u8> {
         codec::encode_unbounded(self)
     }

@@ -281,3 +281,105 @@ impl Undisputed for TestNode {
         assert_eq!(disputes.count(), 0);
     }
 }
+
+/// Ends itself.
+#[derive(Clone, Debug, Event)]
+#[contract(name = "map/enough")]
+struct Enough;
+
+struct Brief;
+
+impl Component for Brief {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Enough>().accept::<Boom>();
+    }
+}
+
+impl Handle<Enough> for Brief {
+    async fn handle(&mut self, _: Enough, cx: &mut Context<Self>) {
+        cx.stop();
+    }
+}
+
+impl Handle<Boom> for Brief {
+    async fn handle(&mut self, _: Boom, _: &mut Context<Self>) {
+        panic!("boom");
+    }
+}
+
+/// Whether the fault that somebody goes without a name stands here, and its text.
+async fn goes_without(node: &TestNode) -> Option<String> {
+    let record = node.faults().await;
+    let mut standing = record
+        .entries
+        .into_iter()
+        .filter(|entry| entry.fault.kind == FaultKind::NameTaken && entry.ended.is_none());
+    standing.next().map(|entry| entry.fault.detail)
+}
+
+/// module1's component holds the name, which is refused to those of module2.
+async fn refused(restart: Restart) -> (TestNode, TestNode) {
+    let medium = MemoryMedium::default();
+    let holder = ChildSpec::new("map", || Map("module1")).claim("map", ClaimPolicy::Refuse);
+    let first = TestNode::start(node("module1", &medium).child(holder)).await;
+    first.advance(2000 * MS).await;
+    let brief = |name: &str| ChildSpec::new(name, || Brief).claim("map", ClaimPolicy::Refuse);
+    let second = node("module2", &medium).child_with(brief("brief"), restart);
+    let second = TestNode::start(second.child_with(brief("other"), restart)).await;
+    second.advance(2000 * MS).await;
+    (first, second)
+}
+
+#[blastema_testkit::test]
+async fn that_components_go_without_a_name_is_over_when_the_last_of_them_has_ended_however_it_did()
+{
+    for (ending, restart) in [
+        ("stops", Restart::Temporary),
+        ("dies", Restart::Temporary),
+        ("dies until its node rests", Restart::Permanent),
+        ("is removed", Restart::Permanent),
+    ] {
+        let (_first, second) = refused(restart).await;
+        let told = goes_without(&second).await.expect("it is told");
+        assert!(told.contains("other goes without the name map"), "{told}");
+
+        for name in ["other", "brief"] {
+            match ending {
+                "stops" => second.sender::<Enough>(name).unwrap().tell(Enough).unwrap(),
+                "is removed" => second.remove_child(name).await.unwrap(),
+                _ => {
+                    for _ in 0..20 {
+                        let _ = second.sender::<Boom>(name).unwrap().tell(Boom);
+                        second.advance(5 * MS).await;
+                    }
+                }
+            }
+            second.advance(100 * MS).await;
+            if name == "other" && !ending.contains("rests") {
+                let told = goes_without(&second).await.expect("there is one left");
+                assert!(told.contains("brief goes without the name map"), "{ending}: {told}");
+            }
+        }
+        assert_eq!(goes_without(&second).await, None, "{ending}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_goes_without_a_name_that_has_become_free_or_anothers_says_so() {
+    let (first, second) = refused(Restart::Permanent).await;
+    let told = goes_without(&second).await.expect("it is told");
+    assert!(told.contains("map is claimed by module1"), "{told}");
+
+    first.shutdown().await;
+    second.advance(100 * MS).await;
+
+    let told = goes_without(&second).await.expect("it still goes without");
+    assert!(told.contains("nobody holds it now") && !told.contains("module1"), "{told}");
+    second.restart_child("other").await.expect("it runs");
+    second.advance(100 * MS).await;
+    let told = goes_without(&second).await.expect("the other one");
+    assert!(
+        told.contains("brief goes without the name map: map is claimed by module2:other"),
+        "{told}"
+    );
+}

@@ -6,26 +6,26 @@
 //!      │ ◄────────────────────────────────── its own │
 //! ```
 //!
-//! Each message between replicas carries the fingerprint of its sender's terms, and one of other terms is
-//! refused: no majority is ever made of votes for different things. That alone does not keep two from
-//! serving, of whom neither lists the other. So whoever finds that another one's terms differ resigns, makes
-//! no promise, votes for nobody, and does not claim. It goes on as soon as the other says the same, in a life
-//! that was told better; or has ended in order, or carries the service no more. That it is out of sight is no
-//! reason: where it serves there, it may not here.
+//! Each message between replicas carries the fingerprint of its sender's terms, and no vote or promise of other
+//! terms counts: no majority is ever made of votes for different things. That alone does not keep two from
+//! serving; what does is in [`rivals`](super::rivals). Other terms are reckoned with until all who were told
+//! them say the same as this one, in a life that was told better; or have ended in order, or carry the service
+//! no more. That somebody is out of sight is no reason.
 //!
 //! A member that is there and does not carry the service is told as well, and does no harm: it is one that has
 //! failed.
 
 use super::super::terms::Terms;
+use super::rivals::Rivals;
 use super::*;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// How soon another one is asked again that has not answered. Shorter finds out sooner; each question is a
-/// small message, and none where no path leads there.
+/// How soon another one is asked again that has not answered, or is out of sight. Shorter finds out sooner; each
+/// question is a small message, and none where no path leads there.
 const ASK_AGAIN: Duration = Duration::from_millis(500);
-/// And one that has answered, and differs: another life of it says by itself what it was told. Shorter
-/// notices sooner that it has left, and loads slow lines.
+/// And one that has answered, and differs: another life of it says by itself what it was told. Shorter would load
+/// slow lines.
 const LOOK_AGAIN: Duration = Duration::from_secs(5);
 /// The most others, beside the members, of whom it is remembered what they say: far more than carry one service.
 const KNOWN_MAX: usize = 1024;
@@ -38,35 +38,52 @@ const NAMED_MAX: usize = 8;
 /// What is known of the others that carry the service.
 #[derive(Clone, Debug)]
 pub(super) struct Accord {
-    terms: Terms,
+    pub(super) terms: Terms,
     fingerprint: u64,
-    known: BTreeMap<NodeName, Known>,
-    /// What the others were told otherwise; whoever asks for the service is told.
+    pub(super) known: BTreeMap<NodeName, Known>,
+    pub(super) rivals: Rivals,
+    /// What the others were told otherwise, and whether anybody serves all the same.
     dispute: Option<String>,
+    /// Nobody of these terms serves until that is mended.
+    hopeless: bool,
+    /// What was said of it last.
+    told: Option<String>,
 }
 
 #[derive(Clone, Debug, Default)]
-struct Known {
+pub(super) struct Known {
     asked: Option<Instant>,
-    opinion: Opinion,
+    pub(super) opinion: Opinion,
+    /// Since when it is known to have been told our terms.
+    pub(super) bound: Option<Instant>,
+    /// It was seen when this replica last looked around.
+    pub(super) seen: bool,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
-enum Opinion {
+pub(super) enum Opinion {
     #[default]
     Unheard,
     /// It was told the same.
     Agrees,
     /// It does not carry this service; said once, it may just begin.
     Absent { twice: bool },
-    /// In this.
-    Differs(String),
+    /// In this, by these terms.
+    Differs { text: String, terms: u64 },
 }
 
 impl Accord {
     pub(super) fn new(config: &ReplicaConfig) -> Self {
         let terms = Terms::of(config);
-        Accord { fingerprint: terms.fingerprint(), terms, known: BTreeMap::new(), dispute: None }
+        Accord {
+            fingerprint: terms.fingerprint(),
+            terms,
+            known: BTreeMap::new(),
+            rivals: Rivals::default(),
+            dispute: None,
+            hopeless: false,
+            told: None,
+        }
     }
 
     /// What this replica was told, behind everything that it says to others.
@@ -75,17 +92,22 @@ impl Accord {
         message.into()
     }
 
-    /// The message itself, and whether its sender was told the same.
-    pub(super) fn read<'a>(&self, message: &'a [u8]) -> Option<(&'a [u8], bool)> {
+    /// The message itself, and what its sender was told.
+    pub(super) fn read<'a>(&self, message: &'a [u8]) -> Option<(&'a [u8], u64)> {
         let (message, signed) = message.split_last_chunk()?;
-        Some((message, u64::from_le_bytes(*signed) == self.fingerprint))
+        Some((message, u64::from_le_bytes(*signed)))
+    }
+
+    /// These are our own terms.
+    pub(super) fn is_ours(&self, fingerprint: u64) -> bool {
+        fingerprint == self.fingerprint
     }
 
     /// What differs: first of members, who are sure to be meant.
     fn differences(&self) -> Vec<&str> {
         let (mut members, mut others) = (Vec::new(), Vec::new());
         for (node, known) in &self.known {
-            if let Opinion::Differs(text) = &known.opinion {
+            if let Opinion::Differs { text, .. } = &known.opinion {
                 let texts = if self.terms.list(node) { &mut members } else { &mut others };
                 texts.push(text.as_str());
             }
@@ -96,19 +118,22 @@ impl Accord {
 
     /// Writes down what is disputed now.
     fn note_dispute(&mut self) {
+        self.hopeless = self.is_fenced();
         let differences = self.differences();
+        let what = match self.hopeless {
+            true => "and it is not served by these terms until they are",
+            false => "and those who agree go on without the others",
+        };
         self.dispute = (!differences.is_empty()).then(|| {
-            format!(
-                "not all nodes were told the same of it, and it is not served until they are: {}",
-                some_of(&differences, "; ")
-            )
+            let differences = some_of(&differences, "; ");
+            format!("not all nodes were told the same of it, {what}: {differences}")
         });
     }
 
     /// Somebody is to be told of this one.
     fn is_wrong(&self, node: &NodeName, opinion: &Opinion) -> bool {
         match opinion {
-            Opinion::Differs(_) => true,
+            Opinion::Differs { .. } => true,
             Opinion::Absent { twice } => *twice && self.terms.list(node),
             Opinion::Unheard | Opinion::Agrees => false,
         }
@@ -129,8 +154,9 @@ impl Accord {
         })
     }
 
-    pub(super) fn is_disputed(&self) -> bool {
-        self.dispute.is_some()
+    /// Nobody of these terms serves until others say the same, or have gone.
+    pub(super) fn is_hopeless(&self) -> bool {
+        self.hopeless
     }
 
     /// What is known of this one, unless that would be one too many.
@@ -167,9 +193,9 @@ impl Replica {
         self.accord.terms.encode().into()
     }
 
-    /// What others were told otherwise, and what is to be written; nobody is served meanwhile.
+    /// What others were told otherwise, and what is to be written, where nobody is served meanwhile.
     pub fn dispute(&self) -> Option<&str> {
-        self.accord.dispute.as_deref()
+        self.accord.dispute.as_deref().filter(|_| self.accord.hopeless)
     }
 
     /// These other nodes have an object of the service's name. To be told several times a second.
@@ -178,26 +204,51 @@ impl Replica {
         let members = &self.config.members;
         let concerns = |node: &NodeName| found.contains(node) || members.contains(node);
         self.accord.known.retain(|node, known| match &known.opinion {
-            Opinion::Differs(_) => true,
+            Opinion::Differs { .. } => true,
             Opinion::Unheard | Opinion::Absent { .. } => concerns(node),
             Opinion::Agrees => found.contains(node),
         });
+        for (node, known) in &mut self.accord.known {
+            known.seen = found.contains(node);
+        }
         let known = self.accord.known.keys();
         let all: BTreeSet<_> = known.chain(found).chain(members).cloned().collect();
         all.iter().for_each(|node| self.compare(node, now));
+        self.settle_dispute(now);
     }
 
-    /// What another node was told of the service.
+    /// What another node was told of the service, as it answers; so it has heard what this one was told.
     pub fn handle_terms(&mut self, from: &NodeName, terms: &[u8], now: Instant) {
+        self.hear_terms(from, terms, true, now);
+    }
+
+    /// What another node was told of the service, as it asks. It is going to be asked in its turn.
+    pub fn handle_asked(&mut self, from: &NodeName, terms: &[u8], now: Instant) {
+        if self.hear_terms(from, terms, false, now)
+            && let Some(known) = self.accord.known.get_mut(from)
+        {
+            known.asked = None;
+            self.compare(from, now);
+        }
+    }
+
+    /// Answers whether it has not said so before.
+    fn hear_terms(&mut self, from: &NodeName, terms: &[u8], answers: bool, now: Instant) -> bool {
         let Some(theirs) = Terms::decode(terms).filter(|_| *from != self.config.own) else {
             self.refused += 1;
-            return;
+            return false;
         };
         let opinion = match self.accord.terms.difference(from, &theirs) {
             same if same.is_empty() => Opinion::Agrees,
-            text => Opinion::Differs(cut(text)),
+            text => Opinion::Differs { text: cut(text), terms: self.accord.rivals.note(theirs) },
         };
-        self.note_opinion(from, opinion, now);
+        let before = self.accord.known.get(from).map(|known| known.opinion.clone());
+        self.note_opinion(from, opinion.clone(), now);
+        if let Some(known) = self.accord.known.get_mut(from).filter(|_| answers) {
+            known.bound.get_or_insert(now);
+        }
+        self.settle_dispute(now);
+        before.as_ref() != Some(&opinion)
     }
 
     /// This node is there, and does not carry the service.
@@ -205,11 +256,13 @@ impl Replica {
         let before = self.accord.known.get(of).map(|known| &known.opinion);
         let twice = matches!(before, Some(Opinion::Absent { .. }));
         self.note_opinion(of, Opinion::Absent { twice }, now);
+        self.settle_dispute(now);
     }
 
     /// This node has ended in order.
     pub fn handle_left(&mut self, node: &NodeName, now: Instant) {
         self.note_opinion(node, Opinion::Unheard, now);
+        self.settle_dispute(now);
     }
 
     /// A replica that begins with what this one knows of the others, after its body has failed.
@@ -220,7 +273,8 @@ impl Replica {
         next.answered = self.answered;
         next.faults = self.faults.clone();
         next.end_faults();
-        next.tell_dispute();
+        next.accord.told = None;
+        next.settle_dispute(now);
         next
     }
 
@@ -230,7 +284,7 @@ impl Replica {
             && known.opinion == Opinion::Agrees
         {
             // It was another life that agreed.
-            *known = Known::default();
+            *known = Known { seen: known.seen, ..Known::default() };
         }
         if self.config.members.contains(from) {
             self.compare(from, now);
@@ -243,8 +297,10 @@ impl Replica {
         };
         let again = match known.opinion {
             Opinion::Agrees => return,
-            Opinion::Unheard => ASK_AGAIN,
-            Opinion::Absent { .. } | Opinion::Differs(_) => LOOK_AGAIN,
+            Opinion::Unheard | Opinion::Absent { twice: false } => ASK_AGAIN,
+            // Whoever is out of sight may have left, which costs the line nothing to find out.
+            Opinion::Differs { .. } if known.bound.is_none() || !known.seen => ASK_AGAIN,
+            Opinion::Absent { twice: true } | Opinion::Differs { .. } => LOOK_AGAIN,
         };
         if known.asked.is_none_or(|asked| now - asked >= again) {
             known.asked = Some(now);
@@ -255,32 +311,41 @@ impl Replica {
     fn note_opinion(&mut self, of: &NodeName, opinion: Opinion, now: Instant) {
         let Some(known) = self.accord.known(of) else {
             self.refused += 1;
+            // Whoever is not remembered may be anybody.
+            self.accord.rivals.overflow |= matches!(opinion, Opinion::Differs { .. });
             return;
         };
         if known.opinion == opinion {
             return;
         }
         let before = std::mem::replace(&mut known.opinion, opinion.clone());
-        self.accord.note_dispute();
-        match (self.accord.is_wrong(of, &before), self.accord.is_wrong(of, &opinion)) {
-            (false, false) => return,
-            // One more is more of the same.
-            (false, true) => {}
-            (true, _) => self.outputs.push_back(ReplicaOutput::Agreed),
+        known.bound = None;
+        // One more is more of the same.
+        if self.accord.is_wrong(of, &before) {
+            self.accord.told = None;
+            self.outputs.push_back(ReplicaOutput::Agreed);
         }
-        self.tell_dispute();
-        if self.accord.is_disputed() {
-            self.resign(now);
-        } else if let Acting::Standby(standby) = &mut self.role {
+        self.accord.forget_rivals(now);
+        if let Acting::Standby(standby) = &mut self.role {
             standby.hurry(&self.config, now);
         }
     }
 
-    fn tell_dispute(&mut self) {
-        let dispute = self.dispute().map(str::to_owned);
+    /// Says what is disputed, where that is something else than before, and serves no more where it may not.
+    fn settle_dispute(&mut self, now: Instant) {
+        self.accord.note_dispute();
+        let dispute = self.accord.dispute.clone();
         let wrong: Vec<_> = dispute.into_iter().chain(self.accord.absent()).collect();
-        if !wrong.is_empty() {
-            self.outputs.push_back(ReplicaOutput::Disputed { detail: wrong.join("; ") });
+        let wrong = (!wrong.is_empty()).then(|| wrong.join("; "));
+        if wrong != self.accord.told {
+            self.accord.told.clone_from(&wrong);
+            let outputs = wrong.map(|detail| ReplicaOutput::Disputed { detail });
+            self.outputs.extend(outputs);
+        }
+        if let Acting::Primary(primary) = &self.role
+            && !primary.holds(&self.config, &self.accord, now)
+        {
+            self.resign(now);
         }
     }
 }

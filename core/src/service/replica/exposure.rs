@@ -135,7 +135,8 @@ impl Replica {
 impl Primary {
     /// How many standbys hold all that this primary holds.
     fn holders(&self) -> usize {
-        self.standbys.values().filter(|follower| follower.step == Step::Abreast).count()
+        let holds = |follower: &&Follower| follower.step == Step::Abreast && !follower.learns;
+        self.standbys.values().filter(holds).count()
     }
 
     /// Somebody may come into step yet.

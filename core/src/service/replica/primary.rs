@@ -34,6 +34,8 @@ pub(super) struct Follower {
     pub(super) promised: Instant,
     pub(super) step: Step,
     position: Position,
+    /// It was told another list: it follows, and its promise counts for nothing.
+    pub(super) learns: bool,
 }
 
 /// Whether a standby has what the primary has.
@@ -72,7 +74,8 @@ impl Primary {
         if needed == 0 || config.on_partition == OnPartition::Continue {
             return None;
         }
-        let promised = self.standbys.values().map(|follower| follower.promised);
+        let voters = self.standbys.values().filter(|follower| !follower.learns);
+        let promised = voters.map(|follower| follower.promised);
         // Those who voted have promised so, since before we began.
         let mut promised: Vec<_> =
             promised.chain(std::iter::repeat_n(self.began, needed)).collect();
@@ -80,12 +83,27 @@ impl Primary {
         promised.get(needed - 1).map(|at| *at + config.lease())
     }
 
-    pub(super) fn holds(&self, config: &ReplicaConfig, now: Instant) -> bool {
+    pub(super) fn holds(&self, config: &ReplicaConfig, accord: &Accord, now: Instant) -> bool {
+        let supports = |node: &NodeName| {
+            let follower = self.standbys.get(node);
+            *node == config.own
+                || follower
+                    .is_some_and(|known| !known.learns && now < known.promised + config.lease())
+        };
         self.lease_until(config).is_none_or(|until| now < until)
+            && (accord.is_undisputed() || accord.allows(supports, now))
     }
 
-    pub(super) fn due(&self, config: &ReplicaConfig) -> Instant {
-        self.lease_until(config).map_or(self.hello_at, |until| until.min(self.hello_at))
+    pub(super) fn due(&self, config: &ReplicaConfig, accord: &Accord) -> Instant {
+        let until =
+            self.lease_until(config).map_or(self.hello_at, |until| until.min(self.hello_at));
+        if accord.is_undisputed() {
+            return until;
+        }
+        // Each single promise may be needed.
+        let last_hello = self.said.back().map_or(self.began, |(_, at)| *at);
+        let ends = self.standbys.values().map(|known| known.promised + config.lease());
+        ends.filter(|end| *end > last_hello).fold(until, Instant::min)
     }
 
     pub(super) fn callers(self) -> impl Iterator<Item = u64> {
@@ -94,21 +112,32 @@ impl Primary {
 }
 
 impl Replica {
-    /// A majority wants this replica to serve; it was asked at `asked`. Of those who voted, these have
-    /// what it has.
+    /// A majority wants this replica to serve; it was asked at `asked`. Whoever voted may have what it has.
     pub(super) fn take_over(
         &mut self,
         epoch: u64,
         asked: Instant,
-        in_step: impl IntoIterator<Item = NodeName>,
+        voters: impl IntoIterator<Item = (NodeName, bool)>,
         now: Instant,
     ) {
         let lost = self.begin_without(epoch);
         let mut primary = Primary::new(epoch, self.position, asked);
         let position = self.position;
-        let abreast = Follower { promised: asked, step: Step::Abreast, position };
-        let in_step = in_step.into_iter().filter(|_| !lost);
-        primary.standbys.extend(in_step.map(|node| (node, abreast)));
+        primary.standbys.extend(voters.into_iter().map(|(node, in_step)| {
+            let follower = match in_step && !lost {
+                true => Follower { promised: asked, step: Step::Abreast, position, learns: false },
+                false => {
+                    let nothing = Position::default();
+                    Follower {
+                        promised: asked,
+                        step: Step::Behind,
+                        position: nothing,
+                        learns: false,
+                    }
+                }
+            };
+            (node, follower)
+        }));
         self.role = Acting::Primary(primary);
         self.see(epoch);
         self.tell_role();
@@ -143,13 +172,14 @@ impl Replica {
         }
         let (epoch, number, position) = (primary.epoch, primary.number, self.position);
         let answered = self.answered;
-        let hello = Message::Hello { epoch, number, position, answered };
+        let heard = self.accord.reckons_with(now);
+        let hello = Message::Hello { epoch, number, position, answered, heard };
         self.tell_others(&hello);
     }
 
     pub(super) fn hear_promise(
         &mut self,
-        from: &NodeName,
+        (from, learns): (&NodeName, bool),
         epoch: u64,
         number: u64,
         (position, standing): (Position, Standing),
@@ -162,11 +192,16 @@ impl Replica {
             return;
         }
         let said = primary.said.iter().find(|(said, _)| *said == number).map(|(_, at)| *at);
+        // In a life that was told otherwise it has forgotten all.
+        if primary.standbys.get(from).is_some_and(|known| known.learns != learns) {
+            primary.standbys.remove(from);
+        }
         // Somebody without a promise is no follower yet.
         let Some(promised) = said.or(primary.standbys.get(from).map(|known| known.promised)) else {
             return;
         };
-        let fresh = Follower { promised, step: Step::Behind, position: Position::default() };
+        let nothing = Position::default();
+        let fresh = Follower { promised, step: Step::Behind, position: nothing, learns };
         let follower = primary.standbys.entry(from.clone()).or_insert(fresh);
         follower.promised = follower.promised.max(promised);
         follower.step = match (follower.step, standing) {
@@ -269,7 +304,7 @@ impl Replica {
         let exposed = self.judge_exposure(now);
         let config = &self.config;
         let Acting::Primary(primary) = &mut self.role else { return };
-        if !primary.holds(config, now) {
+        if !primary.holds(config, &self.accord, now) {
             return;
         }
         let mut answers = Vec::new();
@@ -277,9 +312,9 @@ impl Replica {
             if config.kind != StandbyKind::Cold {
                 let followers = primary.standbys.values();
                 let in_step = followers.filter(|follower| follower.step == Step::Abreast);
-                let known =
-                    in_step.clone().filter(|follower| follower.position >= position).count();
-                let all = known == in_step.count();
+                let knows = |follower: &&Follower| follower.position >= position;
+                let all = in_step.clone().all(|follower| knows(&follower));
+                let known = in_step.filter(|follower| !follower.learns).filter(knows).count();
                 let enough = exposed
                     || config.on_partition == OnPartition::Continue
                     || known + 1 >= config.majority();

@@ -22,7 +22,7 @@ pub(super) struct Standby {
     /// They are; good for one claim.
     pub(super) ready: bool,
     /// Somebody claims while our promise still lasts: it is answered when that is over.
-    asked: Option<(NodeName, u64, Position)>,
+    asked: Option<(NodeName, u64, Position, Vec<u64>)>,
 }
 
 /// An epoch that was claimed.
@@ -112,6 +112,7 @@ impl Replica {
         from: &NodeName,
         epoch: u64,
         (number, position, answered): (u64, Position, Position),
+        heard: &[u64],
         now: Instant,
     ) {
         if epoch < self.epoch {
@@ -124,6 +125,23 @@ impl Replica {
             }
             self.step_down(Some(from.clone()), now);
         }
+        if !self.is_reckoned_with(from, heard) {
+            return;
+        }
+        self.follow(from, epoch, (number, position, answered), now);
+        if let Acting::Standby(standby) = &mut self.role {
+            standby.promised_until = now + self.config.lease() + self.config.margin();
+        }
+    }
+
+    /// This one serves, by whichever list.
+    fn follow(
+        &mut self,
+        from: &NodeName,
+        epoch: u64,
+        (number, position, answered): (u64, Position, Position),
+        now: Instant,
+    ) {
         self.see(epoch);
         self.answered = self.answered.max(answered);
         self.wait_for_state(now);
@@ -137,8 +155,8 @@ impl Replica {
         }
         standby.primary = Some(from.clone());
         (standby.claiming, standby.asked, standby.inquiring) = (None, None, false);
-        standby.promised_until = now + self.config.lease() + self.config.margin();
-        standby.claim_at = standby.promised_until + turn(&self.config, Some(from));
+        let patience = self.config.lease() + self.config.margin();
+        standby.claim_at = now + patience + turn(&self.config, Some(from));
         let standing = match (self.config.kind, self.health) {
             (StandbyKind::Cold, _) => Standing::InStep,
             (StandbyKind::Hot, Health::Gone { .. }) => Standing::Unable,
@@ -150,6 +168,38 @@ impl Replica {
         self.tell_role();
     }
 
+    /// A node that was told another list, and nothing else otherwise, says something. While a list is changed, what
+    /// was done by the old one is known by the new one, too: whoever serves is followed, without a promise.
+    pub(super) fn hear_of_other_list(&mut self, from: &NodeName, message: Message, now: Instant) {
+        self.handle_timeout(now);
+        let followed = match &self.role {
+            Acting::Standby(standby) => standby.primary.as_ref() == Some(from),
+            Acting::Primary(_) => false,
+        };
+        match message {
+            Message::Hello { epoch, number, position, answered, .. } => {
+                if let Acting::Standby(standby) = &self.role
+                    && epoch >= self.epoch
+                    // One of our own list goes first.
+                    && (followed || standby.primary.is_none())
+                {
+                    self.follow(from, epoch, (number, position, answered), now);
+                }
+            }
+            Message::Promise { epoch, number, position, standing, .. } => {
+                self.hear_promise((from, true), epoch, number, (position, standing), now);
+            }
+            Message::Entry { epoch, position, served, settled, after } if followed => {
+                self.hear_entry(from, (epoch, position), served, settled, after);
+            }
+            Message::Snapshot { epoch, position, state, table } if followed => {
+                self.hear_snapshot(from, (epoch, position), state, table);
+            }
+            Message::Resigned { epoch } => self.hear_resigned(from, epoch, now),
+            _ => {}
+        }
+    }
+
     /// Nobody serves: this replica offers to.
     pub(super) fn claim(&mut self, now: Instant) {
         let again = self.config.hello_interval + turn(&self.config, None);
@@ -157,7 +207,9 @@ impl Replica {
         let Acting::Standby(standby) = &mut self.role else { return };
         standby.claim_at = now + again;
         standby.primary = None;
-        if self.accord.is_disputed() {
+        if self.accord.is_hopeless()
+            || !self.accord.allows(|node| self.accord.may_support(node), now)
+        {
             standby.inquiring = false;
             return self.tell_role();
         }
@@ -179,9 +231,13 @@ impl Replica {
         let Acting::Standby(standby) = &mut self.role else { return };
         standby.claiming = Some(Claiming { epoch, asked: now, position, votes: BTreeMap::new() });
         if self.config.majority() == 1 || self.config.on_partition == OnPartition::Continue {
-            return self.take_over(epoch, now, [], now);
+            if self.accord.allows(|node| *node == self.config.own, now) {
+                self.take_over(epoch, now, [], now);
+            }
+            return;
         }
-        self.tell_others(&Message::Claim { epoch, position });
+        let heard = self.accord.reckons_with(now);
+        self.tell_others(&Message::Claim { epoch, position, heard });
     }
 
     pub(super) fn hear_claim(
@@ -189,6 +245,7 @@ impl Replica {
         from: &NodeName,
         epoch: u64,
         position: Position,
+        heard: Vec<u64>,
         now: Instant,
     ) {
         if let Acting::Primary(_) = self.role {
@@ -214,9 +271,13 @@ impl Replica {
             return self.handle_timeout(now);
         }
         if now < standby.promised_until {
-            standby.asked = Some((from.clone(), epoch, position));
+            standby.asked = Some((from.clone(), epoch, position, heard));
             return;
         }
+        if !self.is_reckoned_with(from, &heard) {
+            return;
+        }
+        let Acting::Standby(standby) = &mut self.role else { return };
         // A vote is a promise as well.
         (standby.claiming, standby.asked) = (None, None);
         standby.promised_until = now + self.config.lease() + self.config.margin();
@@ -247,8 +308,8 @@ impl Replica {
     /// Our promise is over, and somebody claims.
     pub(super) fn vote_late(&mut self, now: Instant) {
         let Acting::Standby(standby) = &mut self.role else { return };
-        if let Some((from, epoch, position)) = standby.asked.take() {
-            self.hear_claim(&from, epoch, position, now);
+        if let Some((from, epoch, position, heard)) = standby.asked.take() {
+            self.hear_claim(&from, epoch, position, heard, now);
         }
     }
 
@@ -288,13 +349,14 @@ impl Replica {
             return;
         }
         claiming.votes.insert(from.clone(), in_step);
-        if claiming.votes.len() + 1 >= self.config.majority() {
+        let votes = &claiming.votes;
+        let supports = |node: &NodeName| *node == self.config.own || votes.contains_key(node);
+        if votes.len() + 1 >= self.config.majority() && self.accord.allows(supports, now) {
             let (asked, votes) = (claiming.asked, std::mem::take(&mut claiming.votes));
             // Those who voted have what we had then.
             let still = claiming.position == self.position;
-            let in_step = votes.into_iter().filter(|(_, in_step)| still && *in_step);
-            let in_step = in_step.map(|(node, _)| node);
-            self.take_over(epoch, asked, in_step, now);
+            let voters = votes.into_iter().map(|(node, in_step)| (node, still && in_step));
+            self.take_over(epoch, asked, voters, now);
         }
     }
 

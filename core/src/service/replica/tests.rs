@@ -4,6 +4,7 @@
 mod accord;
 mod component;
 mod exposure;
+mod rivals;
 
 use super::*;
 use crate::random::Random;
@@ -157,7 +158,7 @@ impl Robot {
             let now = self.clock(member.drift);
             match &member.replica.role {
                 Acting::Primary(primary) => {
-                    primary.holds(&member.replica.config, now).then_some(())
+                    primary.holds(&member.replica.config, &member.replica.accord, now).then_some(())
                 }
                 Acting::Standby(_) => None,
             }
@@ -205,7 +206,7 @@ impl Robot {
     }
 
     fn carry(&mut self, from: usize, to: usize, message: Bytes) {
-        if self.members[to].is_none() {
+        if self.members.get(to).is_none_or(Option::is_none) {
             return;
         }
         if is_snapshot(&message) {

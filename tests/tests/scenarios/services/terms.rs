@@ -27,14 +27,25 @@ fn serving(nodes: &[TestNode]) -> usize {
     nodes.iter().filter(serves).count()
 }
 
+/// Which of them serve.
+fn who(nodes: &[TestNode]) -> Vec<&str> {
+    let serves =
+        |node: &&TestNode| matches!(node.service_role("counter"), Some(Role::Primary { .. }));
+    nodes.iter().filter(serves).map(|node| node.name().as_str()).collect()
+}
+
 #[blastema_testkit::test]
-async fn nodes_that_list_other_members_find_out_at_once_and_none_of_them_serves() {
-    let cases: [[&'static [&'static str]; 3]; 3] = [
-        [&["module1"], &MEMBERS, &MEMBERS],
-        [&["module1"], &["module2"], &["module3"]],
-        [&["module1", "module2"], &["module1", "module2"], &["module3", "module2"]],
+async fn of_nodes_that_list_other_members_one_at_most_serves_and_each_says_what_to_write() {
+    let cases: [([&'static [&'static str]; 3], &[&str]); 4] = [
+        ([&["module1"], &MEMBERS, &MEMBERS], &["module2", "module3"]),
+        ([&["module1"], &["module2"], &["module3"]], &MEMBERS),
+        (
+            [&["module1", "module2"], &["module1", "module2"], &["module3", "module2"]],
+            &["module1", "module2"],
+        ),
+        ([&["module1", "module2"], &["module2", "module1"], &["module3", "module2"]], &[]),
     ];
-    for lists in cases {
+    for (lists, may) in cases {
         let medium = MemoryMedium::default();
         let mut nodes = vec![];
         for (own, list) in MEMBERS.iter().zip(lists) {
@@ -44,14 +55,17 @@ async fn nodes_that_list_other_members_find_out_at_once_and_none_of_them_serves(
         assert!(nodes[0].connected("module3", 2000 * MS).await);
 
         nodes[0].advance(LOOK).await;
-        assert_eq!(serving(&nodes), 0, "{lists:?}");
         for node in &nodes {
             let said = dispute(node).await.unwrap_or_else(|| panic!("{lists:?}: {}", node.name()));
             assert!(said.contains("service counter") && said.contains("its nodes are"), "{said}");
             assert!(said.contains("write the same list, such as"), "{said}");
         }
-        nodes[0].advance(5000 * MS).await;
-        assert_eq!(serving(&nodes), 0, "{lists:?}");
+        for _ in 0..50 {
+            nodes[0].advance(100 * MS).await;
+            assert!(serving(&nodes) <= 1, "{lists:?}: {:?}", who(&nodes));
+        }
+        assert_eq!(serving(&nodes), may.len().min(1), "{lists:?}: {:?}", who(&nodes));
+        assert!(who(&nodes).iter().all(|who| may.contains(who)), "{lists:?}: {:?}", who(&nodes));
     }
 }
 
@@ -74,8 +88,14 @@ async fn whoever_asks_a_disputed_service_is_told_why_and_what_to_write() {
     assert!(difference.contains("StandbyKind::Hot"), "{difference}");
 }
 
+async fn add(node: &TestNode) -> Result<u64, Why> {
+    let counter = node.service::<Add>("counter").unwrap();
+    counter.ask_within(Add(1), 500 * MS).await.map_err(|error| error.why)
+}
+
 #[blastema_testkit::test]
-async fn a_service_goes_on_when_the_node_that_was_told_otherwise_begins_anew_and_is_right() {
+async fn a_service_goes_on_beside_a_node_that_was_told_otherwise_and_takes_it_in_when_it_is_right()
+{
     let medium = MemoryMedium::default();
     let wrong = start("module1", &medium, on(&["module1"])).await;
     let mut nodes = vec![
@@ -83,7 +103,10 @@ async fn a_service_goes_on_when_the_node_that_was_told_otherwise_begins_anew_and
         start("module3", &medium, on(&MEMBERS)).await,
     ];
     wrong.advance(3000 * MS).await;
-    assert_eq!(serving(&nodes), 0);
+    assert_eq!(serving(&nodes), 1);
+    assert_eq!(serving(std::slice::from_ref(&wrong)), 0);
+    // Also of those who ask from there.
+    assert_eq!(add(&wrong).await, Ok(1));
     wrong.shutdown().await;
 
     nodes.push(start("module1", &medium, on(&MEMBERS)).await);
@@ -93,28 +116,82 @@ async fn a_service_goes_on_when_the_node_that_was_told_otherwise_begins_anew_and
         assert_eq!(dispute(node).await, None, "{}", node.name());
     }
     assert_eq!(serving(&nodes), 1);
-    let counter = nodes[0].service::<Add>("counter").unwrap();
-    assert_eq!(counter.ask(Add(1)).await.unwrap(), 1);
+    assert_eq!(add(&nodes[0]).await, Ok(2));
 }
 
 #[blastema_testkit::test]
-async fn a_dispute_is_over_when_the_other_has_left_in_order_but_not_when_it_is_cut_off() {
-    let medium = MemoryMedium::default();
-    let wrong = start("module1", &medium, on(&["module1"])).await;
-    let nodes = vec![
-        start("module2", &medium, on(&MEMBERS)).await,
-        start("module3", &medium, on(&MEMBERS)).await,
-    ];
-    wrong.advance(3000 * MS).await;
-    wrong.cable("ethernet").unwrap().cut(Direction::Both, false);
-    wrong.advance(5000 * MS).await;
-    assert_eq!(serving(&nodes), 0, "where it is, it may serve");
-    assert_eq!(serving(std::slice::from_ref(&wrong)), 0, "it does not either");
+async fn a_node_that_was_told_otherwise_and_died_or_was_cut_off_keeps_nobody_from_serving() {
+    let wrong: [&'static [&'static str]; 3] =
+        [&["module1"], &["module3", "module2", "module1"], &["module1", "module2"]];
+    for wrong in wrong {
+        let medium = MemoryMedium::default();
+        let dead = start("module1", &medium, on(wrong)).await;
+        let nodes = vec![
+            start("module2", &medium, on(&MEMBERS)).await,
+            start("module3", &medium, on(&MEMBERS)).await,
+        ];
+        dead.advance(2000 * MS).await;
+        dead.cable("ethernet").unwrap().cut(Direction::Both, false);
+        dead.advance(2000 * MS).await;
+        assert_eq!(serving(std::slice::from_ref(&dead)), 0, "{wrong:?}: it keeps back");
+        assert_eq!(serving(&nodes), 1, "{wrong:?}");
+        assert_eq!(add(&nodes[0]).await, Ok(1), "{wrong:?}");
 
-    wrong.cable("ethernet").unwrap().restore();
-    wrong.advance(3000 * MS).await;
+        // Without a word.
+        drop(dead);
+        nodes[0].advance(2000 * MS).await;
+        assert_eq!(serving(&nodes), 1, "{wrong:?}");
+        assert_eq!(add(&nodes[0]).await, Ok(2), "{wrong:?}");
+        let said = dispute(&nodes[0]).await.expect("it is told until it is right");
+        assert!(said.contains("those who agree go on"), "{said}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn while_a_list_is_changed_node_by_node_the_service_goes_on_and_forgets_nothing() {
+    let lists: [(&'static [&'static str], &'static [&'static str]); 2] = [
+        (&["module1", "module2", "module3"], &["module1", "module2", "module3", "module0"]),
+        (&["module0", "module1", "module2", "module3"], &["module1", "module2", "module3"]),
+    ];
+    for (before, after) in lists {
+        let medium = MemoryMedium::default();
+        let mut nodes = vec![];
+        for own in before {
+            nodes.push(start(own, &medium, on(before)).await);
+        }
+        nodes[0].advance(2000 * MS).await;
+        assert_eq!(serving(&nodes), 1);
+        let mut sum = 1;
+        assert_eq!(add(&nodes[0]).await, Ok(sum));
+        for own in after.iter().rev() {
+            if let Some(at) = nodes.iter().position(|node| node.name().as_str() == *own) {
+                nodes.remove(at).shutdown().await;
+            }
+            nodes.push(start(own, &medium, on(after)).await);
+            for _ in 0..15 {
+                nodes[0].advance(100 * MS).await;
+                assert!(serving(&nodes) <= 1, "{own} begins: {:?}", who(&nodes));
+            }
+            assert_eq!(serving(&nodes), 1, "{own} was told {after:?}");
+            sum += 1;
+            assert_eq!(add(&nodes[0]).await, Ok(sum), "{own} was told {after:?}");
+        }
+    }
+}
+
+#[blastema_testkit::test]
+async fn what_keeps_a_service_from_being_served_is_over_a_second_after_it_has_left_in_order() {
+    let medium = MemoryMedium::default();
+    let hello = |every| ServiceSpec::new("counter", MEMBERS, Counter::default).hello_every(every);
+    let start = async |own, every| TestNode::start(node(own, &medium).service(hello(every))).await;
+    let wrong = start("module1", 20 * MS).await;
+    let nodes = vec![start("module2", 10 * MS).await, start("module3", 10 * MS).await];
+    wrong.advance(4000 * MS).await;
+    assert_eq!(serving(&nodes), 0);
+
     wrong.shutdown().await;
-    nodes[0].advance(6000 * MS).await;
+    nodes[0].advance(1000 * MS).await;
+
     assert_eq!(serving(&nodes), 1);
     assert_eq!(dispute(&nodes[0]).await, None);
 }
@@ -122,12 +199,15 @@ async fn a_dispute_is_over_when_the_other_has_left_in_order_but_not_when_it_is_c
 #[blastema_testkit::test]
 async fn a_listed_node_that_does_not_carry_the_service_is_named_while_the_others_serve() {
     let medium = MemoryMedium::default();
-    let without = TestNode::start(node("module3", &medium)).await;
     let nodes = vec![
         start("module1", &medium, on(&MEMBERS)).await,
         start("module2", &medium, on(&MEMBERS)).await,
     ];
-    without.advance(10_000 * MS).await;
+    nodes[0].advance(2000 * MS).await;
+    let without = TestNode::start(node("module3", &medium)).await;
+    assert!(without.connected("module1", 2000 * MS).await);
+    assert!(without.connected("module2", 2000 * MS).await);
+    without.advance(1100 * MS).await;
 
     assert_eq!(serving(&nodes), 1);
     for node in &nodes {

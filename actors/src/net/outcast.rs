@@ -1,0 +1,39 @@
+//! That another node had this one's name before, and this one is kept out by all.
+
+use blastema_core::{Incarnation, NodeName, Why};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+/// Whether this node is kept out. Clones are the same.
+#[derive(Clone)]
+pub(super) struct Outcast {
+    node: NodeName,
+    /// The life of the other one; no life has the number 0.
+    other: Arc<AtomicU64>,
+}
+
+impl Outcast {
+    pub(super) fn new(node: NodeName) -> Self {
+        Outcast { node, other: Arc::default() }
+    }
+
+    /// This life of another node has the name.
+    pub(super) fn cast_out(&self, other: Incarnation) {
+        self.other.store(other.0, Relaxed);
+    }
+
+    /// A session has begun, or nobody has said so any more for long.
+    pub(super) fn let_in(&self) {
+        self.other.store(0, Relaxed);
+    }
+
+    /// Why no session begins.
+    pub(super) fn why(&self) -> Why {
+        match self.other.load(Relaxed) {
+            0 => Why::Restarting,
+            life => {
+                Why::NameTaken { name: self.node.to_string(), by: Incarnation(life).to_string() }
+            }
+        }
+    }
+}

@@ -1,0 +1,195 @@
+//! Who may serve where not all were told the same.
+//!
+//! ```text
+//!            promised to the primary, or bound
+//!          ┌─────────────┐
+//!   theirs │ a   b   c   │ d   e      too few are left for a primary of theirs
+//!          └─────────────┘
+//! ```
+//!
+//! By one list a majority elects, by another list another one. So a primary of one terms counts, for every
+//! other terms that it has heard of, those nodes of theirs who may yet elect somebody; it serves only while they
+//! are too few. Those who have promised itself elect nobody. (Raft's joint consensus asks the same of a change
+//! of members: majorities of both.)
+//!
+//! Where that cannot be, as with a node that lists none but itself, one of the two leads: that of the longer
+//! list. Whoever follows keeps back as said before, and is then *bound*: told the leader's terms, it serves
+//! nobody without a majority of the leader's list, and votes for nobody who does not reckon with the leader. The
+//! leader need not count those who are bound, a promise after they were told. So that whoever dies, or is cut off, has
+//! no say any more; a new life of it, out of sight and told the same wrong thing, is one that was never met.
+//!
+//! Where the lists alone differ, and overlap, whoever was told the other one follows the primary, and its promise counts for
+//! nothing: it learns the state, so that a new list begins with what was done by the old one.
+//!
+//! Two primaries of different terms, p that leads and q, would have disjoint majorities, as nobody is told two things. If q
+//! reckons with p's terms, too few of p's list are left to elect p. If it does not, nobody who is bound has
+//! voted for q, and too few of q's list are left to elect q. So one of them does not serve.
+
+use super::super::terms::Terms;
+use super::accord::{Accord, Known, Opinion};
+use super::*;
+
+/// The most terms that are told apart: beyond, nobody serves, until the node begins anew.
+const RIVALS_MAX: usize = 64;
+
+/// Other terms than ours.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Rivals {
+    /// By their fingerprints.
+    all: BTreeMap<u64, Rival>,
+    /// There were more than are remembered.
+    pub(super) overflow: bool,
+}
+
+#[derive(Clone, Debug)]
+struct Rival {
+    terms: Terms,
+    /// Until when they are reckoned with because another one knows of them.
+    rumoured_until: Instant,
+}
+
+impl Rivals {
+    /// These are somebody's. Answers their fingerprint.
+    pub(super) fn note(&mut self, terms: Terms) -> u64 {
+        let fingerprint = terms.fingerprint();
+        if self.all.len() >= RIVALS_MAX && !self.all.contains_key(&fingerprint) {
+            self.overflow = true;
+        } else {
+            let rumoured_until = Instant::ORIGIN;
+            self.all.entry(fingerprint).or_insert(Rival { terms, rumoured_until });
+        }
+        fingerprint
+    }
+}
+
+impl Accord {
+    /// Nobody is known to have been told anything else.
+    pub(super) fn is_undisputed(&self) -> bool {
+        self.rivals.all.is_empty() && !self.rivals.overflow
+    }
+
+    /// Terms that nobody has any more are not reckoned with.
+    pub(super) fn forget_rivals(&mut self, now: Instant) {
+        let held: Vec<u64> = self.held().map(|(fingerprint, _)| fingerprint).collect();
+        self.rivals.all.retain(|terms, rival| held.contains(terms) || now < rival.rumoured_until);
+    }
+
+    /// Terms that somebody was told, as far as this replica itself has heard.
+    fn held(&self) -> impl Iterator<Item = (u64, &Rival)> {
+        let rivals = self.rivals.all.iter().map(|(fingerprint, rival)| (*fingerprint, rival));
+        rivals.filter(|(fingerprint, rival)| {
+            self.known.values().any(|known| {
+                matches!(known.opinion, Opinion::Differs { terms, .. } if terms == *fingerprint)
+                    // Where each part goes on by itself, they concern each other where they meet.
+                    && (known.seen || !self.terms.divide(&rival.terms))
+            })
+        })
+    }
+
+    /// All terms that are reckoned with.
+    fn in_play(&self, now: Instant) -> impl Iterator<Item = (u64, &Rival)> {
+        let rumoured = self.rivals.all.iter().filter(move |(_, rival)| now < rival.rumoured_until);
+        self.held().chain(rumoured.map(|(fingerprint, rival)| (*fingerprint, rival)))
+    }
+
+    /// What others are told that this one reckons with.
+    pub(super) fn reckons_with(&self, now: Instant) -> Vec<u64> {
+        self.in_play(now).map(|(fingerprint, _)| fingerprint).collect()
+    }
+
+    /// Terms that somebody has who is to be primary does not reckon with.
+    fn unheard_in(&self, heard: &[u64]) -> Option<&Terms> {
+        let mut held = self.held();
+        held.find(|(fingerprint, _)| !heard.contains(fingerprint)).map(|(_, rival)| &rival.terms)
+    }
+
+    /// Whether nobody else can serve while these support us.
+    pub(super) fn allows(&self, supports: impl Fn(&NodeName) -> bool, now: Instant) -> bool {
+        let keeps = |node: &NodeName, fingerprint: u64, theirs: &Terms| {
+            let known = self.known.get(node).filter(|known| holds(&known.opinion, fingerprint));
+            let bound = known.and_then(|known| known.bound);
+            // Until then it may have voted before it was told.
+            bound.is_some_and(|at| now >= at + theirs.promise())
+        };
+        !self.rivals.overflow
+            && self.in_play(now).all(|(fingerprint, Rival { terms: theirs, .. })| {
+                let leads = self.terms.leads(theirs);
+                self.terms.excludes(theirs, |node| {
+                    supports(node) || leads && keeps(node, fingerprint, theirs)
+                })
+            })
+    }
+
+    /// Whether nobody of these terms may serve, however many of those who agree are there.
+    pub(super) fn is_fenced(&self) -> bool {
+        if self.is_undisputed() {
+            return false;
+        }
+        let supports = |node: &NodeName| self.may_support(node);
+        let ours = self.terms.members().iter().filter(|node| self.may_support(node)).count();
+        // Who is there is about to be told, if it was not yet.
+        let keeps = |node: &NodeName, fingerprint: u64| {
+            let known = self.known.get(node).filter(|known| holds(&known.opinion, fingerprint));
+            known.is_some_and(|known| known.seen || known.bound.is_some())
+        };
+        let excluded = self.held().all(|(fingerprint, Rival { terms: theirs, .. })| {
+            let leads = self.terms.leads(theirs);
+            self.terms.excludes(theirs, |node| supports(node) || leads && keeps(node, fingerprint))
+        });
+        self.rivals.overflow || ours < self.terms.quorum() || !excluded
+    }
+
+    /// Whether this node, which has said so itself, has terms that differ in their list alone.
+    pub(super) fn shares_state(&self, node: &NodeName, fingerprint: u64) -> bool {
+        let known = self.known.get(node).filter(|known| holds(&known.opinion, fingerprint));
+        let rival = known.and_then(|_| self.rivals.all.get(&fingerprint));
+        rival.is_some_and(|rival| self.terms.shares_state(&rival.terms))
+    }
+
+    /// All such nodes that we do not list: they are to hear of us, too.
+    pub(super) fn unlisted(&self) -> Vec<NodeName> {
+        let shares = |(node, known): &(&NodeName, &Known)| match known.opinion {
+            Opinion::Differs { terms, .. } => {
+                !self.terms.list(node) && known.seen && self.shares_state(node, terms)
+            }
+            _ => false,
+        };
+        self.known.iter().filter(shares).map(|(node, _)| node.clone()).collect()
+    }
+
+    /// Those who agree, as far as is known.
+    pub(super) fn may_support(&self, node: &NodeName) -> bool {
+        let known = self.known.get(node);
+        self.terms.list(node)
+            && !known.is_some_and(|known| matches!(known.opinion, Opinion::Differs { .. }))
+    }
+}
+
+fn holds(opinion: &Opinion, fingerprint: u64) -> bool {
+    matches!(opinion, Opinion::Differs { terms, .. } if *terms == fingerprint)
+}
+
+impl Replica {
+    /// Whether whoever serves, or is to, reckons with all terms that this one has heard of. If not, it is told.
+    pub(super) fn is_reckoned_with(&mut self, from: &NodeName, heard: &[u64]) -> bool {
+        let Some(terms) = self.accord.unheard_in(heard).map(Terms::encode) else {
+            // Whoever has forgotten some does not know.
+            return !self.accord.rivals.overflow;
+        };
+        self.send(from, &Message::Rival { terms });
+        false
+    }
+
+    /// One who was told the same knows of these other terms.
+    pub(super) fn hear_rival(&mut self, terms: &[u8], now: Instant) {
+        let Some(terms) = Terms::decode(terms) else {
+            self.refused += 1;
+            return;
+        };
+        let fingerprint = self.accord.rivals.note(terms);
+        if let Some(rival) = self.accord.rivals.all.get_mut(&fingerprint) {
+            // It is said again whenever that is over.
+            rival.rumoured_until = now + self.config.patience();
+        }
+    }
+}

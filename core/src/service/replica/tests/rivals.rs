@@ -1,0 +1,93 @@
+//! Whoever was told whatever: there are never two primaries among those who have met.
+
+use super::*;
+
+/// Some of so many.
+fn list(chance: &mut Random, size: usize) -> Vec<NodeName> {
+    let mut all: Vec<_> = (0..size).filter(|_| chance.chance(0.6)).collect();
+    if chance.chance(0.2) {
+        all.reverse();
+    }
+    all.into_iter().map(node).collect()
+}
+
+#[test]
+fn however_lists_differ_and_whoever_is_cut_off_or_dies_there_are_never_two_who_serve() {
+    let mut served = 0;
+    for seed in 0_u64..24 {
+        let size = 3 + (seed % 4) as usize;
+        let mut robot = Robot::new(seed, size, StandbyKind::Warm, OnPartition::Stop);
+        let mut chance = Random::new(seed ^ 0x71);
+        for _ in 0..2 {
+            let lists: Vec<_> = (0..3).map(|_| list(&mut chance, size)).collect();
+            // At most one of them has another rule.
+            let divides = chance.chance(0.2).then(|| (chance.unit() * size as f64) as usize);
+            for member in 0..size {
+                let mut those = lists.iter().filter(|list| list.contains(&node(member)));
+                let which = those.clone().count().min(1 + (chance.unit() * 2.0) as usize);
+                let members = those.nth(which.saturating_sub(1)).cloned();
+                robot.tell(member, |config| {
+                    config.members = members.unwrap_or_else(|| vec![node(member)]);
+                    if divides == Some(member) {
+                        config.on_partition = OnPartition::Continue;
+                    }
+                });
+            }
+            // All meet.
+            robot.sides = vec![0; size];
+            robot.look_around(500);
+            robot.advance_ms(200);
+            robot.overlaps = 0;
+            for _ in 0..4 {
+                served += robot.primaries().len();
+                let member = (chance.unit() * size as f64) as usize;
+                match chance.unit() {
+                    case if case < 0.2 => robot.kill(member),
+                    case if case < 0.8 => robot.sides[member] ^= 1,
+                    _ => robot.sides = vec![0; size],
+                }
+                robot.advance_ms(150);
+                robot.look_around(0);
+            }
+            assert_eq!(robot.overlaps, 0, "seed {seed}: {:?}", robot.told);
+        }
+    }
+    assert!(served > 40, "somebody serves now and then: {served}");
+}
+
+#[test]
+fn while_a_list_is_changed_node_by_node_nothing_that_was_answered_is_forgotten() {
+    let grown: [&[usize]; 2] = [&[0, 1, 2], &[0, 1, 2, 3]];
+    let moved: [&[usize]; 2] = [&[0, 1, 2], &[1, 2, 3]];
+    let shrunk: [&[usize]; 2] = [&[0, 1, 2, 3], &[0, 1, 2]];
+    for kind in [StandbyKind::Warm, StandbyKind::Hot] {
+        for ([before, after], order) in [
+            (grown, &[3, 2, 1, 0][..]),
+            (grown, &[3, 0, 1, 2]),
+            (moved, &[3, 2, 1]),
+            (shrunk, &[2, 1, 0]),
+        ] {
+            let mut robot = Robot::new(3, 4, kind, OnPartition::Stop);
+            let those = |list: &[usize]| list.iter().copied().map(node).collect::<Vec<_>>();
+            for member in 0..4 {
+                robot.tell(member, |config| config.members = those(before));
+                if !before.contains(&member) {
+                    robot.kill(member);
+                }
+            }
+            robot.advance_ms(200);
+            robot.ask_some(3);
+            for member in order {
+                robot.tell(*member, |config| config.members = those(after));
+                robot.look_around(1000);
+                robot.ask_some(2);
+                robot.advance_ms(100);
+                let answers = robot.answers();
+                let expected: Vec<_> = (1..=answers.len() as u64).map(Some).collect();
+                assert_eq!(answers, expected, "{kind:?} {after:?}: {member} begins anew");
+            }
+            assert_eq!(robot.overlaps, 0, "{kind:?} {after:?}");
+            assert_eq!(robot.losses, 0, "{kind:?} {after:?}");
+        }
+    }
+}
