@@ -227,5 +227,6 @@ fn a_path_that_can_be_no_window_is_refused_at_start_with_what_to_do() {
             assert!(told.contains(advice), "{path:?}: {told}");
         }
         assert_eq!(std::fs::read(&file).unwrap(), b"precious");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left there");
     });
 }
