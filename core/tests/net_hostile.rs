@@ -68,9 +68,11 @@ fn genuine() -> Vec<Bytes> {
         hops: 3,
         destination: NodeId::of(&name("own")),
         source: NodeId::of(&name("peer")),
+        passed: vec![],
         payload: Payload::Segment(segment.clone().into()),
     };
     let copy = Packet {
+        passed: vec![],
         payload: Payload::Copy {
             copy: 1,
             relays: vec![NodeId(3), NodeId(4)],

@@ -206,7 +206,7 @@ impl End {
 
 fn packet(class: Class, segment: Parcel) -> Packet {
     let payload = Payload::Segment(segment);
-    Packet { class, hops: 1, destination: NodeId(1), source: NodeId(2), payload }
+    Packet { class, hops: 1, destination: NodeId(1), source: NodeId(2), passed: vec![], payload }
 }
 
 /// Both ends of a line of so many bits a second.

@@ -308,7 +308,8 @@ mod tests {
                 Payload::Copy { copy: 1, relays: vec![NodeId(3)], segment: Bytes::new().into() };
             for payload in [Payload::Segment(Bytes::new().into()), copy] {
                 let (destination, source) = (NodeId(1), NodeId(2));
-                let packet = Packet { class, hops: 1, destination, source, payload };
+                let packet =
+                    Packet { class, hops: 1, destination, source, passed: vec![], payload };
                 check(Frame::Data(packet.encode().into()), expected);
             }
         }

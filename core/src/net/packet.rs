@@ -5,13 +5,18 @@
 //! ┌──────────┬───────────────┬───────────────┬──────────────────────┐
 //! │ cc k hops│ destination   │ source        │ segment, or a return │
 //! └──────────┴───────────────┴───────────────┴──────────────────────┘
-//!   cc   class: 0 control, 1 data, 2 bulk; 3 for a copy, which says its class itself
-//!   k    0 a segment for the destination's session, 1 a packet's return to its source
+//!   cc   class: 0 control, 1 data, 2 bulk; 3 for what says its class itself: copies, and what was passed on
+//!   k    0 a segment for the destination's session, 1 a packet's return to its source;
+//!        with cc 3: 0 a copy, 1 passed on
 //!   hops how many more nodes may pass it on, 0 to 31
 //!
-//! return: the destination that was not reached (4), the reason (1)
-//! copy:   cc 2 bits, which copy 2 bits, n 4 bits │ n × relay 4 │ segment
+//! return:    the destination that was not reached (4), the reason (1)
+//! copy:      cc 2 bits, which copy 2 bits, n 4 bits │ n × relay 4 │ segment
+//! passed on: cc 2 bits, k 1 bit, n 5 bits │ n × relay 4 │ segment, or a return
 //! ```
+//!
+//! Who passes a packet on writes itself behind those who did before, and gives it to none of them: whatever
+//! the nodes know of each other, no packet goes over a node twice. Between neighbours the list takes no byte.
 //!
 //! A copy's relays are those that still follow after whoever receives it. Each takes the first off the list
 //! and passes the copy on to that one, the last to the destination: the list only becomes shorter, and no
@@ -35,8 +40,14 @@ pub const RELAYS_MAX: usize = 15;
 /// The most bytes that a copy's way takes before its segment.
 pub(crate) const WAY_MAX: usize = 1 + 4 * RELAYS_MAX;
 
+/// The bytes that a list of so many takes who have passed a packet on.
+pub(crate) const fn passed_length(relays: usize) -> usize {
+    if relays == 0 { 0 } else { 1 + 4 * relays }
+}
+
 const RETURN: u8 = 0x20;
 const COPY: u8 = 0xc0;
+const PASSED: u8 = COPY | RETURN;
 
 /// How urgent a packet is. A queue that is not empty lets the more urgent go first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -60,6 +71,8 @@ pub struct Packet {
     pub destination: NodeId,
     /// Whom it is from.
     pub source: NodeId,
+    /// Who has passed it on so far, at most [`HOPS_MAX`]. Of a copy that is not written.
+    pub passed: Vec<NodeId>,
     /// What it carries.
     pub payload: Payload,
 }
@@ -135,10 +148,17 @@ impl Packet {
             Payload::Copy { segment, .. } => (COPY, WAY_MAX + segment.copied()),
             Payload::Return { .. } => (class | RETURN, 5),
         };
-        let mut bytes = BytesMut::with_capacity(PACKET_HEADER + length);
-        bytes.put_u8(kind | self.hops.min(HOPS_MAX));
+        let was_passed = kind != COPY && !self.passed.is_empty();
+        let list = passed_length(self.passed.len());
+        let mut bytes = BytesMut::with_capacity(PACKET_HEADER + list + length);
+        bytes.put_u8(if was_passed { PASSED } else { kind } | self.hops.min(HOPS_MAX));
         bytes.put_u32(self.destination.0);
         bytes.put_u32(self.source.0);
+        if was_passed {
+            debug_assert!(self.passed.len() <= HOPS_MAX.into());
+            bytes.put_u8(kind | self.passed.len() as u8);
+            self.passed.iter().for_each(|relay| bytes.put_u32(relay.0));
+        }
         match &self.payload {
             Payload::Segment(segment) => segment.behind(bytes),
             Payload::Copy { copy, relays, segment } => {
@@ -165,15 +185,19 @@ impl Packet {
         let hops = first & HOPS_MAX;
         let destination = NodeId(reader.u32()?);
         let source = NodeId(reader.u32()?);
-        if first & COPY == COPY {
-            if first & RETURN != 0 {
-                return Err(WireError::Malformed { what: "a packet's kind" });
+        let (mut kind, mut passed) = (first, Vec::new());
+        if first & PASSED == PASSED {
+            kind = reader.u8()?;
+            passed = read_relays(&mut reader, kind & HOPS_MAX, destination, source)?;
+            if passed.is_empty() {
+                return Err(WireError::Malformed { what: "a list of nobody" });
             }
+        } else if first & COPY == COPY {
             let (class, payload) = read_copy(reader, destination, source)?;
-            return Ok(Packet { class, hops, destination, source, payload });
+            return Ok(Packet { class, hops, destination, source, passed, payload });
         }
-        let class = read_class(first)?;
-        let payload = if first & RETURN == 0 {
+        let class = read_class(kind)?;
+        let payload = if kind & RETURN == 0 {
             Payload::Segment(reader.rest().into())
         } else {
             let destination = NodeId(reader.u32()?);
@@ -186,7 +210,7 @@ impl Packet {
             reader.end("a return")?;
             Payload::Return { destination, reason }
         };
-        Ok(Packet { class, hops, destination, source, payload })
+        Ok(Packet { class, hops, destination, source, passed, payload })
     }
 }
 
@@ -197,6 +221,24 @@ pub(crate) fn is_control(packet: &[u8]) -> bool {
         first => first,
     };
     class.is_some_and(|class| class >> 6 == Class::Control as u8)
+}
+
+/// Nodes between the source and the destination, each once.
+fn read_relays(
+    reader: &mut Reader,
+    count: u8,
+    destination: NodeId,
+    source: NodeId,
+) -> Result<Vec<NodeId>, WireError> {
+    let mut relays = Vec::new();
+    for _ in 0..count {
+        let relay = NodeId(reader.u32()?);
+        if relay == destination || relay == source || relays.contains(&relay) {
+            return Err(WireError::Malformed { what: "a packet's way, which goes in a circle," });
+        }
+        relays.push(relay);
+    }
+    Ok(relays)
 }
 
 fn read_class(first: u8) -> Result<Class, WireError> {
@@ -216,14 +258,7 @@ fn read_copy(
     let way = reader.u8()?;
     let class = read_class(way)?;
     let copy = way >> 4 & (COPIES_MAX as u8 - 1);
-    let mut relays = Vec::with_capacity(RELAYS_MAX);
-    for _ in 0..way & RELAYS_MAX as u8 {
-        let relay = NodeId(reader.u32()?);
-        if relay == destination || relay == source || relays.contains(&relay) {
-            return Err(WireError::Malformed { what: "a copy's way, which goes in a circle," });
-        }
-        relays.push(relay);
-    }
+    let relays = read_relays(&mut reader, way & RELAYS_MAX as u8, destination, source)?;
     Ok((class, Payload::Copy { copy, relays, segment: reader.rest().into() }))
 }
 
@@ -237,8 +272,13 @@ mod tests {
             hops: 8,
             destination: NodeId(0x01020304),
             source: NodeId(5),
+            passed: Vec::new(),
             payload,
         }
+    }
+
+    fn passed_by(relays: &[u32], payload: Payload) -> Packet {
+        Packet { passed: relays.iter().map(|relay| NodeId(*relay)).collect(), ..packet(payload) }
     }
 
     fn copy_over(relays: &[u32]) -> Payload {
@@ -254,6 +294,9 @@ mod tests {
         assert_eq!(&packet(returned).encode()[..], b"\x68\x01\x02\x03\x04\0\0\0\x05\0\0\0\x07\x01");
         let bytes = b"\xc8\x01\x02\x03\x04\0\0\0\x05\x52\0\0\0\x07\0\0\0\x08hi";
         assert_eq!(&packet(copy_over(&[7, 8])).encode()[..], bytes);
+        let segment = Payload::Segment(Bytes::from_static(b"hi").into());
+        let bytes = b"\xe8\x01\x02\x03\x04\0\0\0\x05\x42\0\0\0\x07\0\0\0\x08hi";
+        assert_eq!(&passed_by(&[7, 8], segment).encode()[..], bytes);
     }
 
     #[test]
@@ -264,6 +307,21 @@ mod tests {
             assert_eq!(Packet::decode(packet.encode()), Ok(packet.clone()));
             for cut in 0..PACKET_HEADER {
                 assert_eq!(Packet::decode(packet.encode().slice(..cut)), Err(WireError::Truncated));
+            }
+        }
+        for payload in [
+            Payload::Segment(Bytes::from_static(b"hi").into()),
+            Payload::Return { destination: NodeId(7), reason: Undelivered::NoRoute },
+        ] {
+            let relays: Vec<_> = (10..10 + u32::from(HOPS_MAX)).collect();
+            for relays in [&[7][..], &relays] {
+                let packet = passed_by(relays, payload.clone());
+                assert_eq!(Packet::decode(packet.encode()), Ok(packet.clone()));
+                let list = PACKET_HEADER + passed_length(relays.len());
+                for cut in 0..list {
+                    let cut = packet.encode().slice(..cut);
+                    assert_eq!(Packet::decode(cut), Err(WireError::Truncated));
+                }
             }
         }
         let relays: Vec<_> = (10..10 + RELAYS_MAX as u32).collect();
@@ -282,11 +340,15 @@ mod tests {
             Packet::decode(Bytes::from_static(&[0x20, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 9]));
         assert!(matches!(no_reason, Err(WireError::Malformed { .. })));
     }
+
     #[test]
     fn a_way_that_goes_in_a_circle_is_refused() {
         // Over a node twice, back to where it is from, or on from where it should end.
         for relays in [&[7, 8, 7][..], &[7, 5], &[0x01020304, 7]] {
             let refused = Packet::decode(packet(copy_over(relays)).encode());
+            assert!(matches!(refused, Err(WireError::Malformed { .. })), "{relays:?}");
+            let segment = Payload::Segment(Bytes::from_static(b"hi").into());
+            let refused = Packet::decode(passed_by(relays, segment).encode());
             assert!(matches!(refused, Err(WireError::Malformed { .. })), "{relays:?}");
         }
         let returned = Packet::decode(Bytes::from_static(&[0xe0; 10]));

@@ -21,7 +21,7 @@ use self::contest::Dispute;
 use super::advertisement::{Advertisement, Routing, Stamp};
 use super::latch::Latch;
 use super::node_id::NodeId;
-use super::topology::{self, Adjacent, Route, Topology, Way};
+use super::topology::{Adjacent, Route, Topology, Way};
 use super::wire::Refusals;
 use crate::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;
@@ -343,7 +343,7 @@ impl Router {
         self.ways.clear();
         let mut before = std::mem::replace(&mut self.routes, routes);
         for (id, route) in &self.routes {
-            let (mtu, incarnation) = (topology::segment_limit(route.mtu), route.incarnation);
+            let (mtu, incarnation) = (route.segment_limit(), route.incarnation);
             let output = match before.remove(id) {
                 Some(old) if old.incarnation == incarnation => {
                     if !old.must_repeat_over(route) {

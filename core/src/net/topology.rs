@@ -9,7 +9,7 @@ use super::frame::FRAME_HEADER;
 use super::is_narrow;
 use super::link::Neighbour;
 use super::node_id::NodeId;
-use super::packet::PACKET_HEADER;
+use super::packet::{PACKET_HEADER, passed_length};
 use super::router::{Health, LinkNumber, MTU_MIN};
 use crate::{Incarnation, Instant, NodeName};
 use std::cmp::Reverse;
@@ -33,6 +33,8 @@ pub struct Route {
     pub chosen: Option<LinkNumber>,
     /// The largest frame that both paths carry, in bytes.
     pub mtu: u16,
+    /// How many nodes pass a packet on along the longer of both.
+    pub relays: u8,
 }
 
 /// A link that carries, and what its neighbour still has to be told.
@@ -63,22 +65,33 @@ pub(crate) fn segment_limit(mtu: u16) -> usize {
 }
 
 impl Route {
+    /// The largest segment that both paths carry, with the list of those who pass it on. A way that becomes
+    /// longer while it is under way adds two of them at most, or it comes back as too large.
+    pub(crate) fn segment_limit(&self) -> usize {
+        const MORE: usize = 2;
+        let relays = usize::from(self.relays);
+        let list = passed_length(if relays == 0 { 0 } else { relays + MORE });
+        segment_limit(self.mtu).saturating_sub(list)
+    }
+
     /// Whether what is under way here is to be repeated over its successor: it goes another way, in
     /// other pieces, or has become dearer, that is, has lost something further on.
     pub(crate) fn must_repeat_over(&self, next: &Route) -> bool {
-        self.chosen != next.chosen || self.mtu != next.mtu || self.cost < next.cost
+        self.chosen != next.chosen
+            || self.segment_limit() != next.segment_limit()
+            || self.cost < next.cost
     }
 
     /// The next hop or the alternate, whichever is better off now, the next hop if both are alike; never
-    /// to `from`.
+    /// to one of `had`.
     pub(crate) fn choose(
         &self,
         links: &BTreeMap<LinkNumber, Adjacent>,
-        from: Option<NodeId>,
+        had: &[NodeId],
     ) -> Option<LinkNumber> {
         let ways = [Some(self.next), self.alternate];
         let usable = ways.into_iter().flatten().filter_map(|link| {
-            let adjacent = links.get(&link).filter(|adjacent| Some(adjacent.id) != from)?;
+            let adjacent = links.get(&link).filter(|adjacent| !had.contains(&adjacent.id))?;
             Some((adjacent.health, link))
         });
         // The first of those that are alike.
@@ -98,6 +111,8 @@ pub(crate) struct Topology<'a> {
 struct Distance {
     cost: u32,
     mtu: u16,
+    /// How many links the path has.
+    links: u8,
 }
 
 impl<'a> Topology<'a> {
@@ -140,17 +155,21 @@ impl<'a> Topology<'a> {
                 // It would not come back here (RFC 5286, inequality 1).
                 let back = from_neighbour.get(&self.here).map_or(0, |back| back.cost);
                 let free = rest.cost < back.saturating_add(from_here.cost);
-                Some((cost, *number, link, link.mtu.min(rest.mtu), free))
+                Some((cost, *number, link, link.mtu.min(rest.mtu), (rest.links, free)))
             })
             .collect();
         ways.sort_by_key(|(cost, number, ..)| (*cost, *number));
-        let (cost, next, first, mtu, _) = *ways.first()?;
-        let alternate = ways[1..].iter().find(|(_, _, link, _, free)| link.id == first.id || *free);
-        let mtu = alternate.map_or(mtu, |alternate| alternate.3.min(mtu));
+        let (cost, next, first, mtu, (relays, _)) = *ways.first()?;
+        let free =
+            |(_, _, link, _, (_, free)): &&(_, _, &Adjacent, _, _)| link.id == first.id || *free;
+        let alternate = ways[1..].iter().find(free);
+        let (mtu, relays) = alternate
+            .map_or((mtu, relays), |(.., other, (more, _))| (mtu.min(*other), relays.max(*more)));
         let alternate = alternate.map(|(_, number, ..)| *number);
         let (node, incarnation) = self.identity(to)?;
-        let mut route = Route { node, incarnation, cost, next, alternate, chosen: None, mtu };
-        route.chosen = route.choose(self.links, None);
+        let mut route =
+            Route { node, incarnation, cost, next, alternate, chosen: None, mtu, relays };
+        route.chosen = route.choose(self.links, &[]);
         Some(route)
     }
 
@@ -168,19 +187,20 @@ impl<'a> Topology<'a> {
     /// Dijkstra's algorithm; ties are broken by the nodes' numbers.
     fn distances(&self, from: NodeId) -> BTreeMap<NodeId, Distance> {
         let mut found = BTreeMap::new();
-        let mut edge_of_search = BinaryHeap::from([Reverse((0, from, Reverse(u16::MAX)))]);
-        while let Some(Reverse((cost, id, Reverse(mtu)))) = edge_of_search.pop() {
+        let mut edge_of_search = BinaryHeap::from([Reverse((0, from, Reverse(u16::MAX), 0u8))]);
+        while let Some(Reverse((cost, id, Reverse(mtu), links))) = edge_of_search.pop() {
             if found.contains_key(&id) {
                 continue;
             }
-            found.insert(id, Distance { cost, mtu });
+            found.insert(id, Distance { cost, mtu, links });
             for (to, step, limit) in self.edges(id) {
                 if found.contains_key(&to) {
                     continue;
                 }
                 let Some((step, limit)) = self.agreed(id, to, step, limit) else { continue };
                 let cost: u32 = cost;
-                let reached = (cost.saturating_add(step.into()), to, Reverse(mtu.min(limit)));
+                let mtu = Reverse(mtu.min(limit));
+                let reached = (cost.saturating_add(step.into()), to, mtu, links.saturating_add(1));
                 edge_of_search.push(Reverse(reached));
             }
         }

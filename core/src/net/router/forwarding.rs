@@ -6,7 +6,7 @@ use crate::Parcel;
 use crate::net::frame::FRAME_HEADER;
 use crate::net::node_id::NodeId;
 use crate::net::packet::{Class, HOPS_MAX, Packet, Payload, Undelivered};
-use crate::net::topology::{self, Way};
+use crate::net::topology::Way;
 use bytes::Bytes;
 
 impl Router {
@@ -27,7 +27,7 @@ impl Router {
         } else if packet.destination != self.id {
             match packet.payload {
                 Payload::Copy { .. } => self.follow(packet),
-                Payload::Segment(_) | Payload::Return { .. } => self.forward(packet, Some(link)),
+                Payload::Segment(_) | Payload::Return { .. } => self.forward(packet, link),
             }
         } else {
             self.outputs.push_back(match packet.payload {
@@ -51,8 +51,8 @@ impl Router {
     pub fn handle_segment(&mut self, destination: NodeId, class: Class, segment: Parcel) {
         let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
         let payload = Payload::Segment(segment);
-        let packet = Packet { class, hops, destination, source, payload };
-        match self.choose(destination, None) {
+        let packet = Packet { class, hops, destination, source, passed: Vec::new(), payload };
+        match self.choose(destination, &[]) {
             Some(link) => self.pass(link, &packet),
             None => self.give_back(&packet, Undelivered::NoRoute),
         }
@@ -74,7 +74,8 @@ impl Router {
                 None => Payload::Segment(segment),
                 Some((_, relays)) => Payload::Copy { copy, relays: relays.to_vec(), segment },
             };
-            let packet = Packet { class, hops, destination, source, payload }.parcel();
+            let packet =
+                Packet { class, hops, destination, source, passed: Vec::new(), payload }.parcel();
             let fits = packet.len() + FRAME_HEADER <= adjacent.mtu.min(way.mtu).into();
             let near = way.relays.len() <= hops.into();
             (fits && near).then_some(RouterOutput::Packet { link: way.link, packet })
@@ -90,7 +91,7 @@ impl Router {
     /// Passes a copy on by the way that is written in it, and by no other: on one of its own it would go
     /// where another copy goes already, or in a circle. What no copy brings, the session repeats.
     fn follow(&mut self, packet: Packet) {
-        let Packet { class, hops, destination, source, payload } = packet;
+        let Packet { class, hops, destination, source, passed, payload } = packet;
         let Payload::Copy { copy, mut relays, segment } = payload else { return };
         if relays.contains(&self.id) {
             self.refusals.malformed += 1;
@@ -99,7 +100,7 @@ impl Router {
         let next = if relays.is_empty() { destination } else { relays.remove(0) };
         let payload = Payload::Copy { copy, relays, segment };
         let link = hops.checked_sub(1).and_then(|hops| {
-            let packet = Packet { class, hops, destination, source, payload }.parcel();
+            let packet = Packet { class, hops, destination, source, passed, payload }.parcel();
             Some((self.parallel(next, copy, packet.len() + FRAME_HEADER)?, packet))
         });
         match link {
@@ -123,13 +124,25 @@ impl Router {
         links.get(usize::from(copy) % links.len().max(1)).copied()
     }
 
-    pub(super) fn forward(&mut self, packet: Packet, from: Option<LinkNumber>) {
-        let Some(hops) = packet.hops.checked_sub(1) else {
+    /// Passes a packet on that came over a link, to nobody who has had it: nodes that hear of a change one
+    /// after the other may each believe that another is nearer.
+    pub(super) fn forward(&mut self, mut packet: Packet, from: LinkNumber) {
+        let here_before = packet.passed.contains(&self.id);
+        let (false, Some(hops)) = (here_before, packet.hops.checked_sub(1)) else {
             return self.give_back(&packet, Undelivered::TooManyHops);
         };
-        let packet = Packet { hops, ..packet };
-        match self.choose(packet.destination, from) {
-            Some(link) => self.pass(link, &packet),
+        let from = self.links.get(&from).map(|adjacent| adjacent.id);
+        let had: Vec<_> =
+            packet.passed.iter().copied().chain([packet.source]).chain(from).collect();
+        packet.hops = hops;
+        match self.choose(packet.destination, &had) {
+            Some(_) if packet.passed.len() >= HOPS_MAX.into() => {
+                self.give_back(&packet, Undelivered::TooManyHops);
+            }
+            Some(link) => {
+                packet.passed.push(self.id);
+                self.pass(link, &packet);
+            }
             None => self.give_back(&packet, Undelivered::NoRoute),
         }
     }
@@ -153,33 +166,27 @@ impl Router {
         }
         let payload = Payload::Return { destination, reason };
         let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
-        let answer =
-            Packet { class: Class::Control, hops, destination: packet.source, source, payload };
-        if let Some(link) = self.choose(answer.destination, None) {
+        let (class, passed) = (Class::Control, Vec::new());
+        let answer = Packet { class, hops, destination: packet.source, source, passed, payload };
+        if let Some(link) = self.choose(answer.destination, &[]) {
             self.pass(link, &answer);
         }
     }
 
-    /// The look-up: the next hop if it is well, else the alternate, else whichever is better off;
-    /// never back to where the packet came from.
-    pub(super) fn choose(
-        &self,
-        destination: NodeId,
-        from: Option<LinkNumber>,
-    ) -> Option<LinkNumber> {
-        let route = self.routes.get(&destination)?;
-        let from = from.and_then(|from| self.links.get(&from)).map(|adjacent| adjacent.id);
-        route.choose(&self.links, from)
+    /// The look-up: the next hop if it is well, else the alternate, else whichever is better off; none
+    /// that has had the packet.
+    pub(super) fn choose(&self, destination: NodeId, had: &[NodeId]) -> Option<LinkNumber> {
+        self.routes.get(&destination)?.choose(&self.links, had)
     }
 
     /// Links have come, gone or become suspect: some nodes are now reached another way.
     pub(super) fn choose_anew(&mut self) {
         for (node, route) in &mut self.routes {
-            let chosen = route.choose(&self.links, None);
+            let chosen = route.choose(&self.links, &[]);
             if chosen != route.chosen {
                 route.chosen = chosen;
                 if chosen.is_some() {
-                    let mtu = topology::segment_limit(route.mtu);
+                    let mtu = route.segment_limit();
                     self.outputs.push_back(RouterOutput::PathChanged { node: *node, mtu });
                 }
             }

@@ -90,7 +90,7 @@ fn between_two() -> Router {
 fn packet_to(destination: &str, hops: u8) -> Packet {
     let payload = Payload::Segment(Bytes::from_static(b"segment").into());
     let (destination, source) = (id(destination), id("source"));
-    Packet { class: Class::Data, hops, destination, source, payload }
+    Packet { class: Class::Data, hops, destination, source, passed: Vec::new(), payload }
 }
 
 fn over(output: Option<RouterOutput>) -> Option<LinkNumber> {
@@ -112,7 +112,7 @@ fn the_alternate_is_known_ahead_and_taken_without_any_computation() {
     let suspect = LinkStatus { health: Health::Suspect, ..up("left", 1) };
     router.handle_link(FIRST, suspect, at(1020));
 
-    let changed = RouterOutput::PathChanged { node: id("far"), mtu: 1389 };
+    let changed = RouterOutput::PathChanged { node: id("far"), mtu: 1376 };
     let told: Vec<_> = std::iter::from_fn(|| router.poll_output()).collect();
     assert!(told.contains(&changed), "{told:?}");
     router.handle_segment(id("far"), Class::Data, segment().into());
@@ -212,7 +212,7 @@ fn a_way_that_became_dearer_further_on_is_told_so_that_what_was_lost_there_is_re
 
     tell(&mut router, FIRST, advertisement("left", 2, &[("own", 1), ("far", 9)]), 1040);
 
-    let changed = RouterOutput::PathChanged { node: id("far"), mtu: 1389 };
+    let changed = RouterOutput::PathChanged { node: id("far"), mtu: 1376 };
     assert!(outputs(&mut router, 1050).contains(&changed));
 }
 
@@ -228,6 +228,29 @@ fn a_packet_is_passed_on_with_one_hop_less_and_never_back() {
 
     router.handle_packet(FIRST, packet_to("far", 3).encode(), at(1020));
     assert_eq!(over(router.poll_output()), Some(SECOND), "never back to where it came from");
+}
+
+#[test]
+fn a_packet_goes_to_nobody_who_has_had_it_and_over_no_node_twice() {
+    let mut router = between_two();
+    let passed = |by: &[&str]| {
+        let passed = by.iter().map(|relay| id(relay)).collect();
+        Packet { passed, source: id("other"), ..packet_to("far", 3) }.encode()
+    };
+
+    // Left is nearer, but believes the same of somebody who believes it of this node.
+    router.handle_packet(SECOND, passed(&["left", "somebody"]), at(1020));
+    assert_eq!(over(router.poll_output()), None, "both ways have had it");
+
+    router.handle_packet(FIRST, passed(&["somebody"]), at(1020));
+    let Some(RouterOutput::Packet { link: SECOND, packet }) = router.poll_output() else {
+        panic!("it goes on");
+    };
+    let packet = Packet::decode(packet.into_bytes()).unwrap();
+    assert_eq!(packet.passed, [id("somebody"), id("own")]);
+
+    router.handle_packet(SECOND, passed(&["own", "somebody"]), at(1020));
+    assert_eq!(over(router.poll_output()), None, "it was here before");
 }
 
 #[test]
@@ -350,7 +373,7 @@ fn a_restarted_node_is_told_with_its_new_life() {
 
     let told = without_routing(outputs(&mut router, 1210));
     let (node, incarnation) = (named("far"), Incarnation(2));
-    assert_eq!(told, [RouterOutput::Reachable { node, incarnation, mtu: 1389 }]);
+    assert_eq!(told, [RouterOutput::Reachable { node, incarnation, mtu: 1376 }]);
 }
 
 #[test]
@@ -370,7 +393,7 @@ fn a_new_life_of_which_the_neighbours_say_nothing_waits_for_the_old_one_to_answe
 
     let told = without_routing(outputs(&mut router, 2060));
     let (node, incarnation) = (named("far"), Incarnation(2));
-    assert_eq!(told, [RouterOutput::Reachable { node, incarnation, mtu: 1389 }]);
+    assert_eq!(told, [RouterOutput::Reachable { node, incarnation, mtu: 1376 }]);
 }
 
 #[test]
