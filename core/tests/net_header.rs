@@ -22,6 +22,22 @@ fn frame(segment: &Segment) -> usize {
     Frame::Data(packet.encode().into()).encode().len() - PAYLOAD.len()
 }
 
+#[test]
+fn who_passes_a_packet_on_adds_five_bytes_and_then_four() {
+    let length = |relays: u32| {
+        let packet = Packet {
+            class: Class::Data,
+            hops: 16,
+            destination: NodeId(1),
+            source: NodeId(2),
+            passed: (0..relays).map(|relay| NodeId(10 + relay)).collect(),
+            payload: Payload::Segment(Bytes::from_static(PAYLOAD).into()),
+        };
+        packet.encode().len()
+    };
+    assert_eq!([1, 2, 3].map(|relays| length(relays) - length(0)), [5, 9, 13]);
+}
+
 /// The overhead of one message alone in its part, without and with an acknowledgement on board.
 fn reliable(message: &Message, stream: Stream, sequence: u64) -> [usize; 2] {
     let message = message.encode().into_bytes();

@@ -216,16 +216,14 @@ fn a_path_that_can_be_no_window_is_refused_at_start_with_what_to_do() {
             (&file, "no socket: remove it, or choose another path"),
             (&file.join("window"), "what should be its folder is none: choose another"),
             (&long, "choose a shorter one"),
-            // Not even root may create anything there.
-            (
-                Path::new("/sys/module1.window"),
-                "let this user write to the folder, or choose another",
-            ),
+            // Not even root may create anything there, whether it is forbidden or cannot be written to.
+            (Path::new("/sys/module1.window"), "choose another"),
         ];
         for (path, advice) in cases {
             let told = refused(path).await;
             assert!(told.contains(advice), "{path:?}: {told}");
         }
         assert_eq!(std::fs::read(&file).unwrap(), b"precious");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left there");
     });
 }

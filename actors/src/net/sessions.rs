@@ -11,7 +11,7 @@ use blastema_contract::session::{
     AddGateway, BeginAnew, Leave, ReadSessions, Say, SayNewest, SessionReported, SessionRow,
 };
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::complaints::Complaints;
+use blastema_core::net::complaints::{Complaints, MANY};
 use blastema_core::net::segment::Stream;
 use blastema_core::net::{Crowd, NodeId, Refusals, Session, SessionConfig, SessionOutput};
 use blastema_core::{FaultKind, Incarnation, NodeName, Why};
@@ -142,9 +142,11 @@ impl Sessions {
             let name = name.unwrap_or_else(|| "nodes that no route leads to".to_owned());
             let detail = format!("what comes from {name} is refused all the time: {since}");
             warn!("{detail}");
-            // Nodes on the way may speak in another's name. Over its own links it is itself.
-            if let (Some(nodes), Some(peer), false) =
-                (&self.nodes, peer.and_then(|id| self.peers.get(&id)), relayed)
+            // Nodes on the way may speak in another's name. Over its own links it is itself, unless
+            // somebody repeats there what it said once.
+            let its_own = !relayed && since.of_the_present() >= MANY;
+            if let (Some(nodes), Some(peer), true) =
+                (&self.nodes, peer.and_then(|id| self.peers.get(&id)), its_own)
             {
                 let (node, incarnation) = (peer.node.clone(), Incarnation::default());
                 let what = "it sent for seconds what had to be refused".to_owned();

@@ -9,7 +9,7 @@ use crate::Instant;
 use std::collections::BTreeMap;
 
 /// Refusals from one look to the next that are no passing matter.
-const MANY: u64 = 50;
+pub const MANY: u64 = 50;
 /// So many looks in a row.
 const LOOKS: u32 = 3;
 

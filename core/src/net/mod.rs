@@ -26,6 +26,7 @@
 //! | request | 25 | 32 | 4, then 6 more |
 //! | its answer | 20 | 24 | 4, then 6 more |
 //!
+//! What a node in between has passed on is five bytes longer, and four for each further one.
 //! `core/tests/net_header.rs` holds these numbers. Small messages that wait together share a part, and
 //! all of it but the length and their own fields.
 //!

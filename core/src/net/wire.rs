@@ -92,6 +92,11 @@ impl Refusals {
         }
     }
 
+    /// All but what was of the past: that somebody else may have recorded, and say again.
+    pub fn of_the_present(&self) -> u64 {
+        self.total() - self.stale
+    }
+
     /// All of them.
     pub fn total(&self) -> u64 {
         self.foreign

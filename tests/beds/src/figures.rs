@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 const PATIENCE: Duration = Duration::from_secs(30);
 /// For a thousand cuts, each of which waits until a cable is ready to be spared.
-const RUN: Duration = Duration::from_secs(600);
+const RUN: Duration = Duration::from_secs(1_200);
 const PACE: Duration = Duration::from_millis(1);
 /// Long after the command to pull the cable has been carried out.
 const WINDOW: Duration = Duration::from_millis(25);

@@ -47,6 +47,8 @@ impl PathListener {
     /// Outside of a tokio runtime with IO.
     pub fn open(path: &Arc<Path>, mode: u32) -> io::Result<Self> {
         let address = SockAddr::unix(path)?;
+        // Before a lock is left beside what is no socket.
+        find_socket(path)?;
         let lock = lock(path)?;
         clear(path, &address)?;
         let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
@@ -116,14 +118,20 @@ fn lock(path: &Path) -> io::Result<File> {
     }
 }
 
+/// Whether a socket lies there. Anything else is in the way.
+fn find_socket(path: &Path) -> io::Result<bool> {
+    match fs::symlink_metadata(path) {
+        Ok(found) if found.file_type().is_socket() => Ok(true),
+        Ok(_) => Err(io::ErrorKind::AlreadyExists.into()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
 /// Removes the socket that a dead process has left, and nothing else.
 fn clear(path: &Path, address: &SockAddr) -> io::Result<()> {
-    let kind = match fs::symlink_metadata(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        found => found?.file_type(),
-    };
-    if !kind.is_socket() {
-        return Err(io::ErrorKind::AlreadyExists.into());
+    if !find_socket(path)? {
+        return Ok(());
     }
     // A program of another kind, which knows nothing of the lock, may listen there.
     let probe = Socket::new(Domain::UNIX, Type::STREAM, None)?;

@@ -137,6 +137,20 @@ fn who_floods_by_its_own_link_is_told_as_an_offender() {
 }
 
 #[test]
+fn what_is_of_the_past_is_told_and_held_against_nobody_for_others_may_repeat_it() {
+    paused(async {
+        let (_robot, [left, _right, middle]) = three().await;
+        let past = &stale(99)[..4];
+
+        let declared = under_fire((&left, &middle), ("right", true), past).await;
+
+        assert_eq!(declared.len(), 1, "{declared:?}");
+        assert!(declared[0].detail.contains("200 stale"), "{}", declared[0].detail);
+        assert_eq!(offences(&left), Vec::<String>::new());
+    });
+}
+
+#[test]
 fn a_node_is_not_believed_about_others_and_about_its_own_objects_it_is() {
     paused(async {
         let (_robot, [left, right, middle]) = three().await;
