@@ -85,8 +85,8 @@ pub enum ReplicaOutput {
         /// Which.
         kind: FaultKind,
     },
-    /// Another node was told something else of the service than this one: nobody of both serves until that is
-    /// mended. Or it was told nothing, and should have been.
+    /// Another node was told something else of the service than this one: whoever cannot exclude that the other
+    /// serves does not, until that is mended. Or it was told nothing, and should have been.
     Disputed {
         /// In what, and what is to be written.
         detail: String,
