@@ -35,7 +35,9 @@ impl Replica {
             return false;
         }
         let since = *primary.alone_since.get_or_insert(now);
-        let wait = if primary.expects(config, now) { config.patience() } else { config.lease() };
+        // Where each part goes on by itself, whoever starts first is alone until the others have come.
+        let comes = config.on_partition == OnPartition::Continue || primary.expects(config, now);
+        let wait = if comes { config.patience() } else { config.lease() };
         if now - since < wait {
             return false;
         }

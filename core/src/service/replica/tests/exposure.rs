@@ -120,6 +120,8 @@ fn a_primary_that_is_cut_off_from_all_standbys_and_goes_on_says_that_it_holds_th
         robot.advance_ms(200);
         let primary = robot.primaries()[0];
         robot.sides = vec![0, 1];
+        robot.advance_ms(500);
+        assert_eq!(robot.with(&FaultKind::Unprotected), [], "it may be the start");
         robot.advance_ms(300);
         let told = robot.fault(primary, FaultKind::Unprotected).expect("it is told").to_owned();
         assert!(told.contains(&format!("not heard: module{}", 1 - primary)), "{told}");
