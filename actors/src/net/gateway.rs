@@ -254,8 +254,16 @@ impl Gateway {
                 self.lost += 1;
                 debug!(%peer, %why, "an event did not arrive");
             }
-            ExchangeOutput::Full { peer } => self.set(peer, Condition::Full),
-            ExchangeOutput::Room { peer } => self.set(peer, Condition::Open),
+            ExchangeOutput::Full { peer } => {
+                if let Some(peer) = self.peers.get(&peer) {
+                    peer.gate.hall_is_full();
+                }
+            }
+            ExchangeOutput::Room { peer } => {
+                if let Some(peer) = self.peers.get(&peer) {
+                    peer.gate.hall_has_room();
+                }
+            }
             ExchangeOutput::ObjectFull { peer, object } => {
                 if let Some(peer) = self.peers.get(&peer) {
                     peer.gate.object_is_full(object);
