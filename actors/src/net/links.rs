@@ -18,7 +18,6 @@ use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
-use blastema_core::Parcel;
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::complaints::Complaints;
 use blastema_core::net::frame::{is_hello, is_urgent};
@@ -27,7 +26,7 @@ use blastema_core::net::router::{Health, LinkStatus};
 use blastema_core::net::{
     Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
 };
-use blastema_core::{FaultKind, Incarnation, Instant, NodeName};
+use blastema_core::{FaultKind, Incarnation, Instant, NodeName, Parcel};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;

@@ -28,8 +28,7 @@
 use super::greeting::Greeting;
 use super::packet;
 use super::wire::{Reader, WireError, Write};
-use crate::Parcel;
-use crate::{Incarnation, NodeName};
+use crate::{Incarnation, NodeName, Parcel};
 use bytes::{BufMut, Bytes, BytesMut};
 
 /// The protocol's version: the low half of the first byte.
