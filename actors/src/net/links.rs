@@ -36,6 +36,8 @@ use tracing::{error, info, warn};
 const USUAL_COST: u64 = 10;
 /// What it costs at most for its medium's slowness: a way over many fast links may still be too long.
 const SLOW_COST: u64 = 1000;
+/// And how many times as much one that has just failed, until it has proved itself: as one that loses a tenth.
+const DISTRUSTED: u64 = 8;
 
 /// A link as it is described; the bundle tells it of the medium.
 fn link(wiring: &Wiring, spec: &LinkSpec, now: Instant) -> Link {
@@ -137,7 +139,9 @@ impl Links {
         });
         let own = self.specs.get(&number).and_then(|spec| spec.cost);
         let cost = own.map_or(of_medium, u64::from);
-        let percent = u64::from(link.quality().cost_percent);
+        // Others go another way too, where there is one.
+        let wary = if link.is_distrusted() { DISTRUSTED } else { 1 };
+        let percent = wary * u64::from(link.quality().cost_percent);
         u16::try_from(cost * percent / 100).unwrap_or(u16::MAX).max(1)
     }
 
