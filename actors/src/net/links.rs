@@ -27,7 +27,7 @@ use blastema_core::net::{
     Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
 };
 use blastema_core::{FaultKind, Incarnation, Instant, NodeName, Parcel};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::{error, info, warn};
@@ -83,6 +83,8 @@ pub(super) struct Links {
     bus: Option<MediumAddress>,
     /// What the router was told last: it must be taken back when the links begin anew.
     told: BTreeMap<LinkNumber, LinkStatus>,
+    /// Those that were never heard while the medium could not be opened.
+    unheard: BTreeSet<LinkNumber>,
     /// What came from addresses that no link leads to.
     strangers: Refusals,
     complaints: Complaints<Option<LinkNumber>>,
@@ -101,6 +103,7 @@ impl Links {
             bytes_per_second: None,
             bus: None,
             told: BTreeMap::new(),
+            unheard: BTreeSet::new(),
             strangers: Refusals::default(),
             complaints: Complaints::default(),
         };
@@ -273,7 +276,12 @@ impl Links {
     }
 
     /// Nobody came. Told as any link that is down; that it is up is told when somebody comes.
-    fn missing(&self, number: LinkNumber, heard: bool) {
+    fn missing(&mut self, number: LinkNumber, heard: bool) {
+        if self.mtu.is_none() {
+            // Why nothing is heard was told, and is found here.
+            self.unheard.insert(number);
+            return;
+        }
         let Some(spec) = self.specs.get(&number) else { return };
         let who = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
         let remote = &spec.remote;
@@ -387,6 +395,9 @@ impl Handler<TransportReport> for Links {
                 self.tell_port(&local);
                 self.bundle.handle_mtu(mtu);
                 self.tell_router_all();
+                for number in std::mem::take(&mut self.unheard) {
+                    self.missing(number, false);
+                }
                 self.tell_of_lonely_medium(LinkCondition::Up);
             }
             TransportReport::Closed { reason } => {
