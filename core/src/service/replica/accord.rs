@@ -16,7 +16,7 @@
 //! failed.
 
 use super::super::terms::Terms;
-use super::rivals::Rivals;
+use super::rivals::{RIVALS_MAX, Rivals};
 use super::*;
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -31,8 +31,8 @@ const LOOK_AGAIN: Duration = Duration::from_secs(5);
 const KNOWN_MAX: usize = 1024;
 /// The most bytes of what is remembered of one: the whole of what differs, unless names are very long.
 const TEXT_MAX: usize = 1024;
-/// The most others that are named: what is written for the first ones is wanted of all, and callers on other nodes are told in
-/// one small message.
+/// The most others that are named: what is written for the first ones is wanted of all, and callers on other nodes
+/// are told in one small message.
 const NAMED_MAX: usize = 8;
 
 /// What is known of the others that carry the service.
@@ -58,6 +58,8 @@ pub(super) struct Known {
     pub(super) bound: Option<Instant>,
     /// It was seen when this replica last looked around.
     pub(super) seen: bool,
+    /// It was seen once, and then was not.
+    gone: bool,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -124,10 +126,18 @@ impl Accord {
             true => "and it is not served by these terms until they are",
             false => "and those who agree go on without the others",
         };
-        self.dispute = (!differences.is_empty()).then(|| {
+        let too_many = self.rivals.overflow.then(|| {
+            format!(
+                "more than {RIVALS_MAX} different terms were met, or terms of more than {KNOWN_MAX} others, which \
+                 are too many to tell who else may serve: tell all the same, and start this node anew"
+            )
+        });
+        let differences = (!differences.is_empty()).then(|| {
             let differences = some_of(&differences, "; ");
             format!("not all nodes were told the same of it, {what}: {differences}")
         });
+        let dispute: Vec<_> = too_many.into_iter().chain(differences).collect();
+        self.dispute = (!dispute.is_empty()).then(|| dispute.join("; "));
     }
 
     /// Somebody is to be told of this one.
@@ -209,7 +219,13 @@ impl Replica {
             Opinion::Agrees => found.contains(node),
         });
         for (node, known) in &mut self.accord.known {
-            known.seen = found.contains(node);
+            let seen = found.contains(node);
+            if seen && known.gone {
+                // In another life it knows of nobody.
+                (known.bound, known.asked) = (None, None);
+            }
+            known.gone = !seen && (known.seen || known.gone);
+            known.seen = seen;
         }
         let known = self.accord.known.keys();
         let all: BTreeSet<_> = known.chain(found).chain(members).cloned().collect();
@@ -332,7 +348,7 @@ impl Replica {
     }
 
     /// Says what is disputed, where that is something else than before, and serves no more where it may not.
-    fn settle_dispute(&mut self, now: Instant) {
+    pub(super) fn settle_dispute(&mut self, now: Instant) {
         self.accord.note_dispute();
         let dispute = self.accord.dispute.clone();
         let wrong: Vec<_> = dispute.into_iter().chain(self.accord.absent()).collect();

@@ -73,6 +73,7 @@ impl Replica {
         if lost {
             self.tell_loss(self.position, self.answered);
             self.position = Position { epoch, number: 0 };
+            self.learned = false;
             self.answered = self.position;
         }
         lost
