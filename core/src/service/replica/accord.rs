@@ -15,7 +15,7 @@
 //! A member that is there and does not carry the service is told as well, and does no harm: it is one that has
 //! failed.
 
-use super::super::terms::Terms;
+use super::super::terms::{TERMS_MAX, Terms};
 use super::rivals::{RIVALS_MAX, Rivals};
 use super::*;
 use std::collections::BTreeSet;
@@ -31,6 +31,8 @@ const LOOK_AGAIN: Duration = Duration::from_secs(5);
 const KNOWN_MAX: usize = 1024;
 /// The most bytes of what is remembered of one: the whole of what differs, unless names are very long.
 const TEXT_MAX: usize = 1024;
+/// The most bytes of an answer: terms, and a position.
+const TOLD_MAX: usize = TERMS_MAX + 32;
 /// The most others that are named: what is written for the first ones is wanted of all, and callers on other nodes
 /// are told in one small message.
 const NAMED_MAX: usize = 8;
@@ -198,9 +200,10 @@ fn cut(mut text: String) -> String {
 }
 
 impl Replica {
-    /// What this replica was told, for [`Replica::handle_terms`] of the others.
+    /// What this replica was told, and how far it knows callers to be answered, for [`Replica::handle_terms`] of the
+    /// others.
     pub fn terms(&self) -> Bytes {
-        self.accord.terms.encode().into()
+        codec::encode_unbounded(&(self.accord.terms.encode(), self.answered)).into()
     }
 
     /// What others were told otherwise, and what is to be written, where nobody is served meanwhile.
@@ -250,10 +253,16 @@ impl Replica {
 
     /// Answers whether it has not said so before.
     fn hear_terms(&mut self, from: &NodeName, terms: &[u8], answers: bool, now: Instant) -> bool {
-        let Some(theirs) = Terms::decode(terms).filter(|_| *from != self.config.own) else {
+        let told = codec::decode_bounded::<(Vec<u8>, Position), TOLD_MAX>(terms).ok();
+        let told = told.filter(|_| *from != self.config.own);
+        let told = told.and_then(|(terms, answered)| Some((Terms::decode(&terms)?, answered)));
+        let Some((theirs, answered)) = told else {
             self.refused += 1;
             return false;
         };
+        if theirs != self.accord.terms && self.accord.terms.shares_state(&theirs) {
+            self.hear_answered(answered, now);
+        }
         let opinion = match self.accord.terms.difference(from, &theirs) {
             same if same.is_empty() => Opinion::Agrees,
             text => Opinion::Differs { text: cut(text), terms: self.accord.rivals.note(theirs) },

@@ -99,6 +99,29 @@ impl Replica {
         }
     }
 
+    /// Somebody who was told another list knows how far callers were answered by that.
+    pub(super) fn hear_answered(&mut self, answered: Position, now: Instant) {
+        if let Acting::Primary(primary) = &self.role {
+            // Beyond what it was when we began, and not by us.
+            let ours = answered.epoch >= primary.epoch && answered <= self.answered;
+            let base = primary.base;
+            if answered > base && !ours && !self.faults.contains_key(&FaultKind::StateLost) {
+                self.tell_loss(base, answered);
+            }
+        } else if answered > self.answered {
+            self.answered = answered;
+            // So that what comes of our own list is told apart from that.
+            self.claimed = self.claimed.max(answered.epoch);
+            // Whoever says so may have it.
+            self.wait_for_state(now);
+            if let Acting::Standby(standby) = &mut self.role
+                && self.position < answered
+            {
+                standby.claim_no_more();
+            }
+        }
+    }
+
     fn tell_loss(&mut self, had: Position, known: Position) {
         let what = match had == Position::default() {
             true => "begins anew, as it was built",

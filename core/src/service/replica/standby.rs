@@ -86,6 +86,11 @@ impl Standby {
         self.claim_at = self.claim_at.min(self.promised_until.max(now) + turn);
     }
 
+    /// Votes for what it has do not count any more.
+    pub(super) fn claim_no_more(&mut self) {
+        self.claiming = None;
+    }
+
     /// What this replica has is not what the primary has.
     pub(super) fn fall_behind(&mut self) {
         self.in_step = None;
@@ -201,7 +206,8 @@ impl Replica {
                     self.follow((from, list), epoch, (number, position, answered), now);
                 }
             }
-            Message::Promise { epoch, number, position, standing, .. } => {
+            Message::Promise { epoch, number, position, answered, standing } => {
+                self.hear_answered(answered, now);
                 self.hear_promise((from, true), epoch, number, (position, standing), now);
             }
             Message::Entry { epoch, position, served, settled, after } if followed => {
@@ -243,7 +249,7 @@ impl Replica {
         }
         standby.inquiring = false;
         self.tell_role();
-        let epoch = self.epoch.max(self.claimed) + 1;
+        let epoch = self.epoch.max(self.claimed).saturating_add(1);
         self.claimed = epoch;
         let position = self.position;
         let Acting::Standby(standby) = &mut self.role else { return };
@@ -395,7 +401,7 @@ impl Replica {
         if epoch < self.epoch || standby.in_step != Some(epoch) || standby.list != list {
             return;
         }
-        if position.number != self.position.number + 1 {
+        if position.number != self.position.number.saturating_add(1) {
             standby.fall_behind();
             return self.tell_role();
         }

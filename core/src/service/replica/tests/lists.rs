@@ -69,7 +69,8 @@ fn terms_of_a_hello_beyond_all_measure_are_refused() {
     let config = ReplicaConfig { hello_interval: Duration::MAX, ..listing(3, &[0, 3]) };
     let mut own = begun(listing(0, &[0, 1, 2]));
 
-    own.handle_terms(&node(3), &Terms::of(&config).encode(), at(1));
+    let told = (Terms::of(&config).encode(), Position::default());
+    own.handle_terms(&node(3), &codec::encode_unbounded(&told), at(1));
     own.handle_timeout(at(100));
 
     assert_eq!(own.refused(), 1);
@@ -235,4 +236,42 @@ fn whoever_comes_back_into_sight_is_bound_only_when_it_has_answered_again() {
     assert!(outputs(&mut own).contains(&ReplicaOutput::Compare { with: node(3) }));
     own.handle_terms(&node(3), &other.terms(), at(1503));
     assert!(bound(&own));
+}
+
+#[test]
+fn a_primary_that_meets_those_who_knew_of_more_by_another_list_says_what_is_lost() {
+    let lost = |own: &mut Replica| {
+        let lost = outputs(own).into_iter().find_map(|output| match output {
+            ReplicaOutput::Fault { kind: FaultKind::StateLost, detail } => Some(detail),
+            _ => None,
+        });
+        lost.is_some_and(|detail| detail.contains("after 7 requests"))
+    };
+    // Of an epoch that is ours, before ours, and after it.
+    for epoch in [0, 1, 2] {
+        let (mut own, mut other) = (serving(), begun(listing(3, &[0, 3])));
+        own.handle_terms(&node(3), &other.terms(), at(36));
+        assert!(!lost(&mut own), "nobody was answered");
+        other.answered = Position { epoch, number: 7 };
+        own.handle_terms(&node(3), &other.terms(), at(37));
+        assert!(lost(&mut own), "{epoch}");
+        own.handle_terms(&node(3), &other.terms(), at(38));
+        assert!(!lost(&mut own), "said once");
+
+        let (mut own, answered) = (serving(), other.answered);
+        own.handle_terms(&node(3), &begun(listing(3, &[0, 3])).terms(), at(36));
+        let (position, standing) = (Position::default(), Standing::Behind);
+        let promise = Message::Promise { epoch: 1, number: 1, position, answered, standing };
+        hear(&mut own, &other, &promise, 37);
+        assert!(lost(&mut own), "who learns says so, too: {epoch}");
+    }
+}
+
+#[test]
+fn an_epoch_beyond_all_measure_ends_no_replica() {
+    let mut own = begun(listing(0, &[0, 1, 2]));
+    let second = begun(listing(1, &[0, 1, 2]));
+    hear(&mut own, &second, &Message::Voted { epoch: u64::MAX }, 1);
+    own.handle_timeout(at(34));
+    assert_eq!(own.role(), Role::Standby { primary: None, in_step: false });
 }
