@@ -115,14 +115,6 @@ pub fn encode_parcel<M: Contract>(message: &M) -> Result<Parcel, EncodeError> {
     parcel_of(message, M::MAX_SIZE)
 }
 
-/// Encodes a reply to `M`, likewise.
-///
-/// # Errors
-/// [`EncodeError`].
-pub fn encode_reply_parcel<M: Contract>(reply: &M::Reply) -> Result<Parcel, EncodeError> {
-    parcel_of(reply, M::MAX_SIZE)
-}
-
 pub(crate) fn parcel_of<T: Serialize>(value: &T, limit: usize) -> Result<Parcel, EncodeError> {
     let writer = ParcelWriter { head: Vec::new(), last: None, left: limit };
     let ParcelWriter { head, last, .. } =

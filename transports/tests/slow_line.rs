@@ -4,14 +4,13 @@ use actix::Actor;
 use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
-use blastema_core::Parcel;
 use blastema_core::net::frame::{FRAME_HEADER, Frame, is_hello, is_urgent};
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
 use blastema_core::net::packet::{PACKET_HEADER, Packet, Payload};
 use blastema_core::net::segment::Stream;
 use blastema_core::net::session::{Session, SessionConfig, SessionOutput};
 use blastema_core::net::{Bundle, BundleOutput, Class, Link, LinkNumber, NodeId};
-use blastema_core::{Incarnation, Machine, NodeName};
+use blastema_core::{Incarnation, Machine, NodeName, Parcel};
 use blastema_doubles::{Probe, advance, now, paused};
 use blastema_transports::frame_medium::{Arrival, Opening, QueueLimits, Sending};
 use blastema_transports::serial::framing::encoded_length;

@@ -36,6 +36,8 @@ pub(super) struct Gate {
     /// A path leads there, or perhaps the session waits for one.
     path: AtomicBool,
     isolated: AtomicBool,
+    /// Of what waits for bindings there. It has nothing to do with what the session holds.
+    hall_is_full: AtomicBool,
     under_way: AtomicUsize,
     bytes_under_way: AtomicUsize,
     /// Its objects that have no room: as many as this node sends to at most.
@@ -74,9 +76,23 @@ impl Gate {
 
     pub(super) fn set(&self, condition: Condition) {
         self.condition.store(condition as u8, Relaxed);
-        if condition == Condition::Open {
-            self.outcast.let_in();
-        }
+        self.changed.notify_waiters();
+    }
+
+    /// A session has begun: it takes messages, and knows of no binding.
+    pub(super) fn begin(&self) {
+        self.outcast.let_in();
+        self.hall_is_full.store(false, Relaxed);
+        self.set(Condition::Open);
+    }
+
+    /// What waits for bindings is as much as should.
+    pub(super) fn hall_is_full(&self) {
+        self.hall_is_full.store(true, Relaxed);
+    }
+
+    pub(super) fn hall_has_room(&self) {
+        self.hall_is_full.store(false, Relaxed);
         self.changed.notify_waiters();
     }
 
@@ -91,7 +107,8 @@ impl Gate {
     }
 
     pub(super) fn is_open(&self) -> bool {
-        self.condition() == Condition::Open && !self.is_isolated()
+        let has_room = self.condition() == Condition::Open && !self.hall_is_full.load(Relaxed);
+        has_room && !self.is_isolated()
     }
 
     /// Nothing is sent there and nothing taken from there.
@@ -174,6 +191,7 @@ impl Gate {
             Condition::Opening => Err(self.outcast.why()),
             Condition::Full => Err(Why::Full),
             Condition::Left => Err(Why::Left { node: self.node.to_string() }),
+            Condition::Open if self.hall_is_full.load(Relaxed) => Err(Why::Full),
             Condition::Open if !self.has_room(1) || self.is_full(object) => Err(Why::Full),
             Condition::Open => Ok(()),
         }
@@ -242,6 +260,7 @@ impl Doors {
                 condition: AtomicU8::new(Condition::Unreachable as u8),
                 path: AtomicBool::new(false),
                 isolated: AtomicBool::new(false),
+                hall_is_full: AtomicBool::new(false),
                 under_way: AtomicUsize::new(0),
                 bytes_under_way: AtomicUsize::new(0),
                 full: Mutex::default(),
@@ -305,5 +324,32 @@ impl RemoteDoor for Door {
 
     fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
         Box::pin(self.gate.room(&self.to.object))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gate_is_open_when_neither_the_session_nor_what_waits_for_bindings_is_full() {
+        let name = |name| NodeName::new(name).unwrap();
+        let doors = Doors::new(Outcast::new(name("module1")));
+        let (gate, object) = (doors.gate(&name("module2")), ObjectName::new("arm").unwrap());
+        gate.begin();
+        assert_eq!(gate.check(&object), Ok(()));
+
+        gate.set(Condition::Full);
+        gate.hall_is_full();
+        gate.hall_has_room();
+        assert_eq!(gate.check(&object), Err(Why::Full), "the session is");
+
+        gate.hall_is_full();
+        gate.set(Condition::Open);
+        assert_eq!(gate.check(&object), Err(Why::Full), "what waits is as much as should");
+        assert!(!gate.is_open());
+
+        gate.begin();
+        assert_eq!(gate.check(&object), Ok(()));
     }
 }

@@ -23,14 +23,15 @@ use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::router::KeepOut;
 use blastema_contract::session::{BeginAnew, Credit, Leave, PeerSeen, Say, SayNewest};
-use blastema_core::Parcel;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::isolation::Isolation;
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
-use blastema_core::{ContractIdentity, Delivery, FaultKind, NodeName, PeerIdentity, Place, Why};
+use blastema_core::{
+    ContractIdentity, Delivery, FaultKind, NodeName, Parcel, PeerIdentity, Place, Why,
+};
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
 use peer::Peer;
@@ -254,8 +255,16 @@ impl Gateway {
                 self.lost += 1;
                 debug!(%peer, %why, "an event did not arrive");
             }
-            ExchangeOutput::Full { peer } => self.set(peer, Condition::Full),
-            ExchangeOutput::Room { peer } => self.set(peer, Condition::Open),
+            ExchangeOutput::Full { peer } => {
+                if let Some(peer) = self.peers.get(&peer) {
+                    peer.gate.hall_is_full();
+                }
+            }
+            ExchangeOutput::Room { peer } => {
+                if let Some(peer) = self.peers.get(&peer) {
+                    peer.gate.hall_has_room();
+                }
+            }
             ExchangeOutput::ObjectFull { peer, object } => {
                 if let Some(peer) = self.peers.get(&peer) {
                     peer.gate.object_is_full(object);

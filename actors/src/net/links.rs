@@ -18,7 +18,6 @@ use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
-use blastema_core::Parcel;
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::complaints::Complaints;
 use blastema_core::net::frame::{is_hello, is_urgent};
@@ -27,8 +26,8 @@ use blastema_core::net::router::{Health, LinkStatus};
 use blastema_core::net::{
     Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
 };
-use blastema_core::{FaultKind, Incarnation, Instant, NodeName};
-use std::collections::BTreeMap;
+use blastema_core::{FaultKind, Incarnation, Instant, NodeName, Parcel};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::{error, info, warn};
@@ -37,6 +36,8 @@ use tracing::{error, info, warn};
 const USUAL_COST: u64 = 10;
 /// What it costs at most for its medium's slowness: a way over many fast links may still be too long.
 const SLOW_COST: u64 = 1000;
+/// And how many times as much one that has just failed, until it has proved itself: as one that loses a tenth.
+const DISTRUSTED: u64 = 8;
 
 /// A link as it is described; the bundle tells it of the medium.
 fn link(wiring: &Wiring, spec: &LinkSpec, now: Instant) -> Link {
@@ -82,6 +83,8 @@ pub(super) struct Links {
     bus: Option<MediumAddress>,
     /// What the router was told last: it must be taken back when the links begin anew.
     told: BTreeMap<LinkNumber, LinkStatus>,
+    /// Those that were never heard while the medium could not be opened.
+    unheard: BTreeSet<LinkNumber>,
     /// What came from addresses that no link leads to.
     strangers: Refusals,
     complaints: Complaints<Option<LinkNumber>>,
@@ -100,6 +103,7 @@ impl Links {
             bytes_per_second: None,
             bus: None,
             told: BTreeMap::new(),
+            unheard: BTreeSet::new(),
             strangers: Refusals::default(),
             complaints: Complaints::default(),
         };
@@ -138,7 +142,9 @@ impl Links {
         });
         let own = self.specs.get(&number).and_then(|spec| spec.cost);
         let cost = own.map_or(of_medium, u64::from);
-        let percent = u64::from(link.quality().cost_percent);
+        // Others go another way too, where there is one.
+        let wary = if link.is_distrusted() { DISTRUSTED } else { 1 };
+        let percent = wary * u64::from(link.quality().cost_percent);
         u16::try_from(cost * percent / 100).unwrap_or(u16::MAX).max(1)
     }
 
@@ -270,7 +276,12 @@ impl Links {
     }
 
     /// Nobody came. Told as any link that is down; that it is up is told when somebody comes.
-    fn missing(&self, number: LinkNumber, heard: bool) {
+    fn missing(&mut self, number: LinkNumber, heard: bool) {
+        if self.mtu.is_none() {
+            // Why nothing is heard was told, and is found here.
+            self.unheard.insert(number);
+            return;
+        }
         let Some(spec) = self.specs.get(&number) else { return };
         let who = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
         let remote = &spec.remote;
@@ -384,6 +395,9 @@ impl Handler<TransportReport> for Links {
                 self.tell_port(&local);
                 self.bundle.handle_mtu(mtu);
                 self.tell_router_all();
+                for number in std::mem::take(&mut self.unheard) {
+                    self.missing(number, false);
+                }
                 self.tell_of_lonely_medium(LinkCondition::Up);
             }
             TransportReport::Closed { reason } => {

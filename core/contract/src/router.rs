@@ -5,10 +5,9 @@
 //! ```
 
 use actix::{Message, Recipient};
-use blastema_core::Parcel;
 use blastema_core::net::packet::Undelivered;
 use blastema_core::net::{Class, NodeId, Refusals, Route};
-use blastema_core::{Incarnation, NodeName};
+use blastema_core::{Incarnation, NodeName, Parcel};
 use bytes::Bytes;
 
 /// A session wants this brought to its peer.

@@ -5,11 +5,10 @@
 //! ```
 
 use actix::{Message, Recipient};
-use blastema_core::Parcel;
 use blastema_core::net::NodeId;
 use blastema_core::net::segment::Stream;
 use blastema_core::net::session::SessionStanding;
-use blastema_core::{Incarnation, NodeName, Why};
+use blastema_core::{Incarnation, NodeName, Parcel, Why};
 use bytes::Bytes;
 use std::fmt;
 use std::sync::Arc;

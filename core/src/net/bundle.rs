@@ -16,8 +16,7 @@ use super::greeting::{ShortEcho, Word};
 use super::link::{Link, LinkOutput};
 use super::node_id::NodeId;
 use super::router::LinkNumber;
-use crate::Parcel;
-use crate::{Instant, Machine};
+use crate::{Instant, Machine, Parcel};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 

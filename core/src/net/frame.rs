@@ -28,8 +28,7 @@
 use super::greeting::Greeting;
 use super::packet;
 use super::wire::{Reader, WireError, Write};
-use crate::Parcel;
-use crate::{Incarnation, NodeName};
+use crate::{Incarnation, NodeName, Parcel};
 use bytes::{BufMut, Bytes, BytesMut};
 
 /// The protocol's version: the low half of the first byte.
@@ -189,7 +188,10 @@ pub fn is_hello(frame: &Parcel) -> bool {
 /// Whether these bytes of a frame should overtake what waits for a slow medium: hellos, what routers tell
 /// each other, and packets of the class [`Control`](super::Class::Control), such as acknowledgements.
 pub fn is_urgent(frame: &Parcel) -> bool {
-    match frame.pieces()[0] {
+    let [head, body] = frame.pieces();
+    match head {
+        // A packet in one piece, which is too large to be copied behind this header.
+        [_, DATA] => packet::is_control(body),
         [_, DATA, packet @ ..] => packet::is_control(packet),
         [_, kind, ..] => *kind != DATA,
         _ => false,
@@ -311,6 +313,14 @@ mod tests {
                 let packet =
                     Packet { class, hops: 1, destination, source, passed: vec![], payload };
                 check(Frame::Data(packet.encode().into()), expected);
+            }
+            // As large as is no longer copied, and after somebody has passed it on.
+            for (length, passed) in (3_900..4_200).flat_map(|n| [(n, vec![]), (n, vec![NodeId(3)])])
+            {
+                let payload = Payload::Segment(Bytes::from(vec![7; length]).into());
+                let (destination, source) = (NodeId(1), NodeId(2));
+                let packet = Packet { class, hops: 1, destination, source, passed, payload };
+                check(Frame::Data(packet.parcel()), expected);
             }
         }
         assert!(!is_urgent(&Parcel::default()));

@@ -35,8 +35,7 @@ use self::quality::{Gauge, Limits};
 use super::arrival::{Arrival, Arrivals};
 use super::frame::{Echo, Frame, Hello, Stance};
 use super::wire::{Refusals, WireError};
-use crate::Parcel;
-use crate::{Incarnation, Instant, Machine};
+use crate::{Incarnation, Instant, Machine, Parcel};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -63,6 +62,9 @@ pub struct Link {
     calm: u32,
     /// It is suspect for what was, and not for what is.
     proving: bool,
+    /// It has failed since it was trusted last: it carries what has no other way, until it has proved itself as
+    /// often as it has failed lately.
+    distrusted: bool,
     given_up: GivenUp,
     /// It is one of a bus: others say its hellos, of which this one is due.
     on_bus: bool,
@@ -136,6 +138,7 @@ impl Link {
             last_suspicion: Instant::ORIGIN,
             calm: 0,
             proving: false,
+            distrusted: false,
             given_up: GivenUp::default(),
             on_bus: false,
             greeting: None,
@@ -157,6 +160,11 @@ impl Link {
     /// Whether a link that is suspect is heard again, and only for how often it was not is not trusted.
     pub fn is_proving(&self) -> bool {
         self.state == LinkState::Suspect && self.proving
+    }
+
+    /// Whether it has failed too often lately to be more than the last resort.
+    pub fn is_distrusted(&self) -> bool {
+        self.state == LinkState::Suspect && self.distrusted
     }
 
     /// Who is, or was last, at the other end.
@@ -359,8 +367,9 @@ impl Link {
                 if self.is_given_up() || late.is_some_and(|due| due <= now) {
                     return;
                 }
+                self.distrusted &= !self.is_trusted();
                 // Twice as many for each time: traffic must not come and go with every lost hello.
-                if self.calm >= 1 << self.suspicions.saturating_sub(1) {
+                if self.calm >= 1 << self.suspicions.saturating_sub(1) && !self.distrusted {
                     self.change(LinkState::Up, "the neighbour is heard again");
                 } else if !std::mem::replace(&mut self.proving, true) {
                     self.change(LinkState::Suspect, "heard again, and not yet trusted");
@@ -370,14 +379,27 @@ impl Link {
                 if now - self.last_down > Self::FLAP_MEMORY {
                     self.flaps = 0;
                 }
-                if self.has_proved() && heard.stance == Stance::Ready {
+                if !self.has_proved() || heard.stance != Stance::Ready {
+                    return;
+                }
+                self.distrusted &= !self.is_trusted();
+                if self.distrusted {
+                    self.proving = true;
+                    self.change(LinkState::Suspect, "heard again, and not yet trusted");
+                } else {
                     self.change(LinkState::Up, "the neighbour is heard and hears");
                 }
             }
         }
     }
 
+    /// It carries both ways.
     fn has_proved(&self) -> bool {
+        self.neighbour.as_ref().is_some_and(|heard| heard.proved >= self.config.proof)
+    }
+
+    /// For as long as is asked of one that has failed so often lately.
+    fn is_trusted(&self) -> bool {
         let needed = self.config.proof << self.flaps;
         self.neighbour.as_ref().is_some_and(|heard| heard.proved >= needed)
     }
@@ -415,6 +437,7 @@ impl Link {
         }
         self.flaps = (self.flaps + 1).min(Self::FLAPS_MAX);
         self.last_down = now;
+        self.distrusted = true;
         if let Some(heard) = &mut self.neighbour {
             heard.forget_proof();
         }

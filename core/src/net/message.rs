@@ -20,8 +20,7 @@
 //! ```
 
 use super::wire::{Reader, WireError, Write};
-use crate::Parcel;
-use crate::{MessageId, ObjectName, Why, codec};
+use crate::{MessageId, ObjectName, Parcel, Why, codec};
 use bytes::{BufMut, Bytes, BytesMut};
 
 /// The longest name of a topic, in bytes.

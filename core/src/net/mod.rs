@@ -71,11 +71,12 @@ pub use topology::Route;
 pub use waiting_room::WaitingRoom;
 pub use wire::{Refusals, WireError};
 
-/// Smaller frames are those of a medium that is taken for slow until it is measured: a serial line, or CAN.
-const NARROW: u16 = 1200;
+/// Smaller segments are those of a medium that is taken for slow until it is measured: a serial line, or CAN,
+/// whose frames have 1,024 bytes. Larger ones fit into frames of 1,200 bytes, whoever passes them on.
+const NARROW: usize = 1050;
 
 /// Whether a path leads over such a medium, by the largest segment that it carries. Router and session ask
 /// here, so that they do not wait differently long for what goes the same way.
 pub(crate) fn is_narrow(segment: usize) -> bool {
-    segment < topology::segment_limit(NARROW)
+    segment < NARROW
 }

@@ -25,8 +25,7 @@
 //! ```
 
 use super::wire::{Reader, WireError, Write, varint_length};
-use crate::Incarnation;
-use crate::Parcel;
+use crate::{Incarnation, Parcel};
 use bytes::{BufMut, Bytes, BytesMut};
 
 /// The most ranges that one acknowledgement lists; the rest is listed in later ones.

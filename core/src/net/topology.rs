@@ -9,7 +9,7 @@ use super::frame::FRAME_HEADER;
 use super::is_narrow;
 use super::link::Neighbour;
 use super::node_id::NodeId;
-use super::packet::{PACKET_HEADER, passed_length};
+use super::packet::{HOPS_MAX, PACKET_HEADER, passed_length};
 use super::router::{Health, LinkNumber, MTU_MIN};
 use crate::{Incarnation, Instant, NodeName};
 use std::cmp::Reverse;
@@ -59,6 +59,9 @@ impl Adjacent {
     }
 }
 
+/// A path whose segments are smaller carries nothing: too many nodes pass on what fits into too small frames.
+pub(crate) const SEGMENT_MIN: usize = 40;
+
 /// The bytes of a segment that fits into a frame of this size.
 pub(crate) fn segment_limit(mtu: u16) -> usize {
     usize::from(mtu).saturating_sub(FRAME_HEADER + PACKET_HEADER)
@@ -69,7 +72,7 @@ impl Route {
     /// longer while it is under way adds two of them at most, or it comes back as too large.
     pub(crate) fn segment_limit(&self) -> usize {
         const MORE: usize = 2;
-        let relays = usize::from(self.relays);
+        let relays = usize::from(self.relays.min(HOPS_MAX));
         let list = passed_length(if relays == 0 { 0 } else { relays + MORE });
         segment_limit(self.mtu).saturating_sub(list)
     }
@@ -78,7 +81,8 @@ impl Route {
     /// other pieces, or has become dearer, that is, has lost something further on.
     pub(crate) fn must_repeat_over(&self, next: &Route) -> bool {
         self.chosen != next.chosen
-            || self.segment_limit() != next.segment_limit()
+            || self.mtu != next.mtu
+            || self.segment_limit() > next.segment_limit()
             || self.cost < next.cost
     }
 
@@ -169,6 +173,9 @@ impl<'a> Topology<'a> {
         let (node, incarnation) = self.identity(to)?;
         let mut route =
             Route { node, incarnation, cost, next, alternate, chosen: None, mtu, relays };
+        if route.segment_limit() < SEGMENT_MIN {
+            return None;
+        }
         route.chosen = route.choose(self.links, &[]);
         Some(route)
     }

@@ -64,7 +64,6 @@ pub(crate) fn map(tree: &Tree) -> Vec<Breach> {
         .collect()
 }
 
-/// The lines below a heading, up to the next one of its rank.
 /// A page is read in a terminal beside the code. A row of a table cannot be broken.
 const WIDTH: usize = 120;
 
@@ -80,6 +79,7 @@ pub(crate) fn width(tree: &Tree) -> Vec<Breach> {
         .collect()
 }
 
+/// The lines below a heading, up to the next one of its rank.
 fn section<'a>(tree: &'a Tree, heading: &'a str) -> impl Iterator<Item = &'a str> {
     let text = tree.files.get("README.md").map_or("", String::as_str);
     text.lines()

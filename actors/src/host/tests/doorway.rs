@@ -3,8 +3,9 @@
 use super::{Add, Boom, Note, Stage, acc, boom, logged, order};
 use crate::registry::{Asked, Postmark, RemoteDoor, RemoteDoors, ReplyTo};
 use crate::{DeadReason, Incarnation, ObjectName, Request, SpecError, WhenFull, Why};
-use blastema_core::Parcel;
-use blastema_core::{Contract, ContractIdentity, MessageId, NodeName, ObjectAddress, codec};
+use blastema_core::{
+    Contract, ContractIdentity, MessageId, NodeName, ObjectAddress, Parcel, codec,
+};
 use blastema_doubles::{paused, settle};
 use bytes::Bytes;
 use std::future::Future;

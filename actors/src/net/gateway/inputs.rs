@@ -76,7 +76,7 @@ impl Gateway {
         for announcement in self.naming.handle_opened(node.clone(), incarnation) {
             self.exchange.handle_own_names(Some(id), &announcement, now);
         }
-        gate.set(Condition::Open);
+        gate.begin();
         self.wiring.wardens.opened(node.clone());
         self.tell_envoys(&PeerSeen::Opened { node, incarnation });
     }

@@ -32,8 +32,8 @@ pub(super) struct Showing {
     reports: Reports,
     /// `None` while the socket cannot be made.
     listener: Option<PathListener>,
-    /// That it cannot has been told.
-    told: bool,
+    /// Whether it was told last that it cannot. Nobody knows what a life before has told.
+    told: Option<bool>,
     audience: Audience,
     /// Those who are not given their picture yet.
     waiting: BTreeMap<Viewer, UnixStream>,
@@ -60,7 +60,7 @@ impl Showing {
             node,
             reports,
             listener,
-            told: false,
+            told: None,
             audience: Audience::default(),
             waiting: BTreeMap::new(),
             looking: BTreeMap::new(),
@@ -145,11 +145,11 @@ impl Showing {
             Ok(listener) => {
                 info!(path = %self.path.display(), "the node's window was gone, and is made again");
                 self.listener = Some(listener);
-                if std::mem::take(&mut self.told) {
+                if self.told.replace(false) != Some(false) {
                     self.reports.mend("window");
                 }
             }
-            Err(reason) if !std::mem::replace(&mut self.told, true) => {
+            Err(reason) if self.told.replace(true) != Some(true) => {
                 let detail = format!("the node is not shown any more: {reason}");
                 self.reports.declare("window", detail);
             }

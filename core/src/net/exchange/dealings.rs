@@ -2,12 +2,11 @@
 
 use super::hall::Hall;
 use super::vocabulary::{Call, Epoch, ExchangeOutput};
-use crate::Parcel;
 use crate::net::age::Ages;
 use crate::net::message::{Message, TICK_US};
 use crate::net::node_id::NodeId;
 use crate::net::segment::Stream;
-use crate::{ContractIdentity, Delivery, Incarnation, Instant, MessageId, ObjectName};
+use crate::{ContractIdentity, Delivery, Incarnation, Instant, MessageId, ObjectName, Parcel};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 

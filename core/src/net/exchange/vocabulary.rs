@@ -1,10 +1,11 @@
 //! What an exchange is told, and wants done.
 
-use crate::Parcel;
 use crate::net::naming::Announcement;
 use crate::net::node_id::NodeId;
 use crate::net::segment::Stream;
-use crate::{ContractIdentity, Instant, MessageId, NodeName, ObjectName, PeerIdentity, Why};
+use crate::{
+    ContractIdentity, Instant, MessageId, NodeName, ObjectName, Parcel, PeerIdentity, Why,
+};
 use bytes::Bytes;
 use std::time::Duration;
 

@@ -142,12 +142,10 @@ fn a_link_that_was_down_must_prove_itself_longer_each_time() {
     assert!(outages[0] < outages[1] && outages[1] < outages[2], "{outages:?}");
 }
 
-/// A cable that has just failed, and whose left end wants more proof than the right one, since it alone
-/// has seen it fail before.
+/// A cable that has just failed, and whose left end wants more proof than the right one.
 fn wary_on_the_left() -> Cable {
     let mut cable = running();
-    cable.ends[0].flaps = 3;
-    cable.ends[0].last_down = at(cable.now);
+    cable.ends[0].config.proof *= 8;
     cable.ends[0].handle_loss(at(cable.now));
     cable.run_until(cable.now + 15);
     cable
@@ -201,12 +199,32 @@ fn a_cable_that_flaps_proves_nothing() {
 }
 
 #[test]
+fn a_link_that_failed_again_and_again_is_the_last_that_is_used_until_it_has_proved_itself() {
+    let mut cable = running();
+    for _ in 0..5 {
+        cable.cut = [true; 2];
+        cable.run_until(cable.now + 100);
+        assert_eq!(cable.states(), [LinkState::Down; 2]);
+        cable.cut = [false; 2];
+        cable.run_until(cable.now + 60);
+        assert!(cable.ends.iter().all(Link::carries), "there may be no other way");
+    }
+
+    assert!(cable.ends.iter().all(|end| end.is_distrusted() && end.is_proving()));
+    cable.run_until(cable.now + 300);
+    assert!(cable.ends.iter().all(Link::is_distrusted));
+    cable.run_until(cable.now + 300);
+    assert_eq!(cable.states(), [LinkState::Up; 2]);
+}
+
+#[test]
 fn a_link_whose_carrier_comes_and_goes_begins_its_proof_anew_each_time() {
     let mut cable = running();
     for _ in 0..20 {
         cable.ends[0].handle_no_carrier("no carrier", at(cable.now));
-        cable.run_until(cable.now + 45);
         assert_eq!(cable.ends[0].state(), LinkState::Down);
+        cable.run_until(cable.now + 45);
+        assert_ne!(cable.ends[0].state(), LinkState::Up);
     }
 }
 

@@ -1,9 +1,8 @@
 //! What a link is configured with, is known for, and wants done.
 
 use super::quality::Quality;
-use crate::Parcel;
 use crate::net::node_id::NodeId;
-use crate::{Incarnation, NodeName};
+use crate::{Incarnation, NodeName, Parcel};
 use bytes::Bytes;
 use std::fmt;
 use std::time::Duration;

@@ -1,12 +1,11 @@
 //! Passing packets on: the look-up, and what becomes of what cannot be delivered.
 
 use super::{Health, LinkNumber, Router, RouterOutput};
-use crate::Instant;
-use crate::Parcel;
 use crate::net::frame::FRAME_HEADER;
 use crate::net::node_id::NodeId;
 use crate::net::packet::{Class, HOPS_MAX, Packet, Payload, Undelivered};
 use crate::net::topology::Way;
+use crate::{Instant, Parcel};
 use bytes::Bytes;
 
 impl Router {

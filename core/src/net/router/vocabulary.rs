@@ -1,11 +1,10 @@
 //! What a router is configured with, is told, and wants done.
 
 use super::LinkNumber;
-use crate::Parcel;
 use crate::net::link::Neighbour;
 use crate::net::node_id::NodeId;
 use crate::net::packet::Undelivered;
-use crate::{Incarnation, NodeName};
+use crate::{Incarnation, NodeName, Parcel};
 use bytes::Bytes;
 use std::time::Duration;
 

@@ -1,8 +1,7 @@
 //! Puts pieces together, within bounds of space and time.
 
-use crate::Instant;
-use crate::Parcel;
 use crate::net::segment::{PIECES_MAX, Piece};
+use crate::{Instant, Parcel};
 use bytes::{Bytes, BytesMut};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;

@@ -1,9 +1,8 @@
 //! Messages that are sent once, if at all: of one channel, the newest that arrives counts.
 
 use super::assembly::{Assembly, pieces_of};
-use crate::Instant;
-use crate::Parcel;
 use crate::net::segment::{Datagram, PIECES_MAX};
+use crate::{Instant, Parcel};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 

@@ -1,9 +1,8 @@
 //! The sending half of an ordered stream.
 
-use crate::Instant;
-use crate::Parcel;
 use crate::net::segment::Ack;
 use crate::net::wire::{WireError, Write, varint_length};
+use crate::{Instant, Parcel};
 use bytes::{Bytes, BytesMut};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;

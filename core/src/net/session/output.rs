@@ -1,9 +1,8 @@
 //! What a session wants done, and what it did.
 
-use crate::Parcel;
 use crate::net::packet::{Class, Undelivered};
 use crate::net::segment::Stream;
-use crate::{Incarnation, Why};
+use crate::{Incarnation, Parcel, Why};
 use bytes::Bytes;
 
 /// What a session wants done.

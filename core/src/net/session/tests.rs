@@ -761,11 +761,35 @@ fn over_9600_baud(mtu: usize) -> u64 {
 
 #[test]
 fn a_session_takes_a_path_for_narrow_by_its_frames_as_the_router_does() {
-    for mtu in [1_199, 1_200, 1_210, 1_211] {
+    let is_narrow = |mtu| {
         let mut session = Session::new(config("left", 1, "right"), at(0));
-        session.handle_path(crate::net::topology::segment_limit(mtu), at(0));
-        assert_eq!(session.is_narrow(), mtu < 1_200, "frames of {mtu} bytes");
+        session.handle_path(mtu, at(0));
+        session.is_narrow()
+    };
+    // Of CAN, and of a network that is configured for little, however many nodes pass on there.
+    let [can, ethernet] = [1_024, 1_200].map(crate::net::topology::segment_limit);
+    assert!(is_narrow(can) && !is_narrow(ethernet));
+    assert!(!is_narrow(
+        ethernet - crate::net::packet::passed_length(crate::net::packet::HOPS_MAX.into())
+    ));
+}
+
+#[test]
+fn the_least_segment_of_a_path_carries_everything() {
+    const LEAST: usize = crate::net::topology::SEGMENT_MIN;
+    let mut pair = Pair::open();
+    pair.sent.clear();
+    let large = Bytes::from(vec![7; 3_000]);
+    for end in 0..2 {
+        pair.ends[end].handle_path(LEAST, at(pair.now));
+        pair.send(end, large.clone());
     }
+
+    pair.run(20_000);
+
+    let longest = pair.sent.iter().map(|(_, segment)| segment.encode().len()).max().unwrap();
+    assert!(longest <= LEAST, "{longest} bytes");
+    assert_eq!([pair.take(0), pair.take(1)], [vec![message(large.clone())], vec![message(large)]]);
 }
 
 #[test]

@@ -72,7 +72,9 @@ impl Session {
             // The way of each copy is written before it.
             let way = if stream == Stream::Redundant { WAY_MAX } else { 0 };
             let header = data_header(state.outbound.next()) + way;
-            let room = mtu.saturating_sub(header + ack_room).clamp(48, self.config.part_max);
+            // Copies that do not fit onto their ways go one way.
+            let least = if stream == Stream::Redundant { 48 } else { 16 };
+            let room = mtu.saturating_sub(header + ack_room).clamp(least, self.config.part_max);
             let held = match stream {
                 // Some of it may always be on its way, whatever data is before it.
                 Stream::Control => congested && state.outbound.flying() >= always,
