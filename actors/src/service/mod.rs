@@ -30,7 +30,7 @@ use crate::host::spec::ChildSpec;
 use crate::node::StartError;
 use crate::ports::OpenPort;
 use crate::registry::Port;
-use blastema_core::service::ReplicaConfig;
+use blastema_core::service::{HELLO_MAX, HELLO_MIN, ReplicaConfig};
 use blastema_core::{NameError, NodeName, ObjectName, Why, codec};
 use std::fmt;
 use std::sync::Arc;
@@ -149,10 +149,10 @@ impl<C: Stateful> ServiceSpec<C> {
         self
     }
 
-    /// How often the primary says hello; 50 ms unless this says otherwise. A standby takes over three
-    /// and a third of them after the last one; a process that gets no time for so long loses the service.
+    /// How often the primary says hello; 50 ms unless this says otherwise, and from 1 ms to one hour. A standby takes
+    /// over 3.3 of them after the last one; a process that gets no time for so long loses the service.
     pub fn hello_every(mut self, interval: Duration) -> Self {
-        self.hello_interval = interval.max(Duration::from_millis(1));
+        self.hello_interval = interval.clamp(HELLO_MIN, HELLO_MAX);
         self
     }
 

@@ -68,6 +68,11 @@ pub enum OnPartition {
     Continue,
 }
 
+/// The shortest interval of hellos: shorter, timers and turns of a computer are longer than what they tell.
+pub const HELLO_MIN: Duration = Duration::from_millis(1);
+/// And the longest: whoever waits three of them for a service does not want standbys.
+pub const HELLO_MAX: Duration = Duration::from_secs(60 * 60);
+
 /// A replica's settings.
 #[derive(Clone, Debug)]
 pub struct ReplicaConfig {
@@ -81,7 +86,8 @@ pub struct ReplicaConfig {
     pub on_partition: OnPartition,
     /// Other services have to be there before this one takes over: [`ReplicaOutput::Inquire`].
     pub depends: bool,
-    /// How often the primary says hello. Shorter finds its death sooner and costs more.
+    /// How often the primary says hello, from [`HELLO_MIN`] to [`HELLO_MAX`]. Shorter finds its death sooner and
+    /// costs more.
     pub hello_interval: Duration,
 }
 

@@ -54,6 +54,8 @@ pub struct Replica {
     /// The greatest epoch that we claimed: our vote in it is our own.
     claimed: u64,
     position: Position,
+    /// It was learned from another list, whose epochs and numbers may be those of our own, of something else.
+    learned: bool,
     /// How far callers are known to have been answered, by whoever served.
     answered: Position,
     /// When somebody was last heard to serve.
@@ -99,6 +101,7 @@ impl Replica {
             epoch: 0,
             claimed: 0,
             position: Position::default(),
+            learned: false,
             answered: Position::default(),
             heard_at: now,
             state: None,
@@ -320,7 +323,7 @@ impl Replica {
         let message = codec::decode_bounded::<Message, MESSAGE_MAX>(message);
         match message.ok().filter(|_| heard) {
             Some(message) if agrees => self.hear(from, message, now),
-            Some(message) => self.hear_of_other_list(from, message, now),
+            Some(message) => self.hear_of_other_list((from, signed), message, now),
             None => self.refused += 1,
         }
     }
@@ -350,10 +353,10 @@ impl Replica {
                 self.hear_vote(from, epoch, (in_step, answered), now);
             }
             Message::Entry { epoch, position, served, settled, after } => {
-                self.hear_entry(from, (epoch, position), served, settled, after);
+                self.hear_entry((from, None), (epoch, position), served, settled, after);
             }
             Message::Snapshot { epoch, position, state, table } => {
-                self.hear_snapshot(from, (epoch, position), state, table);
+                self.hear_snapshot((from, None), (epoch, position), state, table);
             }
             Message::Resigned { epoch } => self.hear_resigned(from, epoch, now),
         }

@@ -1,7 +1,7 @@
 //! What all who carry a service must have been told alike.
 
 use super::change::sum;
-use super::{OnPartition, ReplicaConfig, StandbyKind};
+use super::{HELLO_MAX, HELLO_MIN, OnPartition, ReplicaConfig, StandbyKind};
 use crate::{NodeName, codec};
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Write};
@@ -10,7 +10,8 @@ use std::time::Duration;
 /// The most bytes of terms: a service on a thousand nodes with names of the greatest length.
 pub(super) const TERMS_MAX: usize = 48 * 1024;
 
-/// The most nodes of a list that are shown: as many as a person compares at a glance, and few enough for a fault's text.
+/// The most nodes of a list that are shown: as many as a person compares at a glance, and few enough for a
+/// fault's text.
 const SHOWN: usize = 8;
 
 /// On what the safety of an election rests. Members who count majorities of other lists, or leases of other
@@ -47,7 +48,8 @@ impl Terms {
 
     /// After so long nobody counts on a promise any more, whatever the clocks did.
     pub(super) fn promise(&self) -> Duration {
-        self.hello_interval * 3 + self.hello_interval * 3 / 10
+        let lease = self.hello_interval.saturating_mul(3);
+        lease.saturating_add(lease / 10)
     }
 
     /// Whether each part of a divided network goes on by itself, as both were told.
@@ -80,9 +82,11 @@ impl Terms {
     pub(super) fn excludes(&self, theirs: &Terms, keeps: impl Fn(&NodeName) -> bool) -> bool {
         // Whoever begins anew waits for what it may have promised before, as long as its new terms say: where
         // that was longer by the old ones, it may be counted by two.
-        let alike = self.hello_interval == theirs.hello_interval;
+        if self.hello_interval != theirs.hello_interval {
+            return false;
+        }
         let free = theirs.members.iter().filter(|node| !keeps(node)).count();
-        alike && free < theirs.quorum()
+        free < theirs.quorum()
     }
 
     pub(super) fn encode(&self) -> Vec<u8> {
@@ -90,7 +94,8 @@ impl Terms {
     }
 
     pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
-        codec::decode_bounded::<Terms, TERMS_MAX>(bytes).ok()
+        let terms = codec::decode_bounded::<Terms, TERMS_MAX>(bytes).ok();
+        terms.filter(|terms| (HELLO_MIN..=HELLO_MAX).contains(&terms.hello_interval))
     }
 
     /// The same for the same terms, on every node.

@@ -58,8 +58,8 @@ pub enum ReplicaOutput {
     },
     /// The role has changed, or whether this standby is in step.
     Became(Role),
-    /// Let the component serve this, and say what came of it by [`Replica::handle_executed`](super::Replica::handle_executed), with its
-    /// state afterwards where that is wanted.
+    /// Let the component serve this, and say what came of it by
+    /// [`Replica::handle_executed`](super::Replica::handle_executed), with its state afterwards where that is wanted.
     Execute {
         /// The request.
         request: Bytes,
@@ -85,23 +85,26 @@ pub enum ReplicaOutput {
         /// Which.
         kind: FaultKind,
     },
-    /// Another node was told something else of the service than this one: whoever cannot exclude that the other
-    /// serves does not, until that is mended. Or it was told nothing, and should have been.
+    /// Another node was told something else of the service than this one. Who serves until that is mended is
+    /// decided by who could still elect somebody by the other terms. Or it was told nothing, and should have been;
+    /// or so many things were told that this one cannot tell them apart any more.
     Disputed {
         /// In what, and what is to be written.
         detail: String,
     },
     /// What was disputed is over. What is left of it, if there is any, follows.
     Agreed,
-    /// Ask this node what it was told of the service, and say so by [`Replica::handle_terms`](super::Replica::handle_terms),
-    /// [`Replica::handle_no_terms`](super::Replica::handle_no_terms) or [`Replica::handle_left`](super::Replica::handle_left).
+    /// Ask this node what it was told of the service, and say so by
+    /// [`Replica::handle_terms`](super::Replica::handle_terms),
+    /// [`Replica::handle_no_terms`](super::Replica::handle_no_terms) or
+    /// [`Replica::handle_left`](super::Replica::handle_left).
     Compare {
         /// Which.
         with: NodeName,
     },
     /// Find out whether the services that this one depends on are served now, by asking whoever serves
-    /// them, and say so by [`Replica::handle_ready`](super::Replica::handle_ready) once they are. A new inquiry takes the place of the
-    /// last one.
+    /// them, and say so by [`Replica::handle_ready`](super::Replica::handle_ready) once they are. A new inquiry
+    /// takes the place of the last one.
     Inquire,
     /// Answer a caller.
     Answer {

@@ -15,8 +15,8 @@
 //! A member that is there and does not carry the service is told as well, and does no harm: it is one that has
 //! failed.
 
-use super::super::terms::Terms;
-use super::rivals::Rivals;
+use super::super::terms::{TERMS_MAX, Terms};
+use super::rivals::{RIVALS_MAX, Rivals};
 use super::*;
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -31,8 +31,10 @@ const LOOK_AGAIN: Duration = Duration::from_secs(5);
 const KNOWN_MAX: usize = 1024;
 /// The most bytes of what is remembered of one: the whole of what differs, unless names are very long.
 const TEXT_MAX: usize = 1024;
-/// The most others that are named: what is written for the first ones is wanted of all, and callers on other nodes are told in
-/// one small message.
+/// The most bytes of an answer: terms, and a position.
+const TOLD_MAX: usize = TERMS_MAX + 32;
+/// The most others that are named: what is written for the first ones is wanted of all, and callers on other nodes
+/// are told in one small message.
 const NAMED_MAX: usize = 8;
 
 /// What is known of the others that carry the service.
@@ -58,6 +60,8 @@ pub(super) struct Known {
     pub(super) bound: Option<Instant>,
     /// It was seen when this replica last looked around.
     pub(super) seen: bool,
+    /// It was seen once, and then was not.
+    gone: bool,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -124,10 +128,18 @@ impl Accord {
             true => "and it is not served by these terms until they are",
             false => "and those who agree go on without the others",
         };
-        self.dispute = (!differences.is_empty()).then(|| {
+        let too_many = self.rivals.overflow.then(|| {
+            format!(
+                "more than {RIVALS_MAX} different terms were met, or terms of more than {KNOWN_MAX} others, which \
+                 are too many to tell who else may serve: tell all the same, and start this node anew"
+            )
+        });
+        let differences = (!differences.is_empty()).then(|| {
             let differences = some_of(&differences, "; ");
             format!("not all nodes were told the same of it, {what}: {differences}")
         });
+        let dispute: Vec<_> = too_many.into_iter().chain(differences).collect();
+        self.dispute = (!dispute.is_empty()).then(|| dispute.join("; "));
     }
 
     /// Somebody is to be told of this one.
@@ -188,9 +200,10 @@ fn cut(mut text: String) -> String {
 }
 
 impl Replica {
-    /// What this replica was told, for [`Replica::handle_terms`] of the others.
+    /// What this replica was told, and how far it knows callers to be answered, for [`Replica::handle_terms`] of the
+    /// others.
     pub fn terms(&self) -> Bytes {
-        self.accord.terms.encode().into()
+        codec::encode_unbounded(&(self.accord.terms.encode(), self.answered)).into()
     }
 
     /// What others were told otherwise, and what is to be written, where nobody is served meanwhile.
@@ -209,7 +222,13 @@ impl Replica {
             Opinion::Agrees => found.contains(node),
         });
         for (node, known) in &mut self.accord.known {
-            known.seen = found.contains(node);
+            let seen = found.contains(node);
+            if seen && known.gone {
+                // In another life it knows of nobody.
+                (known.bound, known.asked) = (None, None);
+            }
+            known.gone = !seen && (known.seen || known.gone);
+            known.seen = seen;
         }
         let known = self.accord.known.keys();
         let all: BTreeSet<_> = known.chain(found).chain(members).cloned().collect();
@@ -234,10 +253,16 @@ impl Replica {
 
     /// Answers whether it has not said so before.
     fn hear_terms(&mut self, from: &NodeName, terms: &[u8], answers: bool, now: Instant) -> bool {
-        let Some(theirs) = Terms::decode(terms).filter(|_| *from != self.config.own) else {
+        let told = codec::decode_bounded::<(Vec<u8>, Position), TOLD_MAX>(terms).ok();
+        let told = told.filter(|_| *from != self.config.own);
+        let told = told.and_then(|(terms, answered)| Some((Terms::decode(&terms)?, answered)));
+        let Some((theirs, answered)) = told else {
             self.refused += 1;
             return false;
         };
+        if theirs != self.accord.terms && self.accord.terms.shares_state(&theirs) {
+            self.hear_answered(answered, now);
+        }
         let opinion = match self.accord.terms.difference(from, &theirs) {
             same if same.is_empty() => Opinion::Agrees,
             text => Opinion::Differs { text: cut(text), terms: self.accord.rivals.note(theirs) },
@@ -332,7 +357,7 @@ impl Replica {
     }
 
     /// Says what is disputed, where that is something else than before, and serves no more where it may not.
-    fn settle_dispute(&mut self, now: Instant) {
+    pub(super) fn settle_dispute(&mut self, now: Instant) {
         self.accord.note_dispute();
         let dispute = self.accord.dispute.clone();
         let wrong: Vec<_> = dispute.into_iter().chain(self.accord.absent()).collect();

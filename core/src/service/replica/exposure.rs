@@ -73,6 +73,7 @@ impl Replica {
         if lost {
             self.tell_loss(self.position, self.answered);
             self.position = Position { epoch, number: 0 };
+            self.learned = false;
             self.answered = self.position;
         }
         lost
@@ -95,6 +96,29 @@ impl Replica {
         // Where each part of a network went on by itself, one of them is to be forgotten.
         if news && self.tells_by_position() && !self.faults.contains_key(&FaultKind::StateLost) {
             self.tell_loss(base, answered);
+        }
+    }
+
+    /// Somebody who was told another list knows how far callers were answered by that.
+    pub(super) fn hear_answered(&mut self, answered: Position, now: Instant) {
+        if let Acting::Primary(primary) = &self.role {
+            // Beyond what it was when we began, and not by us.
+            let ours = answered.epoch >= primary.epoch && answered <= self.answered;
+            let base = primary.base;
+            if answered > base && !ours && !self.faults.contains_key(&FaultKind::StateLost) {
+                self.tell_loss(base, answered);
+            }
+        } else if answered > self.answered {
+            self.answered = answered;
+            // So that what comes of our own list is told apart from that.
+            self.claimed = self.claimed.max(answered.epoch);
+            // Whoever says so may have it.
+            self.wait_for_state(now);
+            if let Acting::Standby(standby) = &mut self.role
+                && self.position < answered
+            {
+                standby.claim_no_more();
+            }
         }
     }
 

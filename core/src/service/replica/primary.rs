@@ -51,6 +51,13 @@ pub(super) enum Step {
     Unable,
 }
 
+impl Follower {
+    /// One that has nothing yet.
+    fn behind(promised: Instant, learns: bool) -> Self {
+        Follower { promised, step: Step::Behind, position: Position::default(), learns }
+    }
+}
+
 impl Primary {
     fn new(epoch: u64, released: Position, now: Instant) -> Self {
         Primary {
@@ -122,20 +129,12 @@ impl Replica {
     ) {
         let lost = self.begin_without(epoch);
         let mut primary = Primary::new(epoch, self.position, asked);
-        let position = self.position;
+        let (position, learned) = (self.position, self.learned);
         primary.standbys.extend(voters.into_iter().map(|(node, in_step)| {
-            let follower = match in_step && !lost {
-                true => Follower { promised: asked, step: Step::Abreast, position, learns: false },
-                false => {
-                    let nothing = Position::default();
-                    Follower {
-                        promised: asked,
-                        step: Step::Behind,
-                        position: nothing,
-                        learns: false,
-                    }
-                }
-            };
+            let mut follower = Follower::behind(asked, false);
+            if in_step && !lost && !learned {
+                (follower.step, follower.position) = (Step::Abreast, position);
+            }
             (node, follower)
         }));
         self.role = Acting::Primary(primary);
@@ -186,7 +185,8 @@ impl Replica {
         now: Instant,
     ) {
         let lease = self.config.lease();
-        let nothing_missing = self.tells_by_position() && position == self.position;
+        let comparable = self.tells_by_position() && !learns && !self.learned;
+        let nothing_missing = comparable && position == self.position;
         let Acting::Primary(primary) = &mut self.role else { return };
         if epoch != primary.epoch {
             return;
@@ -200,8 +200,7 @@ impl Replica {
         let Some(promised) = said.or(primary.standbys.get(from).map(|known| known.promised)) else {
             return;
         };
-        let nothing = Position::default();
-        let fresh = Follower { promised, step: Step::Behind, position: nothing, learns };
+        let fresh = Follower::behind(promised, learns);
         let follower = primary.standbys.entry(from.clone()).or_insert(fresh);
         follower.promised = follower.promised.max(promised);
         follower.step = match (follower.step, standing) {
@@ -272,6 +271,7 @@ impl Replica {
         let epoch = primary.epoch;
         if self.config.kind != StandbyKind::Cold {
             self.position = Position { epoch, number: self.position.number + 1 };
+            self.learned = false;
         }
         let position = self.position;
         primary.held.push_back((position, id, now));

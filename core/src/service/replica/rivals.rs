@@ -15,22 +15,26 @@
 //! Where that cannot be, as with a node that lists none but itself, one of the two leads: that of the longer
 //! list. Whoever follows keeps back as said before, and is then *bound*: told the leader's terms, it serves
 //! nobody without a majority of the leader's list, and votes for nobody who does not reckon with the leader. The
-//! leader need not count those who are bound, a promise after they were told. So that whoever dies, or is cut off, has
-//! no say any more; a new life of it, out of sight and told the same wrong thing, is one that was never met.
+//! leader need not count those who are bound, a promise after they were told. So that whoever dies, or is cut
+//! off, has no say any more; a new life of it, out of sight and told the same wrong thing, is one that was never
+//! met. Whoever comes back into sight has to say again that it was told.
 //!
-//! Where the lists alone differ, and overlap, whoever was told the other one follows the primary, and its promise counts for
-//! nothing: it learns the state, so that a new list begins with what was done by the old one.
+//! Where the lists alone differ, and overlap, whoever was told the other one follows the primary, and its promise
+//! counts for nothing: it learns the state, so that a new list begins with what was done by the old one. Epochs
+//! and positions of two lists are not compared: only a snapshot brings whoever learns into step.
 //!
-//! Two primaries of different terms, p that leads and q, would have disjoint majorities, as nobody is told two things. If q
-//! reckons with p's terms, too few of p's list are left to elect p. If it does not, nobody who is bound has
+//! Two primaries of different terms, p that leads and q, would have disjoint majorities, as nobody is told two
+//! things. If q reckons with p's terms, too few of p's list are left to elect p. If it does not, nobody who is bound has
 //! voted for q, and too few of q's list are left to elect q. So one of them does not serve.
 
 use super::super::terms::Terms;
 use super::accord::{Accord, Known, Opinion};
 use super::*;
+use std::collections::BTreeSet;
 
-/// The most terms that are told apart: beyond, nobody serves, until the node begins anew.
-const RIVALS_MAX: usize = 64;
+/// The most terms that are told apart: far more than a change of lists makes. Beyond, this one serves and elects
+/// nobody until its node begins anew: of what it has forgotten, it cannot tell whether somebody still has it.
+pub(super) const RIVALS_MAX: usize = 64;
 
 /// Other terms than ours.
 #[derive(Clone, Debug, Default)]
@@ -70,8 +74,14 @@ impl Accord {
 
     /// Terms that nobody has any more are not reckoned with.
     pub(super) fn forget_rivals(&mut self, now: Instant) {
-        let held: Vec<u64> = self.held().map(|(fingerprint, _)| fingerprint).collect();
-        self.rivals.all.retain(|terms, rival| held.contains(terms) || now < rival.rumoured_until);
+        let known = self.known.values();
+        let had: BTreeSet<u64> = known
+            .filter_map(|known| match known.opinion {
+                Opinion::Differs { terms, .. } => Some(terms),
+                _ => None,
+            })
+            .collect();
+        self.rivals.all.retain(|terms, rival| had.contains(terms) || now < rival.rumoured_until);
     }
 
     /// Terms that somebody was told, as far as this replica itself has heard.
@@ -190,6 +200,9 @@ impl Replica {
         if let Some(rival) = self.accord.rivals.all.get_mut(&fingerprint) {
             // It is said again whenever that is over.
             rival.rumoured_until = now + self.config.patience();
+        }
+        if self.accord.rivals.overflow {
+            self.settle_dispute(now);
         }
     }
 }

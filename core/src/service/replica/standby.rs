@@ -8,6 +8,8 @@ use std::time::Duration;
 pub(super) struct Standby {
     /// Who serves, as far as is known.
     pub(super) primary: Option<NodeName>,
+    /// By which other list that one serves; `None` where it is our own.
+    list: Option<u64>,
     /// We vote for nobody else before.
     promised_until: Instant,
     /// When we want to serve ourselves, unless somebody else is heard of.
@@ -42,6 +44,7 @@ impl Standby {
         Standby {
             claim_at: promised_until + turn(config, primary.as_ref()),
             primary,
+            list: None,
             promised_until,
             in_step: None,
             whole: false,
@@ -81,6 +84,11 @@ impl Standby {
     pub(super) fn hurry(&mut self, config: &ReplicaConfig, now: Instant) {
         let turn = turn(config, self.primary.as_ref());
         self.claim_at = self.claim_at.min(self.promised_until.max(now) + turn);
+    }
+
+    /// Votes for what it has do not count any more.
+    pub(super) fn claim_no_more(&mut self) {
+        self.claiming = None;
     }
 
     /// What this replica has is not what the primary has.
@@ -128,7 +136,7 @@ impl Replica {
         if !self.is_reckoned_with(from, heard) {
             return;
         }
-        self.follow(from, epoch, (number, position, answered), now);
+        self.follow((from, None), epoch, (number, position, answered), now);
         if let Acting::Standby(standby) = &mut self.role {
             standby.promised_until = now + self.config.lease() + self.config.margin();
         }
@@ -137,7 +145,7 @@ impl Replica {
     /// This one serves, by whichever list.
     fn follow(
         &mut self,
-        from: &NodeName,
+        (from, list): (&NodeName, Option<u64>),
         epoch: u64,
         (number, position, answered): (u64, Position, Position),
         now: Instant,
@@ -146,8 +154,13 @@ impl Replica {
         self.answered = self.answered.max(answered);
         self.wait_for_state(now);
         let (telling, own, loading) = (self.tells_by_position(), self.position, self.is_loading());
+        let comparable = telling && list.is_none() && !self.learned;
         let Acting::Standby(standby) = &mut self.role else { return };
-        if telling && standby.whole && position == own {
+        if standby.list != list {
+            // Each list counts its own epochs.
+            (standby.list, standby.in_step) = (list, None);
+        }
+        if comparable && standby.whole && position == own {
             standby.in_step = Some(epoch);
         } else if telling && position > own {
             // What makes the difference was sent before, to others.
@@ -171,8 +184,14 @@ impl Replica {
 
     /// A node that was told another list, and nothing else otherwise, says something. While a list is changed, what
     /// was done by the old one is known by the new one, too: whoever serves is followed, without a promise.
-    pub(super) fn hear_of_other_list(&mut self, from: &NodeName, message: Message, now: Instant) {
+    pub(super) fn hear_of_other_list(
+        &mut self,
+        (from, list): (&NodeName, u64),
+        message: Message,
+        now: Instant,
+    ) {
         self.handle_timeout(now);
+        let list = Some(list);
         let followed = match &self.role {
             Acting::Standby(standby) => standby.primary.as_ref() == Some(from),
             Acting::Primary(_) => false,
@@ -184,19 +203,23 @@ impl Replica {
                     // One of our own list goes first.
                     && (followed || standby.primary.is_none())
                 {
-                    self.follow(from, epoch, (number, position, answered), now);
+                    self.follow((from, list), epoch, (number, position, answered), now);
                 }
             }
-            Message::Promise { epoch, number, position, standing, .. } => {
+            Message::Promise { epoch, number, position, answered, standing } => {
+                self.hear_answered(answered, now);
                 self.hear_promise((from, true), epoch, number, (position, standing), now);
             }
             Message::Entry { epoch, position, served, settled, after } if followed => {
-                self.hear_entry(from, (epoch, position), served, settled, after);
+                self.hear_entry((from, list), (epoch, position), served, settled, after);
             }
             Message::Snapshot { epoch, position, state, table } if followed => {
-                self.hear_snapshot(from, (epoch, position), state, table);
+                self.hear_snapshot((from, list), (epoch, position), state, table);
             }
-            Message::Resigned { epoch } => self.hear_resigned(from, epoch, now),
+            Message::Resigned { epoch } if followed && epoch == self.epoch => {
+                // What we have promised, we have promised to others.
+                self.follow_nobody(now);
+            }
             _ => {}
         }
     }
@@ -226,7 +249,7 @@ impl Replica {
         }
         standby.inquiring = false;
         self.tell_role();
-        let epoch = self.epoch.max(self.claimed) + 1;
+        let epoch = self.epoch.max(self.claimed).saturating_add(1);
         self.claimed = epoch;
         let position = self.position;
         let Acting::Standby(standby) = &mut self.role else { return };
@@ -258,7 +281,7 @@ impl Replica {
             return self.send(from, &Message::Voted { epoch: voted });
         }
         let barred = self.barred_until(now);
-        let floor = self.floor(now);
+        let (floor, learned) = (self.floor(now), self.learned);
         let Acting::Standby(standby) = &mut self.role else { return };
         if position < floor {
             if barred.is_some() {
@@ -283,7 +306,7 @@ impl Replica {
         (standby.claiming, standby.asked) = (None, None);
         standby.promised_until = now + self.config.lease() + self.config.margin();
         standby.claim_at = standby.promised_until + turn(&self.config, None);
-        let in_step = standby.whole && position == self.position;
+        let in_step = standby.whole && !learned && position == self.position;
         if in_step {
             standby.in_step = Some(epoch);
         }
@@ -300,6 +323,11 @@ impl Replica {
             return;
         }
         standby.release_promise(now);
+        self.follow_nobody(now);
+    }
+
+    fn follow_nobody(&mut self, now: Instant) {
+        let Acting::Standby(standby) = &mut self.role else { return };
         standby.hurry(&self.config, now);
         standby.primary = None;
         self.tell_role();
@@ -363,17 +391,17 @@ impl Replica {
 
     pub(super) fn hear_entry(
         &mut self,
-        from: &NodeName,
+        (from, list): (&NodeName, Option<u64>),
         (epoch, position): (u64, Position),
         served: Served,
         settled: u64,
         after: After,
     ) {
         let Acting::Standby(standby) = &mut self.role else { return };
-        if epoch < self.epoch || standby.in_step != Some(epoch) {
+        if epoch < self.epoch || standby.in_step != Some(epoch) || standby.list != list {
             return;
         }
-        if position.number != self.position.number + 1 {
+        if position.number != self.position.number.saturating_add(1) {
             standby.fall_behind();
             return self.tell_role();
         }
@@ -398,7 +426,7 @@ impl Replica {
 
     pub(super) fn hear_snapshot(
         &mut self,
-        from: &NodeName,
+        (from, list): (&NodeName, Option<u64>),
         (epoch, position): (u64, Position),
         state: Vec<u8>,
         table: Table,
@@ -409,8 +437,9 @@ impl Replica {
         if epoch < self.epoch || unable {
             return;
         }
-        standby.in_step = Some(epoch);
+        (standby.list, standby.in_step) = (list, Some(epoch));
         standby.whole = true;
+        self.learned = list.is_some();
         if let Health::Bare { .. } = self.health {
             self.health = Health::Whole;
         }

@@ -4,6 +4,7 @@
 mod accord;
 mod component;
 mod exposure;
+mod lists;
 mod rivals;
 
 use super::*;

@@ -91,3 +91,75 @@ fn while_a_list_is_changed_node_by_node_nothing_that_was_answered_is_forgotten()
         }
     }
 }
+
+#[test]
+fn where_so_many_nodes_change_their_list_at_once_that_all_is_forgotten_it_is_waited_for_and_said() {
+    let (before, after) = ([0, 1, 2], [0, 1, 2, 3, 4]);
+    let those = |list: &[usize]| list.iter().copied().map(node).collect::<Vec<_>>();
+    let mut robot = Robot::new(3, 5, StandbyKind::Warm, OnPartition::Stop);
+    for member in 0..5 {
+        robot.tell(member, |config| config.members = those(&before));
+        if !before.contains(&member) {
+            robot.kill(member);
+        }
+    }
+    robot.advance_ms(200);
+    robot.ask_some(3);
+    for member in [1, 3, 4] {
+        robot.tell(member, |config| config.members = those(&after));
+    }
+    let answered = Position { epoch: 1, number: 3 };
+    robot.look_around(500);
+    assert!(robot.primaries().is_empty(), "who has it is waited for: {:?}", robot.primaries());
+    assert_eq!(robot.losses, 0);
+    assert_eq!(robot.members[3].as_ref().unwrap().replica.answered, answered);
+
+    robot.look_around(1500);
+
+    assert_eq!((robot.primaries().len(), robot.overlaps), (1, 0));
+    let asked = robot.ask();
+    robot.advance_ms(50);
+    assert_eq!(robot.callers[asked].answer, Some(1), "all is forgotten");
+    assert_eq!(robot.losses, 1, "and it is said");
+}
+
+#[test]
+fn however_many_nodes_change_their_list_at_once_nothing_that_was_answered_is_forgotten_unsaid() {
+    let (mut forgotten, mut kept) = (0, 0);
+    for seed in 0_u64..24 {
+        let kind = if seed % 2 == 0 { StandbyKind::Warm } else { StandbyKind::Hot };
+        let mut robot = Robot::new(seed, 5, kind, OnPartition::Stop);
+        let mut chance = Random::new(seed ^ 0x5a);
+        let those = |list: &[usize]| list.iter().copied().map(node).collect::<Vec<_>>();
+        for member in 0..5 {
+            robot.tell(member, |config| config.members = those(&[0, 1, 2]));
+            if member > 2 {
+                robot.kill(member);
+            }
+        }
+        robot.advance_ms(200);
+        robot.ask_some(3);
+        let after = if chance.chance(0.5) { vec![0, 1, 2, 3, 4] } else { vec![1, 2, 3, 4] };
+        // Of the three, one or two at first, whoever serves or not, and the others later.
+        let mut order = vec![0, 1, 2];
+        order.rotate_left((chance.unit() * 3.0) as usize);
+        let last = order.split_off(1 + usize::from(chance.chance(0.5)));
+        let news: &[&[usize]] = if chance.chance(0.5) { &[&[3, 4], &[]] } else { &[&[], &[3, 4]] };
+        for (some, news) in [(vec![], news[0]), (order, news[1]), (last, &[])] {
+            for member in news.iter().copied().chain(some) {
+                robot.tell(member, |config| config.members = those(&after));
+            }
+            for _ in 0..3 {
+                robot.look_around(1000);
+                robot.ask_some(1);
+            }
+        }
+        assert_eq!(robot.overlaps, 0, "seed {seed}");
+        let answers: Vec<_> = robot.answers().into_iter().flatten().collect();
+        let back = answers.windows(2).filter(|two| two[1] <= two[0]).count() as u64;
+        assert!(back <= robot.losses, "seed {seed}: {answers:?}, said {} times", robot.losses);
+        forgotten += back;
+        kept += u64::from(back == 0);
+    }
+    assert!(forgotten > 3 && kept > 3, "both were tried: {forgotten}, {kept}");
+}
