@@ -6,6 +6,7 @@ use crate::platform;
 use crate::registry::{Asked, RemoteDoor, RemoteDoors};
 use actix::Recipient;
 use blastema_contract::session::{Credit, Lender};
+use blastema_core::net::segment::Stream;
 use blastema_core::net::session::PAYLOAD_MAX;
 use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, ObjectName, Parcel, Why};
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,6 +21,19 @@ use tokio::sync::Notify;
 const UNDER_WAY_MAX: usize = 2048;
 /// Their bytes, likewise. One message more may be on its way, whose bytes go beyond this.
 const BYTES_UNDER_WAY_MAX: usize = 1 << 20;
+
+/// By which stream messages go that are to travel so.
+pub(super) fn stream_of(delivery: Delivery) -> Stream {
+    match delivery {
+        Delivery::Reliable | Delivery::Newest => Stream::Data,
+        Delivery::Redundant => Stream::Redundant,
+    }
+}
+
+/// Redundant messages, such as stops, have as much room again, which nothing else takes.
+fn times(stream: Stream) -> usize {
+    if stream == Stream::Redundant { 2 } else { 1 }
+}
 
 /// Makes doors, and tells those behind them how their peer is.
 pub(super) struct Doors {
@@ -36,6 +50,8 @@ pub(super) struct Gate {
     /// A path leads there, or perhaps the session waits for one.
     path: AtomicBool,
     isolated: AtomicBool,
+    /// Of which streams the session holds all that it should, a bit each.
+    full_streams: AtomicU8,
     /// Of what waits for bindings there. It has nothing to do with what the session holds.
     hall_is_full: AtomicBool,
     under_way: AtomicUsize,
@@ -55,10 +71,8 @@ pub(super) enum Condition {
     Unreachable,
     /// There is a path; the session is about to begin.
     Opening,
-    /// It takes messages.
+    /// There is a session.
     Open,
-    /// It holds all that it should.
-    Full,
     /// Its node has ended in order.
     Left,
 }
@@ -69,7 +83,6 @@ impl Gate {
             0 => Condition::Unreachable,
             1 => Condition::Opening,
             2 => Condition::Open,
-            3 => Condition::Full,
             _ => Condition::Left,
         }
     }
@@ -83,7 +96,25 @@ impl Gate {
     pub(super) fn begin(&self) {
         self.outcast.let_in();
         self.hall_is_full.store(false, Relaxed);
+        self.full_streams.store(0, Relaxed);
         self.set(Condition::Open);
+    }
+
+    /// The session holds all that it should of this stream.
+    pub(super) fn stream_is_full(&self, stream: Stream) {
+        self.full_streams.fetch_or(1 << stream as u8, Relaxed);
+    }
+
+    pub(super) fn stream_has_room(&self, stream: Stream) {
+        self.full_streams.fetch_and(!(1 << stream as u8), Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    /// Whether what goes in this stream has to wait. Nothing goes where the words that keep the session
+    /// together do not; of the others, one does not hold up the other.
+    fn is_held(&self, stream: Stream) -> bool {
+        let holding = 1 << Stream::Control as u8 | 1 << stream as u8;
+        self.full_streams.load(Relaxed) & holding != 0 || self.hall_is_full.load(Relaxed)
     }
 
     /// What waits for bindings is as much as should.
@@ -106,9 +137,8 @@ impl Gate {
         self.changed.notify_waiters();
     }
 
-    pub(super) fn is_open(&self) -> bool {
-        let has_room = self.condition() == Condition::Open && !self.hall_is_full.load(Relaxed);
-        has_room && !self.is_isolated()
+    pub(super) fn is_open(&self, stream: Stream) -> bool {
+        self.has_session() && !self.is_held(stream) && !self.is_isolated()
     }
 
     /// Nothing is sent there and nothing taken from there.
@@ -129,7 +159,7 @@ impl Gate {
 
     /// A session is open, whether it has room or not.
     pub(super) fn has_session(&self) -> bool {
-        matches!(self.condition(), Condition::Open | Condition::Full)
+        self.condition() == Condition::Open
     }
 
     fn lock_full(&self) -> MutexGuard<'_, BTreeSet<ObjectName>> {
@@ -164,35 +194,36 @@ impl Gate {
     }
 
     /// More may be under way, up to this share of all.
-    fn has_room(&self, share: usize) -> bool {
-        self.under_way.load(Relaxed) < UNDER_WAY_MAX / share
-            && self.bytes_under_way.load(Relaxed) < BYTES_UNDER_WAY_MAX / share
+    fn has_room(&self, stream: Stream, share: usize) -> bool {
+        let times = times(stream);
+        self.under_way.load(Relaxed) < times * UNDER_WAY_MAX / share
+            && self.bytes_under_way.load(Relaxed) < times * BYTES_UNDER_WAY_MAX / share
     }
 
     /// Takes room for an event, which never waits, and leaves half to what does.
-    pub(super) fn lend_to_event(self: &Arc<Self>, bytes: usize) -> Option<Credit> {
-        if self.has_room(2) { self.lend(bytes) } else { None }
+    pub(super) fn lend_to_event(self: &Arc<Self>, bytes: usize, stream: Stream) -> Option<Credit> {
+        if self.has_room(stream, 2) { self.lend(bytes, stream) } else { None }
     }
 
-    fn lend(self: &Arc<Self>, bytes: usize) -> Option<Credit> {
+    fn lend(self: &Arc<Self>, bytes: usize, stream: Stream) -> Option<Credit> {
         let messages = self.under_way.fetch_add(1, Relaxed);
         let before = self.bytes_under_way.fetch_add(bytes, Relaxed);
         // Many threads may have found room for one.
         let credit = Credit::new(self.clone(), bytes);
-        (messages < UNDER_WAY_MAX && before < BYTES_UNDER_WAY_MAX).then_some(credit)
+        let times = times(stream);
+        (messages < times * UNDER_WAY_MAX && before < times * BYTES_UNDER_WAY_MAX).then_some(credit)
     }
 
-    fn check(&self, object: &ObjectName) -> Result<(), Why> {
+    fn check(&self, object: &ObjectName, stream: Stream) -> Result<(), Why> {
         if self.is_isolated() {
             return Err(Why::Isolated);
         }
         match self.condition() {
             Condition::Unreachable => Err(Why::Unreachable { node: self.node.to_string() }),
             Condition::Opening => Err(self.outcast.why()),
-            Condition::Full => Err(Why::Full),
             Condition::Left => Err(Why::Left { node: self.node.to_string() }),
-            Condition::Open if self.hall_is_full.load(Relaxed) => Err(Why::Full),
-            Condition::Open if !self.has_room(1) || self.is_full(object) => Err(Why::Full),
+            Condition::Open if self.is_held(stream) => Err(Why::Full),
+            Condition::Open if !self.has_room(stream, 1) || self.is_full(object) => Err(Why::Full),
             Condition::Open => Ok(()),
         }
     }
@@ -208,10 +239,10 @@ impl Gate {
         }
     }
 
-    async fn room(&self, object: &ObjectName) {
+    async fn room(&self, object: &ObjectName, stream: Stream) {
         loop {
             let changed = self.changed.notified();
-            match self.check(object) {
+            match self.check(object, stream) {
                 Err(Why::Full | Why::Restarting) => changed.await,
                 // Whatever else stands in the way is told by the next attempt.
                 _ => return,
@@ -222,10 +253,11 @@ impl Gate {
 
 impl Lender for Gate {
     fn give_back(&self, bytes: usize) {
-        let had_room = self.has_room(1);
+        let room = || [Stream::Data, Stream::Redundant].map(|stream| self.has_room(stream, 1));
+        let had_room = room();
         self.under_way.fetch_sub(1, Relaxed);
         self.bytes_under_way.fetch_sub(bytes, Relaxed);
-        if !had_room && self.has_room(1) {
+        if had_room != room() {
             self.changed.notify_waiters();
         }
     }
@@ -260,6 +292,7 @@ impl Doors {
                 condition: AtomicU8::new(Condition::Unreachable as u8),
                 path: AtomicBool::new(false),
                 isolated: AtomicBool::new(false),
+                full_streams: AtomicU8::new(0),
                 hall_is_full: AtomicBool::new(false),
                 under_way: AtomicUsize::new(0),
                 bytes_under_way: AtomicUsize::new(0),
@@ -294,16 +327,17 @@ impl RemoteDoor for Door {
             return Err(Why::TooLargeForSession { limit: PAYLOAD_MAX });
         }
         let object = &self.to.object;
-        match self.gate.check(object) {
+        let stream = stream_of(self.contract.delivery);
+        match self.gate.check(object, stream) {
             // What waits in order keeps nobody who does not.
             Err(Why::Full)
                 if self.contract.delivery == Delivery::Newest
-                    && self.gate.has_room(1)
+                    && self.gate.has_room(stream, 1)
                     && !self.gate.is_full(object) => {}
             checked => checked?,
         }
         let gateway = self.gateway.as_ref().ok_or(Why::Stopped)?;
-        let credit = self.gate.lend(message.len()).ok_or(Why::Full)?;
+        let credit = self.gate.lend(message.len(), stream).ok_or(Why::Full)?;
         let sent = platform::now();
         let (id, within, reply_to) = match asked {
             None => (None, None, None),
@@ -323,7 +357,7 @@ impl RemoteDoor for Door {
     }
 
     fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
-        Box::pin(self.gate.room(&self.to.object))
+        Box::pin(self.gate.room(&self.to.object, stream_of(self.contract.delivery)))
     }
 }
 
@@ -336,20 +370,45 @@ mod tests {
         let name = |name| NodeName::new(name).unwrap();
         let doors = Doors::new(Outcast::new(name("module1")));
         let (gate, object) = (doors.gate(&name("module2")), ObjectName::new("arm").unwrap());
+        let check = |stream| gate.check(&object, stream);
         gate.begin();
-        assert_eq!(gate.check(&object), Ok(()));
+        assert_eq!(check(Stream::Data), Ok(()));
 
-        gate.set(Condition::Full);
+        gate.stream_is_full(Stream::Data);
         gate.hall_is_full();
         gate.hall_has_room();
-        assert_eq!(gate.check(&object), Err(Why::Full), "the session is");
+        assert_eq!(check(Stream::Data), Err(Why::Full), "the session is");
 
         gate.hall_is_full();
-        gate.set(Condition::Open);
-        assert_eq!(gate.check(&object), Err(Why::Full), "what waits is as much as should");
-        assert!(!gate.is_open());
+        gate.stream_has_room(Stream::Data);
+        assert_eq!(check(Stream::Data), Err(Why::Full), "what waits is as much as should");
+        assert!(!gate.is_open(Stream::Data));
 
         gate.begin();
-        assert_eq!(gate.check(&object), Ok(()));
+        assert_eq!(check(Stream::Data), Ok(()));
+    }
+
+    #[test]
+    fn what_fills_the_way_to_a_node_leaves_redundant_messages_theirs_and_the_other_way_round() {
+        let name = |name| NodeName::new(name).unwrap();
+        let doors = Doors::new(Outcast::new(name("module1")));
+        let (gate, object) = (doors.gate(&name("module2")), ObjectName::new("arm").unwrap());
+        let check = |stream| gate.check(&object, stream);
+        gate.begin();
+
+        let images: Vec<_> = (0..8).map_while(|_| gate.lend(1 << 19, Stream::Data)).collect();
+        assert_eq!((images.len(), check(Stream::Data)), (2, Err(Why::Full)));
+        assert_eq!(check(Stream::Redundant), Ok(()), "a stop goes");
+        let stops: Vec<_> = (0..9_999).map_while(|_| gate.lend(64, Stream::Redundant)).collect();
+        assert!((1_000..9_999).contains(&stops.len()), "{}", stops.len());
+        drop((images, stops));
+
+        gate.stream_is_full(Stream::Data);
+        assert_eq!((check(Stream::Data), check(Stream::Redundant)), (Err(Why::Full), Ok(())));
+        gate.stream_is_full(Stream::Redundant);
+        gate.stream_has_room(Stream::Data);
+        assert_eq!((check(Stream::Data), check(Stream::Redundant)), (Ok(()), Err(Why::Full)));
+        gate.stream_is_full(Stream::Control);
+        assert_eq!(check(Stream::Data), Err(Why::Full), "nothing could be bound");
     }
 }

@@ -8,7 +8,7 @@ mod serving;
 pub(super) use errand::{Notify, Ship};
 
 use super::NetEnvironment;
-use super::door::{Condition, Doors, Gate};
+use super::door::{Condition, Doors, Gate, stream_of};
 use super::notice;
 use super::own_faults::OwnFaults;
 use super::wardens::{Told, Wardens};
@@ -333,11 +333,12 @@ impl Gateway {
         };
         let Some(known) = self.peers.get(&peer) else { return };
         let (gate, gateway) = (known.gate.clone(), context.address());
+        let stream = stream_of(by.1);
         let forward: Forward = Arc::new(move |event: &Parcel| {
             // Publishing never waits: what a peer cannot take now is not sent.
             // Of which only the newest counts, nothing waits behind what does.
-            let open = if newest { gate.has_session() } else { gate.is_open() };
-            if let (true, Some(credit)) = (open, gate.lend_to_event(event.len())) {
+            let open = if newest { gate.has_session() } else { gate.is_open(stream) };
+            if let (true, Some(credit)) = (open, gate.lend_to_event(event.len(), stream)) {
                 let (event, sent) = (event.clone(), platform::now());
                 gateway.do_send(Published { peer, subscription, event, sent, credit });
             }

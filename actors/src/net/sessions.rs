@@ -12,10 +12,9 @@ use blastema_contract::session::{
 };
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::complaints::{Complaints, MANY};
-use blastema_core::net::segment::Stream;
 use blastema_core::net::{Crowd, NodeId, Refusals, Session, SessionConfig, SessionOutput};
 use blastema_core::{FaultKind, Incarnation, NodeName, Why};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 use tracing::{error, info, warn};
@@ -49,8 +48,6 @@ struct Peer {
     path: Option<(Incarnation, usize)>,
     /// Sessions are numbered above this.
     number: u32,
-    /// Which streams hold all that they should.
-    full: BTreeSet<Stream>,
     /// Since the last look something in its name came by way of others.
     relayed: bool,
 }
@@ -91,10 +88,7 @@ impl Sessions {
             if self.peers.len() >= PEERS_MAX {
                 self.forget_one();
             }
-            self.peers.insert(
-                id,
-                Peer { node, path: None, number: 0, full: BTreeSet::new(), relayed: false },
-            );
+            self.peers.insert(id, Peer { node, path: None, number: 0, relayed: false });
             self.build(id);
         }
         id
@@ -194,7 +188,6 @@ impl Supervised for Sessions {
             self.report(SessionReported::Ended { peer: id, why });
             if let Some(peer) = self.peers.get_mut(&id) {
                 peer.number = peer.number.max(broken.number()).saturating_add(NUMBERS_PER_LIFE);
-                peer.full.clear();
             }
             self.build(id);
             let path = self.peers.get(&id).and_then(|peer| peer.path);
@@ -241,19 +234,8 @@ impl Body for Sessions {
                 info!(%peer, %incarnation, %why, "session ended");
                 self.report(SessionReported::Ended { peer, why });
             }
-            SessionOutput::Full { stream } => {
-                if let Some(known) = self.peers.get_mut(&peer) {
-                    known.full.insert(stream);
-                }
-                self.report(SessionReported::Full { peer });
-            }
-            SessionOutput::Room { stream } => {
-                // Senders know one door for all streams: it opens when none is full.
-                let known = self.peers.get_mut(&peer);
-                if known.is_none_or(|known| known.full.remove(&stream) && known.full.is_empty()) {
-                    self.report(SessionReported::Room { peer });
-                }
-            }
+            SessionOutput::Full { stream } => self.report(SessionReported::Full { peer, stream }),
+            SessionOutput::Room { stream } => self.report(SessionReported::Room { peer, stream }),
             SessionOutput::Incompatible { theirs } => {
                 error!(%peer, theirs, "the peer's sessions speak another version: update one node");
             }

@@ -129,15 +129,19 @@ pub enum SessionReported {
         /// Why.
         why: Why,
     },
-    /// Stop sending to this peer, or messages will soon be returned.
+    /// Stop sending to this peer in this stream, or messages will soon be returned.
     Full {
         /// Whom.
         peer: NodeId,
+        /// In which stream.
+        stream: Stream,
     },
     /// Sending may go on.
     Room {
         /// Whom.
         peer: NodeId,
+        /// In which stream.
+        stream: Stream,
     },
 }
 

@@ -60,8 +60,16 @@ impl Handler<SessionReported> for Gateway {
                 self.exchange.handle_returned(peer, message, why, sent);
             }
             SessionReported::Ended { peer, why } => self.session_ended(peer, why),
-            SessionReported::Full { peer } => self.set(peer, Condition::Full),
-            SessionReported::Room { peer } => self.set(peer, Condition::Open),
+            SessionReported::Full { peer, stream } => {
+                if let Some(peer) = self.peers.get(&peer) {
+                    peer.gate.stream_is_full(stream);
+                }
+            }
+            SessionReported::Room { peer, stream } => {
+                if let Some(peer) = self.peers.get(&peer) {
+                    peer.gate.stream_has_room(stream);
+                }
+            }
         }
         self.drive(context);
     }
