@@ -269,8 +269,13 @@ impl Replica {
         };
         let before = self.accord.known.get(from).map(|known| known.opinion.clone());
         self.note_opinion(from, opinion.clone(), now);
-        if let Some(known) = self.accord.known.get_mut(from).filter(|_| answers) {
-            known.bound.get_or_insert(now);
+        if let Some(known) = self.accord.known.get_mut(from) {
+            if std::mem::take(&mut known.gone) {
+                (known.bound, known.asked) = (None, None);
+            }
+            if answers {
+                known.bound.get_or_insert(now);
+            }
         }
         self.settle_dispute(now);
         before.as_ref() != Some(&opinion)

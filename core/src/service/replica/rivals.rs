@@ -24,8 +24,8 @@
 //! and positions of two lists are not compared: only a snapshot brings whoever learns into step.
 //!
 //! Two primaries of different terms, p that leads and q, would have disjoint majorities, as nobody is told two
-//! things. If q reckons with p's terms, too few of p's list are left to elect p. If it does not, nobody who is bound has
-//! voted for q, and too few of q's list are left to elect q. So one of them does not serve.
+//! things. If q reckons with p's terms, too few of p's list are left to elect p. If it does not, nobody who is
+//! bound has voted for q, and too few of q's list are left to elect q. So one of them does not serve.
 
 use super::super::terms::Terms;
 use super::accord::{Accord, Known, Opinion};

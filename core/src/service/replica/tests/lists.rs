@@ -236,6 +236,14 @@ fn whoever_comes_back_into_sight_is_bound_only_when_it_has_answered_again() {
     assert!(outputs(&mut own).contains(&ReplicaOutput::Compare { with: node(3) }));
     own.handle_terms(&node(3), &other.terms(), at(1503));
     assert!(bound(&own));
+
+    // It says so itself before it is seen.
+    own.handle_carriers(&[], at(2002));
+    own.handle_asked(&node(3), &other.terms(), at(2010));
+    assert!(!bound(&own));
+    own.handle_terms(&node(3), &other.terms(), at(2011));
+    own.handle_carriers(&[node(3)], at(2502));
+    assert_eq!(own.accord.known[&node(3)].bound, Some(at(2011)));
 }
 
 #[test]
