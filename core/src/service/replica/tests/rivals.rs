@@ -163,3 +163,30 @@ fn however_many_nodes_change_their_list_at_once_nothing_that_was_answered_is_for
     }
     assert!(forgotten > 3 && kept > 3, "both were tried: {forgotten}, {kept}");
 }
+
+#[test]
+fn beside_a_node_with_a_shorter_list_those_who_agree_take_over_from_a_primary_that_died() {
+    for kind in [StandbyKind::Warm, StandbyKind::Hot] {
+        let mut robot = Robot::new(5, 4, kind, OnPartition::Stop);
+        let those = |list: &[usize]| list.iter().copied().map(node).collect::<Vec<_>>();
+        for member in 0..4 {
+            robot.tell(member, |config| config.members = those(&[0, 1, 2]));
+        }
+        robot.kill(3);
+        robot.advance_ms(200);
+        robot.ask_some(5);
+        robot.tell(3, |config| config.members = those(&[0, 3]));
+        robot.look_around(1000);
+        robot.ask_some(1);
+        robot.advance_ms(100);
+        let [primary] = robot.primaries()[..] else { panic!("{:?}", robot.primaries()) };
+
+        robot.kill(primary);
+        robot.look_around(500);
+        robot.ask_some(1);
+        robot.advance_ms(200);
+
+        let expected: Vec<_> = (1..=7).map(Some).collect();
+        assert_eq!(robot.answers(), expected, "{kind:?} without {primary}: {:?}", robot.told);
+    }
+}
