@@ -67,7 +67,7 @@ impl End {
     }
 
     fn send(&self, to: MediumAddress, frame: Bytes) {
-        self.transport.transmit.do_send(Transmit::new(to, frame));
+        self.transport.transmit.do_send(Transmit::new(to, frame.into()));
     }
 
     /// Sends both ways until that was received: what comes back may lose its first words.
