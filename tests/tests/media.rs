@@ -384,32 +384,3 @@ fn two_nodes_with_one_address_on_a_bus_are_a_fault_on_both_that_names_them() {
         first.shutdown().await;
     });
 }
-
-#[test]
-fn a_port_that_is_taken_stays_the_cause_for_as_long_as_it_is() {
-    blastema::run(async {
-        let [own, far] = free();
-        let taken = UdpSocket::bind(&own).expect("it is free");
-        let endpoint = format!("udp://{own}");
-        let network = Network::new("net0", &endpoint).peer("module2", &far);
-        let node = Node::builder("module1").network(network).start().await.expect("it starts");
-        let detail = || async {
-            let record = node.faults().await;
-            record.entries.first().map(|entry| entry.fault.detail.clone()).unwrap_or_default()
-        };
-
-        // Longer than it takes to say that nobody came.
-        tokio::time::sleep(Duration::from_secs(7)).await;
-        let found = detail().await;
-        assert!(found.contains("another process has taken this port"), "{found}");
-
-        drop(taken);
-        let never_heard = async {
-            while !detail().await.contains("never heard since the start") {
-                tokio::task::yield_now().await;
-            }
-        };
-        tokio::time::timeout(PATIENCE, never_heard).await.expect("the cause is another now");
-        node.shutdown().await;
-    });
-}

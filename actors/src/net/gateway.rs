@@ -255,25 +255,13 @@ impl Gateway {
                 self.lost += 1;
                 debug!(%peer, %why, "an event did not arrive");
             }
-            ExchangeOutput::Full { peer } => {
-                if let Some(peer) = self.peers.get(&peer) {
-                    peer.gate.hall_is_full();
-                }
-            }
-            ExchangeOutput::Room { peer } => {
-                if let Some(peer) = self.peers.get(&peer) {
-                    peer.gate.hall_has_room();
-                }
-            }
+            ExchangeOutput::Full { peer } => self.at_gate(peer, |gate| gate.hall_is_full()),
+            ExchangeOutput::Room { peer } => self.at_gate(peer, |gate| gate.hall_has_room()),
             ExchangeOutput::ObjectFull { peer, object } => {
-                if let Some(peer) = self.peers.get(&peer) {
-                    peer.gate.object_is_full(object);
-                }
+                self.at_gate(peer, |gate| gate.object_is_full(object))
             }
             ExchangeOutput::ObjectRoom { peer, object } => {
-                if let Some(peer) = self.peers.get(&peer) {
-                    peer.gate.object_has_room(&object);
-                }
+                self.at_gate(peer, |gate| gate.object_has_room(&object))
             }
             ExchangeOutput::Differs { peer, difference } => {
                 self.differs(peer, &difference);
@@ -469,6 +457,12 @@ impl Gateway {
         let known = Peer::new(node.clone(), gate.clone());
         self.peers.entry(peer).or_insert(known);
         (peer, gate)
+    }
+
+    fn at_gate(&self, peer: NodeId, act: impl FnOnce(&Gate)) {
+        if let Some(peer) = self.peers.get(&peer) {
+            act(&peer.gate);
+        }
     }
 
     fn set(&self, peer: NodeId, condition: Condition) {

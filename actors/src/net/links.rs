@@ -113,6 +113,7 @@ impl Links {
 
     fn build(&mut self, now: Instant) {
         self.bundle = Bundle::default();
+        self.unheard.clear();
         self.wake = Wake::default();
         for (number, spec) in &self.specs {
             let link = link(&self.wiring, spec, now);
@@ -396,7 +397,9 @@ impl Handler<TransportReport> for Links {
                 self.bundle.handle_mtu(mtu);
                 self.tell_router_all();
                 for number in std::mem::take(&mut self.unheard) {
-                    self.missing(number, false);
+                    let heard =
+                        self.bundle.get(number).is_some_and(|link| link.neighbour().is_some());
+                    self.missing(number, heard);
                 }
                 self.tell_of_lonely_medium(LinkCondition::Up);
             }

@@ -61,14 +61,10 @@ impl Handler<SessionReported> for Gateway {
             }
             SessionReported::Ended { peer, why } => self.session_ended(peer, why),
             SessionReported::Full { peer, stream } => {
-                if let Some(peer) = self.peers.get(&peer) {
-                    peer.gate.stream_is_full(stream);
-                }
+                self.at_gate(peer, |gate| gate.stream_is_full(stream))
             }
             SessionReported::Room { peer, stream } => {
-                if let Some(peer) = self.peers.get(&peer) {
-                    peer.gate.stream_has_room(stream);
-                }
+                self.at_gate(peer, |gate| gate.stream_has_room(stream))
             }
         }
         self.drive(context);

@@ -32,6 +32,30 @@ fn a_neighbour_that_never_comes_is_told_five_seconds_after_the_start_and_until_i
 }
 
 #[test]
+fn why_a_medium_does_not_open_stays_the_cause_for_as_long_as_it_does_not() {
+    paused(async {
+        let mut robot = Robot::default();
+        let left = robot.module("left", 1, &[("ethernet", &["right"])]).await;
+        robot.cable("ethernet/left").do_send(Cut { direction: Direction::Both, reported: true });
+        for _ in 0..100 {
+            advance(100 * MS).await;
+        }
+
+        let told = left.links.drain();
+        let [LinkReported { condition: LinkCondition::Down { reason }, .. }] = &told[..] else {
+            panic!("{told:?}");
+        };
+        assert!(reason.starts_with("the cable is cut"), "{reason}");
+
+        robot.restore("ethernet/left");
+        let LinkCondition::Down { reason } = left.links.expect().await.condition else {
+            panic!("nobody is there");
+        };
+        assert!(reason.starts_with("never heard since the start"), "{reason}");
+    });
+}
+
+#[test]
 fn another_way_is_promised_where_one_is_left_and_is_connected_no_longer_than_one_is() {
     paused(async {
         let (robot, left, _right) = pair().await;

@@ -126,7 +126,7 @@ impl Accord {
         let differences = self.differences();
         let what = match self.hopeless {
             true => "and it is not served by these terms until they are",
-            false => "and those who agree go on without the others",
+            false => "and those who agree go on while enough of them are there",
         };
         let too_many = self.rivals.overflow.then(|| {
             format!(
