@@ -1,0 +1,142 @@
+//! Roots, and what is only their consequence.
+
+use super::*;
+
+#[test]
+fn what_an_object_suffers_while_something_it_depends_on_is_down_is_a_symptom() {
+    for symptom in [declared(), silent(), state(Lifecycle::Error), state(Lifecycle::Fatal)] {
+        let mut bench = Bench::new();
+        bench.depend("planner", &["map"]);
+        bench.depend("map", &["laser"]);
+        bench.see("laser", ONE, exited(panicked()));
+
+        bench.see("planner", ONE, symptom.clone());
+
+        assert_eq!(bench.fault(2).symptom_of, Some(FaultId(1)), "{symptom:?}");
+    }
+}
+
+#[test]
+fn a_panic_and_a_hang_of_its_own_are_never_symptoms() {
+    for own in [exited(panicked()), exited(Exit::Returned), hangs(&[])] {
+        let mut bench = Bench::new();
+        bench.depend("map", &["laser"]);
+        bench.see("laser", ONE, exited(panicked()));
+
+        bench.see("map", ONE, own);
+
+        assert_eq!(bench.fault(2).symptom_of, None);
+    }
+}
+
+#[test]
+fn a_root_that_is_found_shortly_after_its_symptom_explains_it() {
+    let mut bench = Bench::new();
+    bench.depend("planner", &["laser"]);
+    bench.see("planner", ONE, silent());
+    bench.said();
+
+    bench.now = at(1900);
+    bench.see("laser", ONE, exited(panicked()));
+
+    assert_eq!(bench.said(), ["Found 2", "Explained 1", "+2"]);
+    assert_eq!(bench.fault(1).symptom_of, Some(FaultId(2)));
+    let order: Vec<u64> = bench.entries().iter().map(|entry| entry.fault.id.0).collect();
+    assert_eq!(order, [2, 1]);
+}
+
+#[test]
+fn a_fault_that_is_found_long_after_another_does_not_explain_it() {
+    let mut bench = Bench::new();
+    bench.depend("planner", &["laser"]);
+    bench.see("planner", ONE, silent());
+
+    bench.now = at(2100);
+    bench.see("laser", ONE, exited(panicked()));
+
+    assert_eq!(bench.fault(1).symptom_of, None);
+}
+
+#[test]
+fn of_two_that_depend_on_each_other_the_first_to_fail_is_the_root() {
+    let mut bench = Bench::new();
+    bench.depend("a", &["b"]);
+    bench.depend("b", &["a"]);
+
+    bench.see("a", ONE, silent());
+    bench.see("b", ONE, silent());
+
+    assert_eq!((bench.fault(1).symptom_of, bench.fault(2).symptom_of), (None, Some(FaultId(1))));
+}
+
+#[test]
+fn links_and_what_depends_on_remote_objects_are_symptoms_of_the_lost_node() {
+    let mut bench = Bench::new();
+    bench.depend("planner", &["n:map"]);
+    bench.see("-eth-n", Incarnation(0), down());
+    bench.see("@n", Incarnation(9), lost());
+    bench.see("planner", ONE, declared());
+    bench.see("-usb-n", Incarnation(0), down());
+    bench.see("-can-x", Incarnation(0), down());
+
+    let symptoms = [1, 2, 3, 4, 5].map(|id| bench.fault(id).symptom_of.map(|root| root.0));
+    assert_eq!(symptoms, [Some(2), None, Some(2), Some(2), None]);
+    let order: Vec<u64> = bench.entries().iter().map(|entry| entry.fault.id.0).collect();
+    assert_eq!(order, [2, 1, 3, 4, 5]);
+}
+
+#[test]
+fn the_victims_of_a_hang_are_its_symptoms_before_and_after_it_is_found() {
+    let mut bench = Bench::new();
+    for name in ["laser", "map", "pose"] {
+        bench.depend(name, &[]);
+    }
+    bench.see("map", ONE, silent());
+    bench.see("laser", ONE, hangs(&["laser", "map", "pose"]));
+    bench.see("pose", ONE, silent());
+    bench.see("laser", ONE, silent());
+    bench.see("map", ONE, Finding::Lost { culprit: object("laser") });
+
+    let symptoms = [1, 2, 3, 4, 5].map(|id| bench.fault(id).symptom_of.map(|root| root.0));
+    assert_eq!(symptoms, [Some(2), None, Some(2), Some(2), Some(2)]);
+}
+
+#[test]
+fn a_victim_that_is_lost_is_a_symptom_also_when_the_culprit_was_replaced_long_ago() {
+    let mut bench = Bench::new();
+    bench.depend("map", &[]);
+    bench.see("laser", ONE, hangs(&["map"]));
+    bench.detector.handle_outcome(FaultId(1), at(5), Outcome::Recovered);
+
+    bench.see("map", ONE, Finding::Lost { culprit: object("laser") });
+
+    assert_eq!(bench.fault(2).symptom_of, Some(FaultId(1)));
+}
+
+#[test]
+fn a_victim_that_is_silent_is_a_symptom_also_when_the_culprit_was_replaced_before() {
+    let mut bench = Bench::new();
+    bench.depend("map", &[]);
+    bench.see("laser", ONE, hangs(&["map"]));
+    bench.detector.handle_outcome(FaultId(1), at(5), Outcome::Recovered);
+
+    bench.see("map", ONE, silent());
+
+    assert_eq!(bench.fault(2).symptom_of, Some(FaultId(1)));
+}
+
+#[test]
+fn nobody_is_reminded_of_a_symptom_while_its_root_stands() {
+    let mut bench = Bench::new();
+    bench.depend("map", &["laser"]);
+    bench.see("laser", ONE, exited(panicked()));
+    let decided = Outcome::Decided { measure: "restart".into() };
+    bench.detector.handle_outcome(FaultId(1), at(0), decided);
+    bench.see("map", ONE, silent());
+    bench.said();
+    assert_eq!(bench.run_until(30_500), [""; 0]);
+
+    bench.detector.handle_outcome(FaultId(1), at(30_500), Outcome::Recovered);
+
+    assert_eq!(bench.run_until(31_500), ["Recovered 1", "+2"]);
+}

@@ -1,0 +1,121 @@
+//! How many restarts there are, and what follows when there were too many.
+
+use super::*;
+
+#[test]
+fn one_restart_too_many_ends_everything_and_escalates() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    for life in 1..=3 {
+        rig.restart("b", Cause::Died, life);
+        rig.started("b", life + 1);
+    }
+
+    assert_eq!(rig.restart("b", Cause::Died, 4), ["stop c"]);
+    assert_eq!(rig.restart("a", Cause::Died, 1), [""; 0]);
+    assert_eq!(rig.stopped("c", 1), ["stop a"]);
+    assert_eq!(rig.stopped("a", 1), ["escalate: b needed more than 3 restarts in 60s"]);
+
+    // What was asked of the old life is answered by the new one.
+    assert_eq!(rig.begin(), ["start a #2"]);
+    assert_eq!(rig.started("a", 2), ["start b #5", "5 recovered a #2"]);
+    assert_eq!(rig.started("b", 5), ["start c #2", "4 recovered b #5"]);
+}
+
+#[test]
+fn the_end_of_the_root_is_the_end_of_hope() {
+    let rules = SupervisorRules { root: true, intensity: 0, ..SupervisorRules::default() };
+    let mut machine = Supervision::new(rules);
+    let now = Instant::from_millis(1);
+    machine.add_child(name("a"), permanent(), now).expect("a free name");
+    let mut rig = Rig { machine, now, tickets: 0 };
+    rig.begin();
+    rig.started("a", 1);
+
+    assert_eq!(
+        rig.restart("a", Cause::Died, 1),
+        [
+            "give up: a needed more than 0 restarts in 10s",
+            "escalate: a needed more than 0 restarts in 10s",
+            "1 gave a up: given up: a needed more than 0 restarts in 10s"
+        ]
+    );
+    assert!(rig.restart("a", Cause::Died, 1)[0].starts_with("2 gave a up"));
+}
+
+#[test]
+fn old_restarts_are_forgotten() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+
+    for life in 1..=20 {
+        assert_eq!(rig.restart("b", Cause::Died, life), [format!("start b #{}", life + 1)]);
+        rig.started("b", life + 1);
+        rig.pass(21);
+    }
+}
+
+#[test]
+fn a_supervisor_below_that_escalates_is_restarted_without_being_asked() {
+    let mut rig = Rig::serving(Strategy::RestForOne);
+
+    assert_eq!(rig.escalated("b", 1), ["stop c"]);
+    assert_eq!(rig.stopped("c", 1), ["start b #2"]);
+    assert_eq!(rig.started("b", 2), ["start c #2"]);
+    assert_eq!(rig.started("c", 2), [""; 0]);
+    assert_eq!(rig.machine.restarts_left(rig.now), 2);
+}
+
+#[test]
+fn a_standing_order_draws_from_the_budget_and_returns_as_the_window_moves() {
+    let children = ["a", "b"].map(|child| (child, on_the_spot()));
+    let mut rig = Rig::with(Strategy::OneForOne, 2, &children);
+    rig.begin();
+    assert_eq!(rig.started("a", 1), ["order a x2", "start b #1"]);
+    assert_eq!(rig.started("b", 1), ["order b x2", "all started"]);
+
+    assert_eq!(rig.died_on_the_spot("a", 1), ["order a x2"]);
+    assert_eq!(rig.died_on_the_spot("a", 1), [""; 0]);
+    rig.pass(30);
+    assert_eq!(rig.died_on_the_spot("b", 1), ["withdraw a", "withdraw b"]);
+    assert_eq!(rig.pass(30), [""; 0]);
+    rig.now = rig.machine.poll_timeout().expect("it waits for the window to move");
+    assert_eq!(rig.pass(0), ["order a x1", "order b x2"]);
+    assert_eq!(rig.machine.poll_timeout(), None);
+}
+
+#[test]
+fn restarts_on_the_spot_beyond_the_budget_escalate() {
+    let mut rig = Rig::with(Strategy::OneForOne, 1, &[("a", on_the_spot())]);
+    rig.begin();
+    rig.started("a", 1);
+
+    assert_eq!(rig.died_on_the_spot("a", 1), ["withdraw a"]);
+    assert_eq!(rig.died_on_the_spot("a", 2), ["stop a"]);
+    assert_eq!(rig.stopped("a", 3), ["escalate: a needed more than 1 restarts in 60s"]);
+}
+
+#[test]
+fn a_standing_order_is_given_only_where_the_rules_allow_it() {
+    let given = |strategy, rules| {
+        let mut rig = Rig::with(strategy, 3, &[("a", rules)]);
+        rig.begin();
+        rig.started("a", 1)
+    };
+
+    assert_eq!(given(Strategy::OneForOne, on_the_spot()), ["order a x3", "all started"]);
+    assert_eq!(given(Strategy::OneForAll, on_the_spot()), ["all started"]);
+    assert_eq!(given(Strategy::RestForOne, on_the_spot()), ["all started"]);
+    assert_eq!(given(Strategy::OneForOne, permanent()), ["all started"]);
+    let temporary = ChildRules { restart: Restart::Temporary, ..on_the_spot() };
+    assert_eq!(given(Strategy::OneForOne, temporary), ["all started"]);
+}
+
+#[test]
+fn a_standing_order_is_withdrawn_before_a_stop_and_while_isolated() {
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &[("a", on_the_spot())]);
+    rig.begin();
+    rig.started("a", 1);
+
+    assert_eq!(rig.isolate("a", true), ["isolate a", "withdraw a", "1 recovered a #1"]);
+    assert_eq!(rig.isolate("a", false), ["admit a", "order a x3", "2 recovered a #1"]);
+    assert_eq!(rig.end(), ["withdraw a", "stop a"]);
+}

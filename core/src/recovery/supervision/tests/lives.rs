@@ -1,0 +1,184 @@
+//! How one life begins, ends, and is told of.
+
+use super::*;
+
+#[test]
+fn a_start_that_fails_answers_its_own_request_and_may_be_tried_again() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    rig.restart("b", Cause::Died, 1);
+
+    assert_eq!(rig.start_failed("b", 2), ["1 gave b up: its next life did not start: no device"]);
+    assert_eq!(rig.restart("b", Cause::Died, 1), ["start b #3"]);
+    assert_eq!(rig.started("b", 3), ["2 recovered b #3"]);
+}
+
+#[test]
+fn a_first_start_that_fails_holds_the_rest_back_until_it_is_decided() {
+    let children = ["a", "b"].map(|child| (child, permanent()));
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &children);
+    rig.begin();
+
+    assert_eq!(rig.start_failed("a", 1), [""; 0]);
+    assert_eq!(rig.restart("a", Cause::Died, 1), ["start a #2"]);
+    assert_eq!(rig.start_failed("a", 2), ["1 gave a up: its next life did not start: no device"]);
+    assert_eq!(rig.rest("a", Cause::Died), ["isolate a", "start b #1", "2 let a go"]);
+    assert_eq!(rig.started("b", 1), ["all started"]);
+    assert_eq!(rig.state("a"), ChildState::Resting);
+}
+
+#[test]
+fn a_start_that_takes_too_long_is_given_up_and_declared() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    rig.restart("b", Cause::Died, 1);
+    assert_eq!(rig.machine.poll_timeout(), Some(rig.now + Duration::from_secs(5)));
+
+    assert_eq!(rig.pass(4), [""; 0]);
+    assert_eq!(
+        rig.pass(1),
+        [
+            "abandon b",
+            "overdue b",
+            "1 gave b up: its next life did not start: not at work within 5s"
+        ]
+    );
+    assert_eq!(rig.started("b", 2), [""; 0]);
+    assert_eq!(rig.restart("b", Cause::Died, 2), ["start b #3"]);
+}
+
+#[test]
+fn a_child_that_does_not_stop_in_time_is_given_up() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    assert_eq!(rig.end(), ["stop c"]);
+
+    assert_eq!(rig.pass(5), ["abandon c", "stop b"]);
+    assert_eq!(rig.died("b", 1), ["stop a"]);
+    assert_eq!(rig.stopped("a", 1), ["all stopped"]);
+    assert_eq!(rig.machine.poll_timeout(), None);
+}
+
+#[test]
+fn a_fault_of_an_earlier_life_is_answered_by_the_present_one() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    rig.restart("b", Cause::Died, 1);
+
+    assert_eq!(rig.restart("b", Cause::Stuck, 1), [""; 0]);
+    assert_eq!(rig.started("b", 2), ["1 recovered b #2", "2 recovered b #2"]);
+    assert_eq!(rig.restart("b", Cause::Died, 1), ["3 recovered b #2"]);
+    assert_eq!(rig.machine.restarts_left(rig.now), 2);
+}
+
+#[test]
+fn reports_of_an_earlier_life_change_nothing() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    rig.restart("b", Cause::Stuck, 1);
+
+    assert_eq!(rig.started("b", 1), [""; 0]);
+    assert_eq!(rig.start_failed("b", 1), [""; 0]);
+    assert_eq!(rig.stopped("b", 1), [""; 0]);
+    assert_eq!(rig.died("b", 1), [""; 0]);
+    assert_eq!(rig.died_on_the_spot("b", 1), [""; 0]);
+    assert_eq!(rig.reset_done("b", 1, Ok(())), [""; 0]);
+    assert_eq!(rig.escalated("b", 1), [""; 0]);
+    assert_eq!(rig.state("b"), ChildState::Starting);
+}
+
+#[test]
+fn a_death_is_noted_and_waits_for_the_recoverer() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+
+    assert_eq!(rig.died("b", 1), [""; 0]);
+    assert_eq!(rig.state("b"), ChildState::Failed);
+    assert_eq!(rig.restart("b", Cause::Died, 1), ["start b #2"]);
+}
+
+#[test]
+fn a_transient_child_may_return_and_a_temporary_one_may_also_die() {
+    let children =
+        [("t", kept(Restart::Transient)), ("u", kept(Restart::Temporary)), ("p", permanent())];
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &children);
+    rig.begin();
+    rig.started("t", 1);
+    rig.started("u", 1);
+    rig.started("p", 1);
+
+    assert_eq!(rig.returned("t", 1), ["retire t"]);
+    assert_eq!(rig.state("t"), ChildState::Finished);
+    assert_eq!(rig.restart("t", Cause::Died, 1), ["retire t", "1 let t go"]);
+    assert_eq!(rig.restart("u", Cause::Died, 1), ["retire u", "2 let u go"]);
+    assert_eq!(rig.state("u"), ChildState::Finished);
+    assert_eq!(rig.returned("p", 1), [""; 0]);
+    assert_eq!(rig.restart("p", Cause::Died, 1), ["start p #2"]);
+    assert_eq!(rig.restart_by_hand("t"), ["start t #2"]);
+    assert_eq!(rig.died("t", 2), ["4 gave t up: its next life did not start: it died"]);
+    assert_eq!(rig.restart("t", Cause::Died, 2), ["start t #3"]);
+}
+
+#[test]
+fn a_transient_child_that_could_not_go_on_did_not_end_in_order() {
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &[("t", kept(Restart::Transient))]);
+    rig.begin();
+    rig.started("t", 1);
+    rig.died("t", 1);
+
+    assert_eq!(rig.restart("t", Cause::Faulty, 1), ["start t #2"]);
+}
+
+#[test]
+fn a_temporary_child_that_is_stuck_or_faulty_is_ended_and_let_go() {
+    let children = [("u", kept(Restart::Temporary)), ("v", kept(Restart::Temporary))];
+    let mut rig = Rig::with(Strategy::OneForAll, 3, &children);
+    rig.begin();
+    rig.started("u", 1);
+    rig.started("v", 1);
+
+    assert_eq!(rig.restart("u", Cause::Stuck, 1), ["abandon u", "retire u", "1 let u go"]);
+    assert_eq!(rig.restart("v", Cause::Faulty, 1), ["stop v"]);
+    assert_eq!(rig.stopped("v", 1), ["retire v", "2 let v go"]);
+}
+
+#[test]
+fn a_reset_is_passed_on_and_answered() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+
+    assert_eq!(rig.reset("b"), ["reset b"]);
+    assert_eq!(rig.reset("b"), ["2 gave b up: it has no life that could be reset"]);
+    assert_eq!(rig.reset_done("b", 1, Ok(())), ["1 recovered b #1"]);
+    rig.reset("b");
+    assert_eq!(
+        rig.reset_done("b", 1, Err("still hot")),
+        ["3 gave b up: it could not reset itself: still hot"]
+    );
+    rig.reset("b");
+    assert_eq!(rig.pass(5), ["4 gave b up: it did not answer within 5s"]);
+    rig.reset("b");
+    assert_eq!(
+        rig.restart("b", Cause::Died, 1),
+        ["5 gave b up: it has no life that could be reset", "start b #2"]
+    );
+    assert_eq!(rig.reset("x"), ["7 gave x up: no such child"]);
+}
+
+#[test]
+fn a_child_is_told_whether_another_life_follows() {
+    let told = |rig: &mut Rig| {
+        let mut told = Vec::new();
+        while let Some(action) = rig.machine.poll_output() {
+            if let SupervisorAction::Stop { child, again } = action {
+                told.push((child.to_string(), again));
+            }
+        }
+        told
+    };
+    let mut rig = Rig::serving(Strategy::OneForAll);
+    let (now, tickets) = (rig.now, [Ticket(1), Ticket(2)]);
+
+    rig.machine.handle_restart(&name("a"), tickets[0], Cause::Died, None, now);
+    assert_eq!(told(&mut rig), [("c".into(), true)]);
+
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    rig.machine.handle_rest(&name("b"), tickets[1], Cause::Faulty, now);
+    assert_eq!(told(&mut rig), [("b".into(), false)]);
+    rig.machine.handle_end(now);
+    rig.machine.handle_stopped(&name("b"), Incarnation::FIRST, now);
+    assert_eq!(told(&mut rig), [("c".into(), false)]);
+}

@@ -1,0 +1,65 @@
+//! Children at safe rest, and isolated ones.
+
+use super::*;
+
+#[test]
+fn a_child_in_safe_rest_stays_there_until_a_person_brings_it_back() {
+    let mut rig = Rig::serving(Strategy::OneForAll);
+
+    assert_eq!(rig.rest("b", Cause::Faulty), ["isolate b", "stop b"]);
+    assert_eq!(rig.stopped("b", 1), ["1 let b go"]);
+    assert_eq!(rig.restart("b", Cause::Stuck, 1), ["2 gave b up: it is in safe rest"]);
+    assert_eq!(rig.restart("a", Cause::Died, 1), ["stop c"]);
+    assert_eq!(rig.stopped("c", 1), ["start a #2"]);
+    assert_eq!(rig.started("a", 2), ["start c #2"]);
+    assert_eq!(rig.started("c", 2), ["3 recovered a #2"]);
+    assert_eq!(rig.restart_by_hand("b"), ["admit b", "stop c"]);
+    assert_eq!(rig.stopped("c", 2), ["stop a"]);
+}
+
+#[test]
+fn what_a_person_wants_is_counted_by_no_budget_and_needs_a_supervisor_at_work() {
+    let mut rig = Rig::with(Strategy::OneForOne, 1, &[("a", permanent())]);
+    rig.begin();
+    rig.started("a", 1);
+    for life in 1..5 {
+        assert_eq!(rig.restart_by_hand("a"), ["stop a"]);
+        assert_eq!(rig.stopped("a", life), [format!("start a #{}", life + 1)]);
+        assert_eq!(rig.started("a", life + 1), [format!("{life} recovered a #{}", life + 1)]);
+    }
+    assert_eq!(rig.machine.restarts_left(rig.now), 1);
+
+    rig.end();
+    rig.stopped("a", 5);
+    assert_eq!(rig.restart_by_hand("a"), ["5 gave a up: its supervisor is not at work"]);
+}
+
+#[test]
+fn a_stuck_child_is_put_to_rest_without_being_asked() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+
+    assert_eq!(rig.rest("b", Cause::Stuck), ["isolate b", "abandon b", "1 let b go"]);
+    assert_eq!(rig.state("b"), ChildState::Resting);
+    assert_eq!(rig.isolate("x", true), ["2 gave x up: no such child"]);
+}
+
+#[test]
+fn nobody_waits_for_an_isolated_child_without_a_life() {
+    let children = ["a", "b"].map(|child| (child, permanent()));
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &children);
+    rig.begin();
+    rig.start_failed("a", 1);
+
+    assert_eq!(rig.isolate("a", true), ["isolate a", "1 let a go", "start b #1"]);
+}
+
+#[test]
+fn isolating_all_reaches_every_child_once() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    rig.isolate("b", true);
+
+    rig.machine.handle_isolate_all(true, rig.now);
+    assert_eq!(rig.said(), ["isolate a", "isolate c"]);
+    rig.machine.handle_isolate_all(false, rig.now);
+    assert_eq!(rig.said(), ["admit a", "admit b", "admit c"]);
+}

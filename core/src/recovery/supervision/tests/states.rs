@@ -1,0 +1,170 @@
+//! A supervisor in each of its states, and what may come there.
+
+use super::*;
+
+#[test]
+fn children_come_and_go_while_it_is_at_work() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+
+    rig.machine.add_child(name("d"), permanent(), rig.now).expect("a free name");
+    assert_eq!(rig.said(), ["start d #1"]);
+    assert_eq!(rig.started("d", 1), [""; 0]);
+    assert_eq!(
+        rig.machine.add_child(name("d"), permanent(), rig.now),
+        Err(GiveUpReason::NameTaken)
+    );
+    assert_eq!(rig.remove("b"), ["stop b"]);
+    assert_eq!(rig.restart("b", Cause::Died, 1), ["2 gave b up: it is in safe rest"]);
+    assert_eq!(rig.stopped("b", 1), ["left b", "1 let b go"]);
+    assert_eq!(rig.remove("b"), ["3 gave b up: no such child"]);
+    assert_eq!(rig.end(), ["stop d"]);
+    assert_eq!(rig.stopped("d", 1), ["stop c"]);
+}
+
+#[test]
+fn nothing_is_restarted_while_it_is_not_at_work() {
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &[("a", permanent())]);
+
+    assert_eq!(rig.restart("a", Cause::Died, 0), ["1 gave a up: its supervisor is not at work"]);
+    rig.begin();
+    rig.started("a", 1);
+    assert_eq!(rig.end(), ["stop a"]);
+    assert_eq!(rig.restart("a", Cause::Died, 1), ["2 gave a up: its supervisor is not at work"]);
+    assert_eq!(rig.stopped("a", 1), ["all stopped"]);
+    assert_eq!(rig.remove("a"), ["left a", "3 let a go"]);
+}
+
+#[test]
+fn being_forsaken_gives_every_life_up_and_a_new_beginning_starts_all() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    rig.restart("b", Cause::Faulty, 1);
+    rig.remove("c");
+
+    rig.machine.handle_forsake(rig.now);
+    assert_eq!(rig.said(), ["abandon c", "left c", "abandon b", "abandon a", "2 let c go"]);
+
+    assert_eq!(rig.begin(), ["start a #2"]);
+    assert_eq!(rig.started("a", 2), ["start b #2"]);
+    assert_eq!(rig.started("b", 2), ["all started", "1 recovered b #2"]);
+}
+
+#[test]
+fn a_second_beginning_without_an_end_leaves_no_life_twice() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+
+    assert_eq!(rig.begin(), ["abandon c", "abandon b", "abandon a", "start a #2"]);
+}
+
+#[test]
+fn after_a_restart_of_its_own_children_at_work_stay_and_the_others_start_again() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    rig.restart("b", Cause::Faulty, 1);
+    rig.restart("c", Cause::Died, 1);
+
+    rig.machine.handle_own_restart(rig.now);
+
+    assert_eq!(rig.said(), ["abandon b", "abandon c", "start b #2"]);
+    assert_eq!(rig.started("b", 2), ["start c #3"]);
+    assert_eq!(rig.state("a"), ChildState::Running);
+}
+
+/// Puts child `b` of three into each state, throws each input at it, lets everything be answered, and
+/// finds either a supervisor at work with all that it wants, or one that ended as it was told.
+#[test]
+fn every_state_takes_every_input_and_comes_to_an_end() {
+    type Act = (&'static str, fn(&mut Rig));
+    let states: [Act; 10] = [
+        ("running", |_| {}),
+        ("starting", |rig| drop(rig.restart("b", Cause::Died, 1))),
+        ("stopping", |rig| drop(rig.restart("b", Cause::Faulty, 1))),
+        ("resetting", |rig| drop(rig.reset("b"))),
+        ("failed", |rig| drop(rig.died("b", 1))),
+        ("resting", |rig| drop(rig.rest("b", Cause::Died))),
+        ("leaving", |rig| drop(rig.remove("b"))),
+        ("isolated", |rig| drop(rig.isolate("b", true))),
+        ("ending", |rig| drop(rig.end())),
+        ("forsaken", |rig| rig.machine.handle_forsake(rig.now)),
+    ];
+    let inputs: [Act; 22] = [
+        ("nothing", |_| {}),
+        ("restart, died", |rig| drop(rig.restart("b", Cause::Died, 1))),
+        ("restart, stuck", |rig| drop(rig.restart("b", Cause::Stuck, 1))),
+        ("restart, behind another", |rig| drop(rig.restart("b", Cause::Behind, 1))),
+        ("restart, faulty", |rig| drop(rig.restart("b", Cause::Faulty, 1))),
+        ("restart, next life", |rig| drop(rig.restart("b", Cause::Stuck, 2))),
+        ("restart by hand", |rig| drop(rig.restart_by_hand("b"))),
+        ("restart of a", |rig| drop(rig.restart("a", Cause::Stuck, 1))),
+        ("reset", |rig| drop(rig.reset("b"))),
+        ("rest", |rig| drop(rig.rest("b", Cause::Faulty))),
+        ("rest, stuck", |rig| drop(rig.rest("b", Cause::Stuck))),
+        ("isolate", |rig| drop(rig.isolate("b", true))),
+        ("remove", |rig| drop(rig.remove("b"))),
+        ("started", |rig| drop(rig.started("b", 2))),
+        ("start failed", |rig| drop(rig.start_failed("b", 2))),
+        ("stopped", |rig| drop(rig.stopped("b", 1))),
+        ("died", |rig| drop(rig.died("b", 1))),
+        ("died on the spot", |rig| drop(rig.died_on_the_spot("b", 1))),
+        ("escalated", |rig| drop(rig.escalated("b", 1))),
+        ("own restart", |rig| rig.machine.handle_own_restart(rig.now)),
+        ("end", |rig| drop(rig.end())),
+        ("time", |rig| drop(rig.pass(5))),
+    ];
+    for strategy in [Strategy::OneForOne, Strategy::OneForAll, Strategy::RestForOne] {
+        for (state, prepare) in states {
+            for (input, act) in inputs {
+                let mut rig = Rig::serving(strategy);
+                prepare(&mut rig);
+                act(&mut rig);
+                finish(&mut rig, &format!("{strategy:?}, {state}, {input}"));
+            }
+        }
+    }
+}
+
+/// Answers whatever is asked for, decides whatever failed, until nothing moves any more.
+fn finish(rig: &mut Rig, case: &str) {
+    for _ in 0..100 {
+        rig.said();
+        let table: Vec<ChildStatus> = rig.machine.children().collect();
+        let open = table.iter().find(|child| {
+            !matches!(child.state, ChildState::Running | ChildState::Resting | ChildState::Finished)
+        });
+        let Some(child) = open else { break };
+        let (name, life) = (child.name.as_str(), child.incarnation.0);
+        match child.state {
+            ChildState::Starting => drop(rig.started(name, life)),
+            ChildState::Stopping => drop(rig.stopped(name, life)),
+            ChildState::Resetting => drop(rig.reset_done(name, life, Ok(()))),
+            ChildState::Failed => drop(rig.restart(name, Cause::Died, life)),
+            // Either somebody else must move first, or the supervisor does not want to.
+            _ if !rig.machine.at_work() => break,
+            _ => {
+                let moving = table.iter().find(|child| {
+                    matches!(child.state, ChildState::Starting | ChildState::Stopping)
+                });
+                let child = moving.unwrap_or_else(|| panic!("{case}: {name} waits for nobody"));
+                let (name, life) = (child.name.as_str(), child.incarnation.0);
+                match child.state {
+                    ChildState::Starting => drop(rig.started(name, life)),
+                    _ => drop(rig.stopped(name, life)),
+                }
+            }
+        }
+    }
+    // Those that are still to stop.
+    for _ in 0..10 {
+        let table: Vec<ChildStatus> = rig.machine.children().collect();
+        let Some(child) = table.iter().find(|child| child.state == ChildState::Stopping) else {
+            break;
+        };
+        rig.stopped(child.name.as_str(), child.incarnation.0);
+    }
+    let table: Vec<ChildStatus> = rig.machine.children().collect();
+    let settled = |child: &ChildStatus| {
+        let well =
+            matches!(child.state, ChildState::Running | ChildState::Resting | ChildState::Finished);
+        well == rig.machine.at_work() || matches!(child.state, ChildState::Resting)
+    };
+    assert!(table.iter().all(settled), "{case}: {table:?}");
+    assert!(rig.machine.poll_timeout().is_none(), "{case}: {:?}", rig.machine);
+}

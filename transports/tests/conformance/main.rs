@@ -1,0 +1,225 @@
+//! One suite for every medium, plain and behind the fault wrapper. A new medium implements `Medium`
+//! here and is held to all of it.
+//!
+//! Sockets are real, on loopback and ports that the system chose; every wait is for an event.
+
+mod media;
+mod suite;
+
+use actix::dev::ContextFut;
+use actix::prelude::*;
+use blastema_contract::transport::{
+    Attach, Close, MediumAddress, ReadCounters, ReadInjectedFaults, Received, Transmit, Transport,
+    TransportCounters, TransportReport,
+};
+use blastema_doubles::{PATIENCE, Probe};
+use bytes::Bytes;
+use media::*;
+use std::cell::Cell;
+use std::future::Future;
+use std::pin::Pin;
+use std::rc::Rc;
+use std::task::{self, Poll};
+use suite::*;
+
+/// How the suite opens ends of one medium.
+trait Medium: Default + 'static {
+    /// A peer that is gone is noticed by the medium itself.
+    const CONNECTS: bool;
+    /// What may wait for a receiver that hangs, in frames, apart from the kernel's buffers.
+    const HELD: u64;
+    /// What is sent while nobody is at the other end may arrive later.
+    const KEEPS: bool = false;
+
+    /// Runs a test on the clock that suits the medium.
+    fn run(test: impl Future<Output = ()>);
+
+    /// An end at this address, or anywhere.
+    fn open(&self, at: Option<MediumAddress>) -> Opened;
+
+    /// Puts onto the wire what no transport would.
+    fn garbage(&self, to: &MediumAddress);
+}
+
+/// A transport, and how to throw its present life away.
+struct Opened {
+    transport: Transport,
+    wrapper: Option<Recipient<ReadInjectedFaults>>,
+    panic: Rc<Cell<bool>>,
+}
+
+/// An end with probes attached.
+struct End {
+    transport: Transport,
+    wrapper: Option<Recipient<ReadInjectedFaults>>,
+    frames: Probe<Received>,
+    reports: Probe<TransportReport>,
+    panic: Rc<Cell<bool>>,
+}
+
+impl End {
+    fn new(Opened { transport, wrapper, panic }: Opened) -> Self {
+        let (frames, reports) = attach(&transport);
+        End { transport, wrapper, frames, reports, panic }
+    }
+
+    /// Waits until it is open; the answer is its address and its mtu.
+    async fn opened(&self) -> (MediumAddress, usize) {
+        let opened = |report: &TransportReport| matches!(report, TransportReport::Opened { .. });
+        match self.reports.wait(opened).await {
+            TransportReport::Opened { local, mtu } => (local, mtu),
+            other => unreachable!("{other:?} was not waited for"),
+        }
+    }
+
+    async fn closed(&self) -> String {
+        let closed = |report: &TransportReport| matches!(report, TransportReport::Closed { .. });
+        match self.reports.wait(closed).await {
+            TransportReport::Closed { reason } => reason,
+            other => unreachable!("{other:?} was not waited for"),
+        }
+    }
+
+    fn send(&self, to: &MediumAddress, frame: impl Into<Bytes>) {
+        self.transport.transmit.do_send(Transmit::new(to.clone(), frame.into().into()));
+    }
+
+    async fn counters(&self) -> TransportCounters {
+        self.transport.counters.send(ReadCounters).await.expect("the transport lives")
+    }
+
+    /// How many frames were taken from the medium and not thrown away since.
+    async fn taken(&self) -> u64 {
+        let thrown = match &self.wrapper {
+            Some(wrapper) => {
+                wrapper.send(ReadInjectedFaults).await.expect("it lives").incoming.overflowed
+            }
+            None => 0,
+        };
+        self.counters().await.received - thrown
+    }
+
+    /// What was reported, but for what the medium is like.
+    fn events(&self) -> Vec<TransportReport> {
+        let mut reports = self.reports.drain();
+        let is_event = |report: &TransportReport| {
+            !matches!(report, TransportReport::Rate { .. } | TransportReport::Bus { .. })
+        };
+        reports.retain(is_event);
+        reports
+    }
+
+    /// Waits until the counters are as wanted.
+    async fn counted(&self, what: &str, wanted: impl Fn(&TransportCounters) -> bool) {
+        let counted = async {
+            while !wanted(&self.counters().await) {
+                tokio::task::yield_now().await;
+            }
+        };
+        let waited = tokio::time::timeout(PATIENCE, counted).await;
+        assert!(waited.is_ok(), "{what}: {:?}", self.counters().await);
+    }
+
+    /// Sends until it arrives there, for a medium may lose frames while a peer comes back. The answer
+    /// is whether anything else arrived before.
+    async fn send_until_received(
+        &self,
+        to: &MediumAddress,
+        frame: &'static str,
+        receiver: &End,
+    ) -> bool {
+        let arrived = async {
+            let mut other = false;
+            loop {
+                self.send(to, frame);
+                self.counters().await;
+                tokio::task::yield_now().await;
+                for received in receiver.frames.drain() {
+                    if received.frame == frame {
+                        return other;
+                    }
+                    other = true;
+                }
+            }
+        };
+        match tokio::time::timeout(PATIENCE, arrived).await {
+            Ok(other) => other,
+            Err(_) => panic!("{:?} {:?}", self.counters().await, receiver.counters().await),
+        }
+    }
+}
+
+fn attach(transport: &Transport) -> (Probe<Received>, Probe<TransportReport>) {
+    let (frames, reports) = (Probe::start(), Probe::start());
+    transport.attach.do_send(Attach { frames: frames.recipient(), reports: reports.recipient() });
+    (frames, reports)
+}
+
+/// Starts an actor as the guardian of the node does, which gives it its next life after a panic.
+fn start<A: Actor<Context = Context<A>> + Supervised>(actor: A) -> (Addr<A>, Rc<Cell<bool>>) {
+    struct Ward<A: Actor<Context = Context<A>>>(ContextFut<A, Context<A>>, Rc<Cell<bool>>);
+    impl<A: Actor<Context = Context<A>> + Supervised> Future for Ward<A> {
+        type Output = ();
+        fn poll(mut self: Pin<&mut Self>, task: &mut task::Context<'_>) -> Poll<()> {
+            if self.1.take() {
+                self.0.restart();
+            }
+            Pin::new(&mut self.0).poll(task)
+        }
+    }
+    let future = Context::new().into_future(actor);
+    let (address, panic) = (future.address(), Rc::new(Cell::new(false)));
+    actix_rt::spawn(Ward(future, panic.clone()));
+    (address, panic)
+}
+
+/// Instantiates the suite for one medium.
+macro_rules! conformance {
+    ($module:ident, $medium:ty: $($test:ident),+ $(,)?) => {
+        mod $module {
+            use super::*;
+            $(
+                #[test]
+                fn $test() {
+                    <$medium as Medium>::run(super::$test::<$medium>());
+                }
+            )+
+        }
+    };
+    ($($module:ident: $medium:ty),+ $(,)?) => {
+        $(conformance! {
+            $module, $medium:
+            frames_arrive_whole,
+            the_empty_and_the_largest_frame_arrive,
+            a_frame_that_is_too_large_is_refused_and_counted,
+            an_address_of_another_medium_is_refused_and_counted,
+            many_frames_keep_their_order_and_none_is_doubled,
+            attaching_replaces_who_was_attached_and_tells_the_present_state,
+            a_peer_that_is_gone_and_back_is_reached_again,
+            closing_releases_the_port,
+            a_port_that_is_taken_is_reported_and_opened_when_it_is_free,
+            garbage_on_the_wire_harms_nobody,
+            a_flood_before_a_receiver_that_hangs_stays_bounded,
+            the_next_life_after_a_panic_opens_at_the_same_address_for_the_same_receiver,
+        })+
+    };
+}
+
+conformance! {
+    memory: OverMemory,
+    udp: OverUdp,
+    multicast: OverMulticast,
+    tcp: OverTcp,
+    unix: OverUnix,
+    serial: OverSerial,
+    slcan: OverSlcan,
+    memory_behind_the_wrapper: Behind<OverMemory>,
+    udp_behind_the_wrapper: Behind<OverUdp>,
+    tcp_behind_the_wrapper: Behind<OverTcp>,
+    unix_behind_the_wrapper: Behind<OverUnix>,
+    serial_behind_the_wrapper: Behind<OverSerial>,
+    slcan_behind_the_wrapper: Behind<OverSlcan>,
+}
+
+#[cfg(guest)]
+mod socket_can;
