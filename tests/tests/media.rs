@@ -114,37 +114,30 @@ fn free() -> [String; 2] {
     sockets.map(|(_, _, address)| address.to_string())
 }
 
-#[test]
-fn two_nodes_speak_over_udp_bound_to_an_interface() {
+/// Each is at a free address, of which the endpoint is made, and knows the other's.
+fn speak_at_addresses(endpoint: impl Fn(&str) -> String) {
     blastema::run(async {
         let [a, b] = free();
         let at = |own: &str, peer: &str, far: &str| {
-            Network::new("ieee1394", &format!("udp://{own}?interface=lo")).peer(peer, far)
+            Network::new("ethernet", &endpoint(own)).peer(peer, far)
         };
         speak_over(at(&a, "module2", &b), at(&b, "module1", &a)).await;
     });
+}
+
+#[test]
+fn two_nodes_speak_over_udp_bound_to_an_interface() {
+    speak_at_addresses(|own| format!("udp://{own}?interface=lo"));
 }
 
 #[test]
 fn two_nodes_speak_over_udp_while_they_hear_a_group() {
-    blastema::run(async {
-        let [a, b] = free();
-        let at = |own: &str, peer: &str, far: &str| {
-            Network::new("group", &format!("udp://239.255.77.3:7400?own={own}")).peer(peer, far)
-        };
-        speak_over(at(&a, "module2", &b), at(&b, "module1", &a)).await;
-    });
+    speak_at_addresses(|own| format!("udp://239.255.77.3:7400?own={own}"));
 }
 
 #[test]
 fn two_nodes_speak_over_tcp() {
-    blastema::run(async {
-        let [a, b] = free();
-        let at = |own: &str, peer: &str, far: &str| {
-            Network::new("tcp", &format!("tcp://{own}")).peer(peer, far)
-        };
-        speak_over(at(&a, "module2", &b), at(&b, "module1", &a)).await;
-    });
+    speak_at_addresses(|own| format!("tcp://{own}"));
 }
 
 #[test]

@@ -65,9 +65,9 @@ impl Shown {
 }
 
 /// Waits until it is so.
-async fn until(so: impl Fn() -> bool) {
+async fn until(so: impl AsyncFn() -> bool) {
     let waiting = async {
-        while !so() {
+        while !so().await {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     };
@@ -87,7 +87,7 @@ fn a_node_is_seen_at_safe_rest_with_the_reason_and_not_once_it_is_shut_down() {
         assert!(seen.contains(r#""state":"at rest""#) && seen.contains("struck"), "{seen}");
 
         node.shutdown().await;
-        until(|| !window.exists()).await;
+        until(async || !window.exists()).await;
     });
 }
 
@@ -138,7 +138,7 @@ fn a_window_that_somebody_removes_is_made_again() {
 
         std::fs::remove_file(&window).unwrap();
 
-        until(|| window.exists()).await;
+        until(async || window.exists()).await;
         assert!(look(&window).await.contains("module1"));
         assert!(node.faults().await.entries.is_empty(), "nobody has to do anything");
         node.shutdown().await;
@@ -159,25 +159,15 @@ fn that_a_window_cannot_be_made_again_is_a_fault_until_it_can() {
         };
 
         std::fs::remove_dir_all(folder.path()).unwrap();
-        let told = async {
-            while faults().await.is_empty() {
-                tokio::time::sleep(Duration::from_millis(1)).await;
-            }
-        };
-        tokio::time::timeout(LONG, told).await.expect("it is told");
+        until(async || !faults().await.is_empty()).await;
         let told = faults().await;
         assert!(told[0].0.contains("window") && told[0].0.contains("create it"), "{told:?}");
         assert!(!told[0].1, "{told:?}");
 
         std::fs::create_dir(folder.path()).unwrap();
-        until(|| window.exists()).await;
+        until(async || window.exists()).await;
         assert!(look(&window).await.contains("module1"));
-        let mended = async {
-            while !faults().await[0].1 {
-                tokio::time::sleep(Duration::from_millis(1)).await;
-            }
-        };
-        tokio::time::timeout(LONG, mended).await.expect("it is over");
+        until(async || faults().await[0].1).await;
         assert_eq!(faults().await.len(), 1);
         node.shutdown().await;
     });
