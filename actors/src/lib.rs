@@ -162,8 +162,8 @@ pub use blastema_core::net::{LinkState, Refusals, Route};
 pub use blastema_macros::main;
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 pub use node::{
-    Cable, Direction, FaultEvents, Impairment, Link, MemoryMedium, Network, Node, NodeBuilder,
-    NodeState, Picture, RestartError, StartError, SupervisorSpec,
+    Cable, Direction, FaultEvents, Impairment, IsolateError, Link, MemoryMedium, Network, Node,
+    NodeBuilder, NodeState, Picture, RestartError, StartError, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.

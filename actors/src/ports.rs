@@ -2,12 +2,13 @@
 
 use crate::component::{Component, Handle};
 use crate::host::anchor::Anchor;
+use crate::host::spec::SpecError;
 use crate::lease::{self, ActuatorSpec};
 use crate::registry::{Doorway, Port};
 use crate::topic::{Condition, Listening, Subscription, Subscriptions, Topics};
 use crate::variable::{Declared, VariableSpec};
-use blastema_core::{Contract, Event, Request, Variable, Why};
-use std::collections::BTreeMap;
+use blastema_core::{Contract, Event, ObjectName, Request, Variable, Why};
+use std::collections::{BTreeMap, BTreeSet};
 use std::panic::Location;
 use std::sync::Arc;
 
@@ -18,6 +19,8 @@ type Bind<C> = Box<dyn FnOnce(&Topics) -> Result<Arc<dyn Subscription<C>>, Why>>
 /// The ports of one component: filled in `Component::ports`.
 pub struct Ports<C: Component> {
     open: Vec<OpenPort<C>>,
+    /// The contracts that they are for.
+    taken: Vec<&'static str>,
     listen: Vec<Bind<C>>,
     variables: Vec<Declared>,
     actuators: Vec<(lease::Declared, OpenPort<C>)>,
@@ -28,6 +31,7 @@ impl<C: Component> Ports<C> {
     pub(crate) fn of() -> Self {
         let mut ports = Ports {
             open: Vec::new(),
+            taken: Vec::new(),
             listen: Vec::new(),
             variables: Vec::new(),
             actuators: Vec::new(),
@@ -42,6 +46,7 @@ impl<C: Component> Ports<C> {
         C: Handle<M>,
     {
         self.open.push(Port::open::<C, M>);
+        self.taken.push(M::NAME);
         self
     }
 
@@ -51,6 +56,7 @@ impl<C: Component> Ports<C> {
         C: Handle<M>,
     {
         self.open.push(Port::open::<C, M>);
+        self.taken.push(M::NAME);
         self
     }
 
@@ -79,6 +85,37 @@ impl<C: Component> Ports<C> {
     {
         self.actuators.push((spec.declared(), Port::open::<C, M>));
         self
+    }
+
+    /// Finds contracts of which two ports are.
+    pub(crate) fn check(&self, component: &ObjectName) -> Result<(), SpecError> {
+        let twice = |contract, ports| {
+            Err(SpecError::PortTwice { name: component.clone(), contract, ports })
+        };
+        let mut taken = BTreeSet::new();
+        if let Some(contract) = self.taken.iter().find(|name| !taken.insert(**name)) {
+            return twice(*contract, "both by serve or accept");
+        }
+        let mut commanded = BTreeSet::new();
+        for (actuator, _) in &self.actuators {
+            let contract = actuator.identity.name;
+            if !lease::SPANS.contains(&actuator.span) {
+                let (value, cure) = (format!("{:?}", actuator.span), "write 20 ms to 60 s");
+                return Err(SpecError::setting(component.as_str(), "a lease", value, cure));
+            }
+            // What anybody may send would move the actuator without a lease.
+            if taken.contains(contract) {
+                return twice(contract, "one for everybody and one for whoever holds the lease");
+            }
+            if !commanded.insert(contract) {
+                return twice(contract, "both by actuator");
+            }
+        }
+        let mut variables = BTreeSet::new();
+        match self.variables.iter().map(Declared::name).find(|name| !variables.insert(*name)) {
+            Some(contract) => twice(contract, "both by variable"),
+            None => Ok(()),
+        }
     }
 
     /// The actuators that were declared, and the ways to them.

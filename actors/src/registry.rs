@@ -19,7 +19,7 @@ use blastema_core::{
 };
 use bytes::Bytes;
 use std::any::{Any, type_name};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::marker::PhantomData;
 use std::pin::Pin;
@@ -351,6 +351,8 @@ struct Inner {
     objects: BTreeMap<ObjectName, Entry>,
     /// What nodes say to each other, and no object does: one contract each.
     hidden: BTreeMap<ObjectName, Port>,
+    /// Names of supervisors and of the middleware's own objects, at which nothing can be sent.
+    reserved: BTreeSet<ObjectName>,
     /// Rises whenever a name is given or taken away.
     revision: u64,
     node: Option<NodeName>,
@@ -388,12 +390,17 @@ impl Registry {
         mortal: Arc<dyn Mortal>,
     ) -> Result<(), NameTaken> {
         let mut inner = self.lock();
-        if inner.objects.contains_key(name) {
+        if inner.objects.contains_key(name) || inner.reserved.contains(name) {
             return Err(NameTaken { name: name.clone() });
         }
         inner.objects.insert(name.clone(), Entry { ports, mortal });
         inner.revision += 1;
         Ok(())
+    }
+
+    /// Keeps these names from objects that come later.
+    pub(crate) fn reserve(&self, names: impl IntoIterator<Item = ObjectName>) {
+        self.lock().reserved.extend(names);
     }
 
     /// Takes a contract from other nodes under a name that is nobody's and is not told to them.

@@ -41,6 +41,31 @@ pub enum NameError {
         /// The longest that is taken, in bytes.
         limit: usize,
     },
+    /// A part that means something else where names become paths of files and words of command lines.
+    /// Begin it with a letter, a digit or `_`.
+    #[error(
+        "{text:?} has the part {part:?} at byte {at}, {why}: begin it with a letter, a digit or '_'"
+    )]
+    Part {
+        /// What was to be parsed.
+        text: String,
+        /// The part.
+        part: String,
+        /// Its place, in bytes.
+        at: usize,
+        /// For what it would be taken.
+        why: &'static str,
+    },
+}
+
+/// For what a part of a name would be taken where names become paths of files (`.` and `..` are folders)
+/// or words of command lines (`-x` is an option).
+fn mistaken(part: &str) -> Option<&'static str> {
+    match part {
+        "." | ".." => Some("which is a folder wherever names become paths"),
+        part if part.starts_with('-') => Some("which programs take for an option"),
+        _ => None,
+    }
 }
 
 fn check(text: &str, limit: usize, slashes: bool) -> Result<(), NameError> {
@@ -52,10 +77,17 @@ fn check(text: &str, limit: usize, slashes: bool) -> Result<(), NameError> {
         return Err(NameError::Empty { text: text.into() });
     }
     let wrong = |c: char| !(c.is_ascii_alphanumeric() || "_-.".contains(c) || slashes && c == '/');
-    match text.char_indices().find(|&(_, c)| wrong(c)) {
-        Some((at, found)) => Err(NameError::Character { text: text.into(), found, at }),
-        None => Ok(()),
+    if let Some((at, found)) = text.char_indices().find(|&(_, c)| wrong(c)) {
+        return Err(NameError::Character { text: text.into(), found, at });
     }
+    let mut at = 0;
+    for part in text.split('/') {
+        if let Some(why) = mistaken(part) {
+            return Err(NameError::Part { text: text.into(), part: part.into(), at, why });
+        }
+        at += part.len() + 1;
+    }
+    Ok(())
 }
 
 macro_rules! name {
@@ -122,7 +154,8 @@ macro_rules! name {
 }
 
 name! {
-    /// The name of a node: one process of the robot. At most 32 bytes.
+    /// The name of a node: one process of the robot. At most 32 bytes, neither `.` nor `..`, and without a
+    /// `-` at its beginning.
     ///
     /// ```
     /// use blastema_core::NodeName;
@@ -133,7 +166,8 @@ name! {
 }
 
 name! {
-    /// The name of an object within its node, such as `arm/left/elbow`. At most 128 bytes.
+    /// The name of an object within its node, such as `arm/left/elbow`. At most 128 bytes; no part is `.` or
+    /// `..`, or begins with `-`.
     ///
     /// ```
     /// use blastema_core::ObjectName;
@@ -200,5 +234,28 @@ mod tests {
         let long = NodeName::new(&"n".repeat(33)).unwrap_err().to_string();
         assert!(long.starts_with(&format!("\"{}…\" has 33 bytes", "n".repeat(24))), "{long}");
         assert!(matches!("module1".parse::<ObjectAddress>(), Err(NameError::Empty { .. })));
+    }
+
+    #[test]
+    fn a_name_is_taken_neither_for_a_folder_nor_for_an_option() {
+        let check = |text: &str, wrong: &str, place: usize| match ObjectName::new(text) {
+            Err(NameError::Part { part, at, .. }) => {
+                assert_eq!((part.as_str(), at), (wrong, place), "{text}");
+            }
+            other => panic!("{text}: {other:?}"),
+        };
+        check(".", ".", 0);
+        check("..", "..", 0);
+        check("arm/../leg", "..", 4);
+        check("arm/./leg", ".", 4);
+        check("-rf", "-rf", 0);
+        check("arm/-v", "-v", 4);
+        for node in [".", "..", "-h"] {
+            let told = NodeName::new(node).expect_err(node).to_string();
+            assert!(told.contains("begin it with a letter"), "{told}");
+        }
+        for good in ["...", ".arm", "a-b", "a.b", "_-", "arm/left-1", "1"] {
+            assert_eq!(ObjectName::new(good).map(|name| name.to_string()), Ok(good.to_owned()));
+        }
     }
 }

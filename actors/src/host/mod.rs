@@ -28,6 +28,7 @@ mod course;
 pub(crate) mod environment;
 pub(crate) mod label;
 pub(crate) mod life;
+pub(crate) mod limits;
 pub(crate) mod office;
 pub(crate) mod pulse;
 pub(crate) mod pump;

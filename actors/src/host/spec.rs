@@ -3,6 +3,7 @@
 use super::anchor::{Anchor, Record};
 use super::child::HostedChild;
 use super::environment::HostEnvironment;
+use super::limits::Limits;
 use crate::claim::ClaimPolicy;
 use crate::component::Component;
 use crate::lane::WhenFull;
@@ -15,6 +16,7 @@ use blastema_core::dependencies::DependencyError;
 use blastema_core::detection::Watch;
 use blastema_core::net::claims::Wanted;
 use blastema_core::{NameError, ObjectName, Why};
+use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -26,7 +28,10 @@ pub enum SpecError {
     /// Its name does not parse.
     #[error("the name of a component, or one that it claims: {0}")]
     Name(#[from] NameError),
-    /// Another object has its name.
+    /// The name of a supervisor does not parse.
+    #[error("the name of a supervisor: {0}")]
+    Supervisor(NameError),
+    /// Another object has its name: a component, a supervisor (`root` is one), or one of the middleware's own.
     #[error(transparent)]
     Taken(#[from] NameTaken),
     /// It listens to a topic that carries another contract of the same name.
@@ -37,7 +42,8 @@ pub enum SpecError {
         /// What differs.
         why: Why,
     },
-    /// One of its variables cannot be: its default is larger than its contract allows.
+    /// One of its variables cannot be: its default is larger than its contract allows, or refused by its own
+    /// check.
     #[error("a variable of {name} cannot be: {why}")]
     Variable {
         /// The component.
@@ -75,41 +81,32 @@ pub enum SpecError {
         /// What to write instead.
         cure: &'static str,
     },
+    /// Two of its ports are for contracts of one name, so that only one of them could be reached.
+    #[error("{name} has two ports for {contract:?}, {ports}: leave one of them out")]
+    PortTwice {
+        /// The component.
+        name: ObjectName,
+        /// The contract's name.
+        contract: &'static str,
+        /// Which ports they are.
+        ports: &'static str,
+    },
+}
+
+impl SpecError {
+    pub(crate) fn setting(
+        name: &str,
+        setting: &'static str,
+        value: impl Into<String>,
+        cure: &'static str,
+    ) -> Self {
+        SpecError::Setting { name: name.to_owned(), setting, value: value.into(), cure }
+    }
 }
 
 /// Messages that a queue may hold: seconds of the fastest sender there is, and still a bound. More would
 /// be a leak with a name.
 const QUEUE_LIMIT: usize = 1 << 20;
-
-/// The limits of one component's life.
-#[derive(Clone, Debug)]
-pub(crate) struct Limits {
-    pub(crate) interval: Option<Duration>,
-    pub(crate) watch: Watch,
-    pub(crate) max_block: Duration,
-    pub(crate) max_wait: Duration,
-    pub(crate) ready_within: Duration,
-    pub(crate) shutdown_within: Duration,
-    pub(crate) own_thread: bool,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Limits {
-            interval: None,
-            watch: Watch::Guard,
-            // Fifty beats: far beyond what a loaded machine adds, and short for a robot's standstill.
-            max_block: Duration::from_millis(500),
-            // Ten times the default deadline of a request that the handler may be waiting for.
-            max_wait: Duration::from_secs(10),
-            // A device that has to warm up, a map that has to be loaded.
-            ready_within: Duration::from_secs(10),
-            // Outputs are brought to rest within a second or two.
-            shutdown_within: Duration::from_secs(5),
-            own_thread: false,
-        }
-    }
-}
 
 /// What a component is called, how it is built, and how it is run and watched.
 #[must_use = "a child spec does nothing until it is given to a node or a supervisor"]
@@ -183,26 +180,27 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// How long a handler may keep its arbiter before it counts as hanging. Longer tolerates slow
-    /// handlers, and leaves neighbours standing longer behind one that really hangs.
+    /// How long a handler may keep its arbiter before it counts as hanging; at least 10 ms. Longer tolerates
+    /// slow handlers, and leaves neighbours standing longer behind one that really hangs.
     pub fn max_block(mut self, span: Duration) -> Self {
         self.limits.max_block = span;
         self
     }
 
-    /// How long a handler may await something before it counts as hanging.
+    /// How long a handler may await something before it counts as hanging; at least 1 ms.
     pub fn max_wait(mut self, span: Duration) -> Self {
         self.limits.max_wait = span;
         self
     }
 
-    /// How long a life may take to become active.
+    /// How long a life may take to become active; at least 1 ms.
     pub fn ready_within(mut self, span: Duration) -> Self {
         self.limits.ready_within = span;
         self
     }
 
-    /// How long a life may take to end in order; after that it is ended out of order.
+    /// How long a life may take to end in order; after that it is ended out of order. Zero gives it no time
+    /// at all.
     pub fn shutdown_within(mut self, span: Duration) -> Self {
         self.limits.shutdown_within = span;
         self
@@ -246,6 +244,8 @@ impl<C: Component> ChildSpec<C> {
     ) -> Result<(Box<dyn Child>, ActorRef<C>), SpecError> {
         let mut limits = self.limits.clone();
         limits.interval = self.interval()?;
+        limits.check(&self.name)?;
+        self.check_claims()?;
         if self.queue.0 == 0 {
             return Err(self.setting("the queue", "0", "a queue holds at least one message"));
         }
@@ -259,6 +259,7 @@ impl<C: Component> ChildSpec<C> {
         }
         let name = ObjectName::new(&self.name)?;
         let mut ports = Ports::<C>::of();
+        ports.check(&name)?;
         ports.open_beside(self.beside);
         let wanted = |(claimed, policy): &(String, ClaimPolicy)| {
             let claimed = ObjectName::new(claimed)?;
@@ -309,7 +310,18 @@ impl<C: Component> ChildSpec<C> {
         })
     }
 
+    /// The second claim of one name would be refused for the first one, for ever.
+    fn check_claims(&self) -> Result<(), SpecError> {
+        let mut names = BTreeSet::new();
+        match self.claims.iter().find(|(name, _)| !names.insert(name)) {
+            None => Ok(()),
+            Some((name, _)) => {
+                Err(self.setting("a claim", &format!("{name} twice"), "claim each name once"))
+            }
+        }
+    }
+
     fn setting(&self, setting: &'static str, value: &str, cure: &'static str) -> SpecError {
-        SpecError::Setting { name: self.name.clone(), setting, value: value.to_owned(), cure }
+        SpecError::setting(&self.name, setting, value, cure)
     }
 }

@@ -5,8 +5,8 @@
 
 use super::arbiters::Arbiters;
 use super::label;
+use super::limits::Limits;
 use super::pulse::Pulse;
-use super::spec::Limits;
 use super::stamp::Stamp;
 use crate::platform;
 use actix::Recipient;
@@ -58,7 +58,10 @@ impl Watched {
             // Half an interval of lateness is not another lost sign.
             Watch::Push(push) => Some(MaxSilence {
                 first: push.start_up,
-                between: push.interval * push.tolerance + push.interval / 2,
+                between: push
+                    .interval
+                    .saturating_mul(push.tolerance)
+                    .saturating_add(push.interval / 2),
             }),
             _ => None,
         };

@@ -19,6 +19,7 @@ use order::{Order, Ordered, Wish};
 use std::fmt;
 use std::future::Future;
 use std::marker::PhantomData;
+use std::ops::RangeInclusive;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use tokio::sync::Notify;
@@ -26,8 +27,10 @@ use tokio::sync::Notify;
 /// Until told otherwise: three renewals may be late or lost, and nothing moves on for longer than a
 /// person takes to be startled.
 const SPAN: Duration = Duration::from_millis(200);
-/// A shorter lease would end whenever a computer is busy for a moment.
-pub(crate) const SPAN_MIN: Duration = Duration::from_millis(20);
+/// A shorter lease would end whenever a computer is busy for a moment; a longer one would let a robot move
+/// without anybody for longer than it takes to walk up to it.
+pub(crate) const SPANS: RangeInclusive<Duration> =
+    Duration::from_millis(20)..=Duration::from_secs(60);
 /// How long a claim or a release may take.
 const CLAIM_WITHIN: Duration = Duration::from_secs(1);
 
@@ -45,11 +48,11 @@ impl<M: Contract> ActuatorSpec<M> {
         ActuatorSpec { safe, span: SPAN, cut_off: None }
     }
 
-    /// How long a commander may be silent; 200 ms unless this says otherwise, and at least 20 ms.
+    /// How long a commander may be silent; 200 ms unless this says otherwise, from 20 ms to a minute.
     /// Shorter stops sooner, and stops for a commander that was merely late.
     #[must_use]
     pub fn lease(mut self, span: Duration) -> Self {
-        self.span = span.max(SPAN_MIN);
+        self.span = span;
         self
     }
 

@@ -49,6 +49,8 @@ pub(super) struct Gate {
     condition: AtomicU8,
     /// A path leads there, or perhaps the session waits for one.
     path: AtomicBool,
+    /// There was a session, or a path, at some time.
+    met: AtomicBool,
     isolated: AtomicBool,
     /// Of which streams the session holds all that it should, a bit each.
     full_streams: AtomicU8,
@@ -95,6 +97,7 @@ impl Gate {
     /// A session has begun: it takes messages, and knows of no binding.
     pub(super) fn begin(&self) {
         self.outcast.let_in();
+        self.met.store(true, Relaxed);
         self.hall_is_full.store(false, Relaxed);
         self.full_streams.store(0, Relaxed);
         self.set(Condition::Open);
@@ -129,6 +132,7 @@ impl Gate {
 
     pub(super) fn path_found(&self) {
         self.path.store(true, Relaxed);
+        self.met.store(true, Relaxed);
         self.changed.notify_waiters();
     }
 
@@ -282,6 +286,18 @@ impl Doors {
         self.gate(node).opened().await;
     }
 
+    /// Whether a path has led there, now or before.
+    pub(super) fn has_met(&self, node: &NodeName) -> bool {
+        self.lock().get(node).is_some_and(|gate| gate.met.load(Relaxed))
+    }
+
+    /// Those that a path leads to now, or did before, in the order of their names.
+    pub(super) fn met(&self) -> Vec<NodeName> {
+        let gates = self.lock();
+        let met = gates.iter().filter(|(_, gate)| gate.met.load(Relaxed));
+        met.map(|(node, _)| node.clone()).collect()
+    }
+
     /// As many as nodes that this program has named, or met.
     pub(super) fn gate(&self, node: &NodeName) -> Arc<Gate> {
         let mut gates = self.lock();
@@ -291,6 +307,7 @@ impl Doors {
                 outcast: self.outcast.clone(),
                 condition: AtomicU8::new(Condition::Unreachable as u8),
                 path: AtomicBool::new(false),
+                met: AtomicBool::new(false),
                 isolated: AtomicBool::new(false),
                 full_streams: AtomicU8::new(0),
                 hall_is_full: AtomicBool::new(false),

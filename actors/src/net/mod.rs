@@ -53,7 +53,7 @@ use blastema_contract::session::{AddGateway, Leave, PeerSeen, ReadSessions, Sess
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::LEARNED_MAX;
-use blastema_core::net::isolation::{Decision, Judges};
+use blastema_core::net::isolation::{Decision, Judges, NoSay};
 use blastema_core::net::{LinkNumber, NodeId};
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use discovery::{AddFields, DiscoveryBody, Field, FieldLinks};
@@ -387,11 +387,22 @@ impl NetHandle {
         self.gateway.send(ReadNames).await.unwrap_or_default()
     }
 
+    /// Whether this node has met another, or others have voted on it.
+    pub(crate) fn knows(&self, node: &NodeName) -> bool {
+        self.doors.has_met(node) || self.wardens.get().is_some_and(|wardens| wardens.know(node))
+    }
+
+    /// Those that a path leads to now, or did before.
+    pub(crate) fn met(&self) -> Vec<NodeName> {
+        self.doors.met()
+    }
+
     /// Keeps a node out everywhere, or lets it in again.
-    pub(crate) fn decide(&self, decision: Decision<'_>) {
-        if let Some(wardens) = self.wardens.get() {
-            wardens.decide(decision);
-        }
+    ///
+    /// # Errors
+    /// This node has no say on it.
+    pub(crate) fn decide(&self, decision: Decision<'_>) -> Result<(), NoSay> {
+        self.wardens.get().map_or(Ok(()), |wardens| wardens.decide(decision))
     }
 
     /// Takes the decisions of recovery strategies about other nodes.

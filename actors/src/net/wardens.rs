@@ -8,7 +8,7 @@ use blastema_contract::monitor::NodeReported;
 use blastema_contract::router::KeepOut;
 use blastema_core::codec;
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::isolation::{Decision, Isolation, IsolationOutput};
+use blastema_core::net::isolation::{Decision, Isolation, IsolationOutput, NoSay};
 use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName, Why};
 use blastema_macros::Event;
 use bytes::Bytes;
@@ -64,18 +64,25 @@ impl Wardens {
         self.machine.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Whether it has a session with this node, or somebody has voted on it.
+    pub(super) fn know(&self, node: &NodeName) -> bool {
+        self.lock().knows(node)
+    }
+
     /// This node decides.
-    pub(crate) fn decide(&self, decision: Decision<'_>) {
+    pub(super) fn decide(&self, decision: Decision<'_>) -> Result<(), NoSay> {
         let mut machine = self.lock();
-        machine.handle_decision(decision);
+        let said = machine.handle_decision(decision);
         self.carry_out(machine);
+        said
     }
 
     /// A strategy decides. What the others have decided already it does not make its own.
-    pub(super) fn carry_decision_out(&self, decision: Decision<'_>) {
-        if self.lock().is_isolated(decision.node) != decision.isolated {
-            self.decide(decision);
+    pub(super) fn carry_decision_out(&self, decision: Decision<'_>) -> Result<(), NoSay> {
+        if self.lock().is_isolated(decision.node) == decision.isolated {
+            return Ok(());
         }
+        self.decide(decision)
     }
 
     /// A session with this node has begun.

@@ -10,7 +10,7 @@ use self::chain::{Parts, make_chain};
 use self::networks::{claims_setup, make_networks};
 use super::builder::{NodeBuilder, Placement, StartError};
 use super::checks::{
-    check_networks, check_service, check_service_order, check_window, dependencies,
+    check_names, check_networks, check_service, check_service_order, check_settings, dependencies,
 };
 use super::keeper::{Keeper, StartRoot};
 use super::network::Network;
@@ -94,8 +94,8 @@ impl Assembly {
         let incarnation = platform::node_incarnation();
         let judges = judges(&builder.wardens)
             .map_err(StartError::name_of("the name of a node that isolates others"))?;
+        check_settings(builder)?;
         check_networks(&builder.networks, &node)?;
-        builder.shown_at.as_deref().map_or(Ok(()), check_window)?;
         let parts = make_chain(builder, (&node, incarnation))?;
         for listener in builder.listeners.drain(..) {
             listener.listen(&parts.chain.subscribe);
@@ -185,6 +185,9 @@ impl Assembly {
             let name = carried.body.clone();
             let roster = &self.environment.services;
             roster.enter(carried.name.clone(), carried.config.members.clone());
+            if let Some(networks) = &mut self.networks {
+                networks.described.extend(carried.config.members.iter().cloned());
+            }
             let place = self.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
             let place = place.or(self.parts.chain.arbiter.as_ref());
             let body = ReplicaBody::start(carried, &self.environment, &self.parts.guardian, place);
@@ -217,6 +220,12 @@ impl Assembly {
         let chain = self.parts.chain.inquiries.iter().cloned();
         let inquiries = chain.chain(harvest.supervisors);
         enrolments.extend(inquiries.map(|(name, inquiries)| middleware(name, Some(inquiries))));
+        let others: Vec<_> =
+            enrolments.iter().map(|enrol| enrol.enrolment.object.clone()).collect();
+        let components = harvest.components.iter().map(|facts| &facts.name);
+        check_names(others.iter().chain(components)).map_err(SpecError::from)?;
+        // Nor will those be called so that are added later.
+        self.environment.registry.reserve(others);
         let mut actors = Actors::new();
         for facts in harvest.components {
             let (name, watch) = (&facts.name, facts.watch);

@@ -64,7 +64,17 @@ pub enum StartError {
         /// What is wrong, and what to write.
         reason: String,
     },
-    /// The file in which variables are kept can be neither read nor set aside.
+    /// A setting of the node makes no sense.
+    #[error("{setting} of the node is {value}: {cure}")]
+    Setting {
+        /// The setting.
+        setting: &'static str,
+        /// Its value.
+        value: String,
+        /// What to write instead.
+        cure: &'static str,
+    },
+    /// The file in which variables are kept cannot be read, set aside where it is damaged, or be there at all.
     #[error("variables cannot be kept in {}: {reason}", file.display())]
     Variables {
         /// The file.
@@ -115,6 +125,8 @@ pub struct NodeBuilder {
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
     pub(super) shown_at: Option<PathBuf>,
+    /// A strategy whose name was given to another one before.
+    pub(super) strategy_twice: Option<String>,
 }
 
 impl StartError {
@@ -151,6 +163,7 @@ impl NodeBuilder {
             state: watch::channel(NodeState::Starting).0,
             kept_in: None,
             shown_at: None,
+            strategy_twice: None,
         }
     }
 
@@ -200,7 +213,8 @@ impl NodeBuilder {
 
     /// Keeps the values of variables in this file, so that they outlive the process: what the next one finds
     /// of each is what its [policy](crate::RestorePolicy) leaves. A write is answered when it is on the disk.
-    /// A file that is damaged is set aside and becomes a fault. Two nodes never share one.
+    /// A file that is damaged is set aside and becomes a fault. Two nodes never share one. The path is
+    /// absolute; any other is refused at start.
     pub fn keep_variables(mut self, file: impl Into<PathBuf>) -> Self {
         self.kept_in = Some(file.into());
         self
@@ -230,18 +244,22 @@ impl NodeBuilder {
         self
     }
 
-    /// Declares a kind of fault of the application's own; the plan must answer it.
+    /// Declares a kind of fault of the application's own; the plan must answer it, and its code is no other
+    /// kind's.
     pub fn fault_kind(mut self, code: &str) -> Self {
         self.own_kinds.push(FaultKind::Custom(code.into()));
         self
     }
 
-    /// Hands over a recovery strategy of the application's own, by the name that the plan uses.
+    /// Hands over a recovery strategy of the application's own, by the name that the plan uses: one of a name.
     pub fn recovery<S: RecoveryStrategy>(
         mut self,
         name: &str,
         make: impl Fn() -> S + Send + Sync + 'static,
     ) -> Self {
+        if self.strategies.names().any(|known| known == name) {
+            self.strategy_twice.get_or_insert(name.to_owned());
+        }
         self.strategies.hand_over(name, make);
         self
     }
@@ -254,14 +272,14 @@ impl NodeBuilder {
         self
     }
 
-    /// So many arbiters are shared by components. One per core, unless this says otherwise.
+    /// So many arbiters are shared by components, 1 to 1024. One per core, unless this says otherwise.
     pub fn work_threads(mut self, shared: usize) -> Self {
-        self.placement = Placement::Threads { shared: shared.max(1) };
+        self.placement = Placement::Threads { shared };
         self
     }
 
     /// How long a handler that was found hanging still has to return before its neighbours on the same
-    /// arbiter are re-created elsewhere.
+    /// arbiter are re-created elsewhere; an hour at most.
     pub fn grace(mut self, grace: Duration) -> Self {
         self.grace = grace;
         self

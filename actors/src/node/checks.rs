@@ -1,13 +1,17 @@
 //! What can be known to be wrong with a description before anything is started.
 
-use super::builder::StartError;
+use super::builder::{NodeBuilder, Placement, StartError};
 use super::network::Network;
 use super::tree::Harvest;
+use crate::registry::NameTaken;
 use crate::service::Carried;
-use blastema_core::NodeName;
 use blastema_core::dependencies::{Dependencies, DependencyError, circle};
-use std::collections::BTreeSet;
+use blastema_core::net::advertisement::NEIGHBOURS_MAX;
+use blastema_core::{NodeName, ObjectName};
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::RangeInclusive;
 use std::path::Path;
+use std::time::Duration;
 
 /// Who needs whom of the objects of this node.
 pub(super) fn dependencies(node: &NodeName, harvest: &Harvest) -> Dependencies {
@@ -33,8 +37,58 @@ pub(super) fn check_service(carried: &Carried) -> Result<(), StartError> {
     Err(StartError::Service { name: name.clone(), reason })
 }
 
+/// Shared arbiters that a node may have: more than computers have cores. Each is a thread with its stack.
+const THREADS: RangeInclusive<usize> = 1..=1024;
+/// The neighbours of a handler that hangs stand still for so long at most.
+const GRACE_MAX: Duration = Duration::from_secs(60 * 60);
+
+/// Every number and name that is the node's own makes sense.
+pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
+    let wrong = |setting, value, cure| Err(StartError::Setting { setting, value, cure });
+    if let Placement::Threads { shared } = builder.placement
+        && !THREADS.contains(&shared)
+    {
+        let cure = "write 1 to 1024, or leave it out for one per core";
+        return wrong("work_threads", shared.to_string(), cure);
+    }
+    if builder.grace > GRACE_MAX {
+        let cure = "the neighbours of what hangs stand still for so long: an hour at most";
+        return wrong("grace", format!("{:?}", builder.grace), cure);
+    }
+    if let Some(name) = &builder.strategy_twice {
+        let cure = "hand over one strategy of a name";
+        return wrong("recovery", format!("{name:?} twice"), cure);
+    }
+    builder.kept_in.as_deref().map_or(Ok(()), check_kept_file)?;
+    builder.shown_at.as_deref().map_or(Ok(()), check_window)
+}
+
+/// The file lies where it is said to lie, and what lies there can be one.
+fn check_kept_file(file: &Path) -> Result<(), StartError> {
+    let reason = if !file.is_absolute() {
+        "where it lies depends on where the program is started: give an absolute path, such as \
+         /var/lib/robot/module1.variables"
+    } else if file.is_dir() {
+        "there is a folder: choose the path of a file in it"
+    } else {
+        return Ok(());
+    };
+    Err(StartError::Variables { file: file.to_owned(), reason: reason.to_owned() })
+}
+
+/// Nobody is called like somebody else: neither components nor supervisors, nor what the middleware has.
+pub(super) fn check_names<'a>(
+    names: impl IntoIterator<Item = &'a ObjectName>,
+) -> Result<(), NameTaken> {
+    let mut known = BTreeSet::new();
+    match names.into_iter().find(|name| !known.insert(*name)) {
+        Some(name) => Err(NameTaken { name: name.clone() }),
+        None => Ok(()),
+    }
+}
+
 /// The window lies where it is said to lie, wherever the program is started.
-pub(super) fn check_window(path: &Path) -> Result<(), StartError> {
+fn check_window(path: &Path) -> Result<(), StartError> {
     if path.is_absolute() {
         return Ok(());
     }
@@ -56,6 +110,29 @@ pub(super) fn check_networks(networks: &[Network], node: &NodeName) -> Result<()
             return Err(StartError::Network(text));
         }
         network.check(node)?;
+    }
+    let neighbours: BTreeSet<_> = networks.iter().flat_map(Network::neighbours).collect();
+    if neighbours.len() > NEIGHBOURS_MAX {
+        let text = format!(
+            "{} neighbours are described, and a node tells the others of {NEIGHBOURS_MAX} only: leave out \
+             those that are reached over another one",
+            neighbours.len()
+        );
+        return Err(StartError::Network(text));
+    }
+    let mut links = BTreeMap::new();
+    for network in networks {
+        for link in network.link_names() {
+            // Faults and tables know a link by its name alone.
+            if let Some(other) = links.insert(link.clone(), network.name()) {
+                let text = format!(
+                    "two links are called {link}, on {other} and on {}: give one of them another \
+                     name, by Link::named",
+                    network.name()
+                );
+                return Err(StartError::Network(text));
+            }
+        }
     }
     Ok(())
 }

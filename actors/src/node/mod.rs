@@ -14,6 +14,7 @@ mod assembly;
 mod builder;
 mod checks;
 mod faults;
+mod isolation;
 mod keeper;
 mod network;
 mod picture;
@@ -23,6 +24,7 @@ mod window;
 
 pub use builder::{NodeBuilder, StartError};
 pub use faults::FaultEvents;
+pub use isolation::IsolateError;
 pub use keeper::NodeState;
 pub use network::{Cable, Direction, Impairment, Link, MemoryMedium, Network};
 pub use picture::Picture;
@@ -55,7 +57,6 @@ use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
 use blastema_core::dependencies::Dependencies;
 use blastema_core::detection::{Record, Row};
 use blastema_core::net::claims::Wanted;
-use blastema_core::net::isolation::Decision;
 use blastema_core::net::{Refusals, Route};
 use blastema_core::{
     Contract, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable, Why,
@@ -178,35 +179,6 @@ impl Node {
     /// [`Why::Unknown`] where no object here has the name, or it owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
         variable::find(&self.0.environment.registry, object)
-    }
-
-    /// Isolates a node that cannot be recovered: from now on what it sends is refused here, and nothing is
-    /// sent there ([`Why::Isolated`]). The others follow if this node is a
-    /// [warden](NodeBuilder::warden), or when more than half of the nodes have said so. A node that is
-    /// away is told when it is back. Nothing happens without a network.
-    ///
-    /// # Errors
-    /// The name does not parse.
-    pub fn isolate(&self, node: &str) -> Result<(), NameError> {
-        self.set_isolated(node, true)
-    }
-
-    /// Takes back what this node has said about an isolated one, or says that it is to be let in again.
-    /// The session with that node begins anew.
-    ///
-    /// # Errors
-    /// The name does not parse.
-    pub fn admit(&self, node: &str) -> Result<(), NameError> {
-        self.set_isolated(node, false)
-    }
-
-    fn set_isolated(&self, node: &str, isolated: bool) -> Result<(), NameError> {
-        let node = NodeName::new(node)?;
-        if let Some(networks) = &self.0.networks {
-            let cause = "the application says so";
-            networks.handle.decide(Decision { node: &node, isolated, cause });
-        }
-        Ok(())
     }
 
     /// Claims a [name of the whole robot](crate::manual::names) for the object that is called so here, and

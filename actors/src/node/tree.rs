@@ -58,7 +58,7 @@ impl SupervisorSpec {
     }
 
     /// More restarts than `times` in one `period`, and the supervisor ends its children and itself and
-    /// leaves the decision to its parent.
+    /// leaves the decision to its parent. A million times at most; the period is no shorter than 1 ms.
     pub fn intensity(mut self, times: u32, period: Duration) -> Self {
         (self.rules.intensity, self.rules.period) = (times, period);
         self
@@ -175,14 +175,35 @@ pub(super) struct PlantedFacts {
     pub(super) inquiries: Recipient<AreYouAlive>,
 }
 
+/// Restarts that a supervisor may count: each of them is remembered for one period.
+const INTENSITY_MAX: u32 = 1_000_000;
+/// In a shorter period there is never more than one restart, so that a storm of them would go on for ever.
+const PERIOD_MIN: Duration = Duration::from_millis(1);
+
 impl SupervisorSpec {
+    fn check_intensity(&self) -> Result<(), SpecError> {
+        let SupervisorRules { intensity, period, .. } = self.rules;
+        if intensity > INTENSITY_MAX {
+            let cure = "write a million at most";
+            let value = intensity.to_string();
+            return Err(SpecError::setting(&self.name, "the intensity", value, cure));
+        }
+        if period < PERIOD_MIN {
+            let cure = "no restarts would ever be too many: write 1 ms at least";
+            let value = format!("{period:?}");
+            return Err(SpecError::setting(&self.name, "the intensity's period", value, cure));
+        }
+        Ok(())
+    }
+
     /// Makes the supervisors and gives them their children. Nothing is started yet.
     pub(super) fn plant(
         self,
         ground: &Ground<'_>,
         harvest: &mut Harvest,
     ) -> Result<SupervisorChild, SpecError> {
-        let name = ObjectName::new(&self.name)?;
+        let name = ObjectName::new(&self.name).map_err(SpecError::Supervisor)?;
+        self.check_intensity()?;
         let mut children: Vec<(Box<dyn Child>, ChildRules)> = Vec::new();
         for entry in self.children {
             match entry {

@@ -50,8 +50,8 @@ impl<V: Variable> VariableSpec<V> {
         self
     }
 
-    /// Refuses values for which this says why. It runs on the thread of whoever writes, and must not
-    /// block.
+    /// Refuses values for which this says why, also as default. It runs on the thread of whoever writes, and
+    /// must not block.
     #[must_use]
     pub fn check(
         mut self,

@@ -1,7 +1,7 @@
 //! The node's variables: the body of the machine in the core.
 
 use super::access::{Access, Accessed, Wanted, Written};
-use super::kept_file::{self, KeptFile, Then};
+use super::kept_file::{self, KeptFile, LoadError, Then};
 use crate::death_watch::{Ending, Mourner};
 use crate::desk::Desk;
 use crate::host::life::LifeToken;
@@ -53,12 +53,15 @@ impl Declared {
             };
             Err(Why::CheckFailed { reason })
         };
-        Declared {
-            identity: ContractIdentity::of::<V>(),
-            default: encoded(default).map(Bytes::from),
-            policy,
-            check: Arc::new(check),
-        }
+        // What a restart puts in place must be right as well.
+        let default = encoded(default).map(Bytes::from);
+        let default = default.and_then(|bytes| check(&bytes).map(|()| bytes));
+        Declared { identity: ContractIdentity::of::<V>(), default, policy, check: Arc::new(check) }
+    }
+
+    /// The contract's name.
+    pub(crate) fn name(&self) -> &'static str {
+        self.identity.name
     }
 }
 
@@ -155,6 +158,8 @@ impl Store {
                 let values = values.into_iter().map(|kept| (kept.variable.clone(), kept));
                 inner.kept = values.collect();
             }
+            // It may be whole, and is not ours to move.
+            Err(LoadError::Unreadable(error)) => return Err(error),
             Err(error) => {
                 let aside = kept_file::set_aside(&path)?;
                 inner.complaints.push(format!(

@@ -61,7 +61,8 @@ impl Watched {
     fn deadline(&self) -> Option<Instant> {
         let interval = self.push.interval;
         // Half an interval of lateness is allowed on top (ITU-T G.8013).
-        let after = |intervals: u32| interval.saturating_mul(intervals) + interval / 2;
+        let after =
+            |intervals: u32| interval.saturating_mul(intervals).saturating_add(interval / 2);
         match self.opinion {
             Opinion::Unheard => Some(self.since + self.push.start_up),
             Opinion::Trusted => Some(self.since + after(1)),

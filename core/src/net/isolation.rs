@@ -53,6 +53,18 @@ pub struct Decision<'a> {
     pub cause: &'a str,
 }
 
+/// Why this node has no say on another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoSay {
+    /// It is this node itself.
+    Oneself,
+    /// It has voted on so many already.
+    TooMany {
+        /// How many.
+        limit: usize,
+    },
+}
+
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum IsolationOutput {
@@ -149,17 +161,30 @@ impl Isolation {
         self.refused
     }
 
-    /// This node decides. On itself it has no say.
-    pub fn handle_decision(&mut self, Decision { node, isolated, cause }: Decision<'_>) {
+    /// Whether it has a session with this node, or somebody has voted on it.
+    pub fn knows(&self, node: &NodeName) -> bool {
+        self.peers.contains(node) || self.votes.contains_key(node) || self.is_isolated(node)
+    }
+
+    /// This node decides.
+    ///
+    /// # Errors
+    /// It has no say on this one.
+    pub fn handle_decision(
+        &mut self,
+        Decision { node, isolated, cause }: Decision<'_>,
+    ) -> Result<(), NoSay> {
+        if *node == self.own {
+            return Err(NoSay::Oneself);
+        }
         let about = self.votes.get(node);
         let own = about.and_then(|votes| votes.get(&self.own));
-        let known = own.is_some_and(|vote| vote.isolated && isolated) && self.is_isolated(node);
-        if *node == self.own || known {
-            return;
+        if own.is_some_and(|vote| vote.isolated && isolated) && self.is_isolated(node) {
+            return Ok(());
         }
         if own.is_none() && self.count_of(&self.own) >= VOTES_MAX {
             self.refused += 1;
-            return;
+            return Err(NoSay::TooMany { limit: VOTES_MAX });
         }
         // That it is admitted is said even where nobody is known to have objected: an earlier life of
         // this node may have.
@@ -175,6 +200,7 @@ impl Isolation {
         }
         self.settle();
         self.tell_accused(node);
+        Ok(())
     }
 
     /// A session with this node has begun.
@@ -319,11 +345,13 @@ mod tests {
     struct Robot {
         nodes: BTreeMap<NodeName, Isolation>,
         told: Vec<String>,
+        /// Whether the last decision counts.
+        said: Result<(), NoSay>,
     }
 
     impl Robot {
         fn new(names: &[&str], judges: &Judges) -> Self {
-            let mut robot = Robot { nodes: BTreeMap::new(), told: vec![] };
+            let mut robot = Robot { nodes: BTreeMap::new(), told: vec![], said: Ok(()) };
             names.iter().for_each(|name| robot.join(name, 1, judges));
             robot
         }
@@ -343,7 +371,7 @@ mod tests {
         fn decides(&mut self, by: &str, about: &str, isolated: bool) -> Vec<String> {
             let by = self.nodes.get_mut(&node(by)).unwrap();
             let (node, cause) = (&node(about), "it floods");
-            by.handle_decision(Decision { node, isolated, cause });
+            self.said = by.handle_decision(Decision { node, isolated, cause });
             self.carry();
             std::mem::take(&mut self.told)
         }
@@ -455,6 +483,32 @@ mod tests {
         assert_eq!(robot.refuse("a"), "b");
         robot.decides("b", "b", true);
         assert_eq!(robot.refuse("b"), "", "on itself a node has no say");
+        assert_eq!(robot.said, Err(NoSay::Oneself));
+    }
+
+    #[test]
+    fn who_has_voted_on_too_many_is_told_that_its_word_does_not_count() {
+        let mut robot = Robot::new(&["a", "b"], &Judges::Majority);
+        for n in 0..VOTES_MAX {
+            robot.decides("a", &format!("n{n}"), true);
+            assert_eq!(robot.said, Ok(()));
+        }
+
+        robot.decides("a", "b", true);
+
+        assert_eq!(robot.said, Err(NoSay::TooMany { limit: VOTES_MAX }));
+        assert_eq!(robot.refuse("b"), "");
+        robot.decides("a", "n0", false);
+        assert_eq!(robot.said, Ok(()), "what it has said once it can take back");
+    }
+
+    #[test]
+    fn known_is_who_is_there_and_whom_somebody_has_voted_on() {
+        let mut robot = Robot::new(&["a", "b", "c"], &Judges::Majority);
+        robot.decides("b", "d", true);
+
+        let known = |name| robot.nodes[&node("a")].knows(&node(name));
+        assert_eq!(["b", "c", "d", "e"].map(known), [true, true, true, false]);
     }
 
     #[test]

@@ -84,6 +84,24 @@ pub enum PlanError {
         /// With what.
         measure: Measure,
     },
+    /// No attempt at a rung can succeed, or its pauses are none.
+    #[error("the plan answers {what} by {measure}, {why}")]
+    BadTime {
+        /// What it answers.
+        what: String,
+        /// With what.
+        measure: Measure,
+        /// What is wrong, and what to write.
+        why: &'static str,
+    },
+    /// A fault of the application's own has no code, or that of a built-in kind.
+    #[error("a fault of your own cannot have the code {code:?}: {why}")]
+    Code {
+        /// The code.
+        code: String,
+        /// What is wrong, and what to write.
+        why: &'static str,
+    },
     /// Rungs behind an `Observe` can never be reached, because observing does not fail.
     #[error(
         "the plan answers {what} by {measure} behind observe, which never fails: let observe stand last"
@@ -207,6 +225,7 @@ impl Plan {
         let components: BTreeSet<&ObjectName> = components.into_iter().collect();
         let strategies: BTreeSet<&str> = strategies.into_iter().collect();
         for kind in own_kinds {
+            check_code(kind)?;
             let answered = || self.components.values().any(|kinds| kinds.contains_key(kind));
             if !self.kinds.contains_key(kind) && !answered() {
                 let code = kind.code();
@@ -216,6 +235,7 @@ impl Plan {
             }
         }
         for (kind, ladder) in &self.kinds {
+            check_code(kind)?;
             check_ladder(kind.to_string(), kind, ladder, &strategies)?;
         }
         for (kind, ladder) in &self.abroad {
@@ -236,6 +256,7 @@ impl Plan {
                     let (component, kind) = (component.clone(), kind.clone());
                     return Err(PlanError::NoSuchComponent { component, kind, nearest });
                 }
+                check_code(kind)?;
                 check_ladder(format!("{kind} of {component}"), kind, ladder, &strategies)?;
             }
         }
@@ -248,6 +269,19 @@ impl Plan {
         // misspelt, and a slip of the pen must not stop the robot.
         exception().or_else(|| self.kinds.get(kind)).unwrap_or(&self.observe)
     }
+}
+
+/// What people read, and rules go by, must be one kind's.
+fn check_code(kind: &FaultKind) -> Result<(), PlanError> {
+    let FaultKind::Custom(code) = kind else { return Ok(()) };
+    let why = if code.is_empty() {
+        "give it one, such as GRIP"
+    } else if FaultKind::BUILT_IN.iter().any(|built_in| built_in.code() == &**code) {
+        "a built-in kind has it; choose another one, such as GRIP"
+    } else {
+        return Ok(());
+    };
+    Err(PlanError::Code { code: code.as_ref().into(), why })
 }
 
 fn check_ladder(
@@ -266,6 +300,14 @@ fn check_ladder(
         }
         if step.attempts == 0 {
             return Err(PlanError::NoAttempt { what, measure });
+        }
+        if step.within.is_zero() {
+            let why = "within no time at all, so that each attempt fails: give it some";
+            return Err(PlanError::BadTime { what, measure, why });
+        }
+        if step.backoff.factor == 0 {
+            let why = "with pauses that grow by the factor 0: write 1 for equal ones";
+            return Err(PlanError::BadTime { what, measure, why });
         }
         match &measure {
             Measure::Observe => observed = true,
@@ -302,6 +344,8 @@ fn check_ladder(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::recovery::Backoff;
+    use std::time::Duration;
 
     fn name(text: &str) -> ObjectName {
         ObjectName::new(text).expect("a good name")
@@ -425,5 +469,28 @@ mod tests {
             wrong(FaultKind::Silence, Ladder::first(Measure::Observe).then(Measure::Restart))
                 .contains("behind observe")
         );
+    }
+
+    #[test]
+    fn a_rung_without_time_and_pauses_without_length_are_refused() {
+        let rung = || Ladder::first(Measure::Restart);
+        let wrong = |ladder| message(&good().on(FaultKind::Silence, ladder));
+
+        assert!(wrong(rung().within(Duration::ZERO)).ends_with("each attempt fails: give it some"));
+        let still = Backoff { factor: 0, ..Backoff::default() };
+        assert!(wrong(rung().backoff(still)).ends_with("write 1 for equal ones"));
+    }
+
+    #[test]
+    fn a_fault_of_ones_own_has_a_code_that_is_no_other_kinds() {
+        let own = |code: &str| FaultKind::Custom(code.into());
+        let ladder = || Ladder::first(Measure::Observe);
+
+        assert!(message(&good().on(own("B01"), ladder())).contains("a built-in kind has it"));
+        assert!(message(&good().on(own(""), ladder())).contains("give it one"));
+        let of_one = good().on_component(name("laser"), own("B02"), ladder());
+        assert!(message(&of_one).contains("\"B02\""));
+        let declared = Plan::default().check([], &[own("B03")], []).expect_err("B03 is taken");
+        assert!(matches!(declared, PlanError::Code { .. }), "{declared}");
     }
 }

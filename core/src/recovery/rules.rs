@@ -60,8 +60,8 @@ impl ChildRules {
     /// For a component whose guard keeps these deadlines.
     pub fn guarded(ready_within: Duration, shutdown_within: Duration) -> Self {
         ChildRules {
-            ready_within: ready_within + GUARD_MARGIN,
-            shutdown_within: shutdown_within + GUARD_MARGIN,
+            ready_within: ready_within.saturating_add(GUARD_MARGIN),
+            shutdown_within: shutdown_within.saturating_add(GUARD_MARGIN),
             ..ChildRules::default()
         }
     }

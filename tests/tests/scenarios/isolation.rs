@@ -3,7 +3,7 @@
 use crate::puppet::{Deed, Do, Strings, ask};
 use blastema::core::detection::End;
 use blastema::prelude::*;
-use blastema::{Direction, Link, MemoryMedium, Network, NodeBuilder};
+use blastema::{Direction, IsolateError, Link, MemoryMedium, Network, NodeBuilder};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
@@ -75,6 +75,26 @@ async fn an_isolated_node_is_refused_by_everybody_until_it_is_admitted() {
     robot.nodes[0].advance(3000 * MS).await;
     assert_eq!(robot.asks(3, 2).await, Ok(1));
     assert_eq!(robot.asks(1, 3).await, Ok(1));
+}
+
+#[blastema_testkit::test]
+async fn only_others_that_are_known_are_isolated_and_a_slip_of_the_pen_is_told() {
+    let strings = Strings::default();
+    let robot = Robot::start(&strings).await;
+    let node = &robot.nodes[0];
+
+    let oneself = node.isolate("module1").expect_err("it has no say on itself");
+    assert!(matches!(oneself, IsolateError::Oneself { .. }), "{oneself}");
+    let misspelt = node.isolate("modul3").expect_err("nobody is called so");
+    assert!(misspelt.to_string().ends_with("did you mean module3?"), "{misspelt}");
+    let unlike = node.admit("gripper").expect_err("nobody is called so");
+    assert!(unlike.to_string().contains("it knows module2, module3"), "{unlike}");
+    let wrong = node.isolate("module 3").expect_err("it is no name");
+    assert!(matches!(wrong, IsolateError::Name(_)), "{wrong}");
+
+    node.advance(1000 * MS).await;
+    assert_eq!(robot.asks(1, 3).await, Ok(1), "nobody was isolated");
+    node.expect_no_faults().await;
 }
 
 #[blastema_testkit::test]

@@ -64,6 +64,16 @@ pub enum EndpointProblem {
         /// What stands there.
         found: String,
     },
+    /// The group belongs to the protocols of the network itself, and every computer there is in it or may
+    /// be (RFC 5771, RFC 4291). Those that begin with 239 are for everybody's own use (RFC 2365).
+    #[error(
+        "`{found}` is a group of the network's own protocols: write one for your own use, as in \
+         239.255.0.1 or ff15::1"
+    )]
+    ReservedGroup {
+        /// What stands there.
+        found: String,
+    },
     /// What stands where a port must is none.
     #[error("`{found}` is no port: ports are 0 (any) to 65535")]
     NotPort {

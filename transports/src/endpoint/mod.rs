@@ -11,12 +11,16 @@
 
 mod can;
 mod error;
+#[cfg(any(feature = "udp", feature = "tcp"))]
+mod own;
 mod settings;
 
 pub use self::can::{CanConfig, CanNodeConfig, SLCAN_BIT_RATES, SLCAN_DATA_RATES, SlcanConfig};
 pub use self::error::{EndpointError, EndpointProblem};
 
-use self::settings::{Settings, is_interface};
+pub use self::settings::is_interface;
+
+use self::settings::Settings;
 #[cfg(feature = "serial")]
 use crate::serial::{Parity, Rs485, SerialConfig, StopBits, Turning};
 #[cfg(feature = "tcp")]
@@ -213,17 +217,34 @@ impl Endpoint {
         })
     }
 
+    /// Finds what is wrong with settings that were not read from a text, such as an address of our own that
+    /// nobody can have.
+    ///
+    /// # Errors
+    /// What is wrong, and what to write.
+    pub fn check(&self) -> Result<(), String> {
+        match self {
+            #[cfg(feature = "udp")]
+            Endpoint::Udp(config) => own::check_udp(config),
+            #[cfg(feature = "tcp")]
+            Endpoint::Tcp(config) => own::check_tcp(config),
+            _ => Ok(()),
+        }
+    }
+
     /// Why nobody else can be at this address of the medium.
     pub fn objection(&self, peer: &MediumAddress) -> Option<&'static str> {
         const OURSELVES: &str = "it is our own address: write the neighbour's";
         match (self, peer) {
             #[cfg(feature = "udp")]
             (Endpoint::Udp(config), MediumAddress::Ip(peer)) => {
-                no_peer(*peer).or(is_own(config.bind, *peer).then_some(OURSELVES))
+                let is_group = config.group == Some(*peer);
+                let nobody = own::no_peer(*peer).filter(|_| !is_group);
+                nobody.or(own::is_own(config.bind, *peer).then_some(OURSELVES))
             }
             #[cfg(feature = "tcp")]
             (Endpoint::Tcp(config), MediumAddress::Ip(peer)) => {
-                no_peer(*peer).or(is_own(config.bind, *peer).then_some(OURSELVES))
+                own::no_peer(*peer).or(own::is_own(config.bind, *peer).then_some(OURSELVES))
             }
             #[cfg(feature = "unix")]
             (Endpoint::Unix(config), MediumAddress::Unix(path)) => {
@@ -242,7 +263,9 @@ impl Endpoint {
             (Endpoint::Memory(own), MediumAddress::Memory(peer)) => {
                 (own.as_str() == &**peer).then_some(OURSELVES)
             }
-            _ => None,
+            #[cfg(feature = "serial")]
+            (Endpoint::Serial(_), MediumAddress::Line) => None,
+            _ => Some("it is an address of another medium: write one of this medium's"),
         }
     }
 }
@@ -252,28 +275,6 @@ impl Endpoint {
 const SOCKET_PATH: usize = 107;
 /// The largest number on a bus with identifiers of 11 bits.
 const SHORT_MOST: u8 = 30;
-
-/// Why nobody can be at this address.
-#[cfg(any(feature = "udp", feature = "tcp"))]
-fn no_peer(peer: SocketAddr) -> Option<&'static str> {
-    if peer.port() == 0 {
-        Some("nobody is at port 0: write the port that it listens at")
-    } else if peer.ip().is_unspecified() {
-        Some("it is every address of whoever writes it: write one of the neighbour's")
-    } else if peer.ip() == IpAddr::V4(Ipv4Addr::BROADCAST) {
-        Some("it is the address of all: write the neighbour's")
-    } else {
-        None
-    }
-}
-
-/// Whether a socket that is bound so hears what is sent there, as far as that can be known here.
-#[cfg(any(feature = "udp", feature = "tcp"))]
-fn is_own(bind: SocketAddr, peer: SocketAddr) -> bool {
-    let is_here = bind.ip() == peer.ip() || bind.ip().is_unspecified() && peer.ip().is_loopback();
-    // Port 0 is a free one that is not known yet.
-    is_here && bind.port() == peer.port() && bind.port() != 0
-}
 
 /// An endpoint string behind its medium.
 struct Parts<'a> {
@@ -295,7 +296,7 @@ impl<'a> Parts<'a> {
 
     #[cfg(any(feature = "udp", feature = "tcp"))]
     fn no_broadcast(&self, address: SocketAddr) -> Result<(), EndpointError> {
-        if address.ip() == IpAddr::V4(Ipv4Addr::BROADCAST) {
+        if own::is_broadcast(address.ip()) {
             let found = address.ip().to_string();
             return Err(self.error(EndpointProblem::Broadcast { found }));
         }
@@ -381,6 +382,10 @@ fn udp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
             let example = SocketAddr::new(address.ip(), 7400).to_string();
             return Err(parts.error(EndpointProblem::NoPort { example }));
         }
+        if own::is_reserved(address.ip()) {
+            let found = address.ip().to_string();
+            return Err(parts.error(EndpointProblem::ReservedGroup { found }));
+        }
         let any: IpAddr = match address {
             SocketAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
             SocketAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
@@ -389,7 +394,8 @@ fn udp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
             format!("our own address with its port, as in {}", SocketAddr::new(any, 7401));
         let own = settings.take("own", expected, |text| {
             let own: SocketAddr = text.parse().ok()?;
-            (own.is_ipv4() == address.is_ipv4() && !own.ip().is_multicast()).then_some(own)
+            let everybodys = own.ip().is_multicast() || own::is_broadcast(own.ip());
+            (own.is_ipv4() == address.is_ipv4() && !everybodys).then_some(own)
         })?;
         settings.number("hops", 1..=255, &mut config.hops)?;
         config.bind = own.unwrap_or(SocketAddr::new(any, 0));

@@ -175,7 +175,7 @@ fn put<T>(target: &mut T, value: Option<T>) {
 }
 
 /// Whether Linux could call an interface so (`IFNAMSIZ` is 16 with its closing zero).
-pub(super) fn is_interface(text: &str) -> bool {
+pub fn is_interface(text: &str) -> bool {
     let wrong = |c: char| c == '/' || c == ':' || c.is_whitespace() || c.is_control();
     (1..=15).contains(&text.len()) && text != "." && text != ".." && !text.contains(wrong)
 }

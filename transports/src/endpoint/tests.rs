@@ -185,6 +185,55 @@ fn a_wrong_ip_address_is_pointed_at_in_its_wrong_part() {
 }
 
 #[test]
+fn an_address_that_is_everybodys_is_none_of_our_own() {
+    bad("udp://224.0.0.1:7400", "224.0.0.1:7400", 6, "as in 239.255.0.1");
+    bad("udp://224.0.0.251:5353", "224.0.0.251:5353", 6, "the network's own protocols");
+    bad("udp://[ff02::1]:7400", "[ff02::1]:7400", 6, "or ff15::1");
+    good("udp://224.0.1.1:7400");
+    let own = "udp://239.0.0.1:1?own=255.255.255.255:7401";
+    bad(own, "255.255.255.255:7401", 22, "our own address");
+
+    // What did not come as a text is checked as well.
+    let udp = |bind: &str, change: fn(&mut UdpConfig)| {
+        let mut config = UdpConfig { bind: bind.parse().unwrap(), ..UdpConfig::default() };
+        change(&mut config);
+        Endpoint::Udp(config).check()
+    };
+    let tcp = |bind: &str, change: fn(&mut TcpConfig)| {
+        let mut config = TcpConfig { bind: bind.parse().unwrap(), ..TcpConfig::default() };
+        change(&mut config);
+        Endpoint::Tcp(config).check()
+    };
+    for (wrong, words) in [
+        ("224.0.0.1:7400", "a group's"),
+        ("239.255.0.1:7400", "a group's"),
+        ("[ff15::1]:7400", "a group's"),
+        ("255.255.255.255:7400", "the address of all"),
+    ] {
+        for refused in [udp(wrong, |_| {}), tcp(wrong, |_| {})] {
+            let told = refused.expect_err(wrong);
+            assert!(told.contains(wrong) && told.contains(words), "{told}");
+        }
+    }
+    for right in ["0.0.0.0:0", "127.0.0.1:7400", "[::]:7400"] {
+        assert_eq!((udp(right, |_| {}), tcp(right, |_| {})), (Ok(()), Ok(())));
+    }
+    let refused = [
+        udp("0.0.0.0:0", |config| config.mtu = Some(10)),
+        udp("0.0.0.0:0", |config| config.queue_frames = 0),
+        udp("0.0.0.0:0", |config| config.interface = Some("a/b".to_owned())),
+        udp("0.0.0.0:0", |config| config.group = Some("10.0.0.1:7400".parse().unwrap())),
+        udp("0.0.0.0:0", |config| config.group = Some("224.0.0.1:7400".parse().unwrap())),
+        tcp("0.0.0.0:0", |config| config.mtu = 0),
+        tcp("0.0.0.0:0", |config| config.peers = 0),
+        tcp("0.0.0.0:0", |config| config.user_timeout = Duration::ZERO),
+    ];
+    for refused in refused {
+        assert!(refused.is_err());
+    }
+}
+
+#[test]
 fn a_wrong_path_or_name_is_pointed_at() {
     bad("unix://run/x.sock", "run/x.sock", 7, "begins with a slash, as in unix:///run/robot.sock");
     bad("serial://", "", 9, "as in serial:///dev/ttyUSB0");
@@ -286,6 +335,9 @@ fn an_address_that_no_neighbour_can_have_is_refused() {
         check(&at("10.0.0.1:0"), "0.0.0.0:7400", "one of the neighbour's");
         check(&at("[fd00::1]:0"), "[::]:7400", "one of the neighbour's");
         check(&at("10.0.0.1:0"), "255.255.255.255:7400", "the address of all");
+        check(&at("10.0.0.1:0"), "224.0.0.1:7400", "a group's address");
+        check(&at("10.0.0.1:0"), "239.255.0.1:7400", "a group's address");
+        check(&at("[fd00::1]:0"), "[ff15::1]:7400", "a group's address");
         check(&at("10.0.0.1:7400"), "10.0.0.1:7400", "our own address");
         check(&at("0.0.0.0:7400"), "127.0.0.1:7400", "our own address");
         assert!(good(&at("0.0.0.0:7400")).peer("127.0.0.1:7401").is_ok());
@@ -297,6 +349,14 @@ fn an_address_that_no_neighbour_can_have_is_refused() {
     check("can://can0?address=7&short_ids=true", "31", "0 to 30");
     assert!(good("can://can0?address=7&short_ids=true").peer("255").is_ok(), "to all");
     check("memory://a", "a", "our own address");
+    check("udp://239.255.0.1:7400", "239.255.0.2:7400", "a group's address");
+    assert!(good("udp://239.255.0.1:7400").peer("239.255.0.1:7400").is_ok(), "the group itself");
+    let stranger = MediumAddress::Ip("10.0.0.2:7400".parse().unwrap());
+    for medium in ["unix:///run/a.sock", "serial:///dev/ttyS0", "can://can0", "memory://a"] {
+        let why = good(medium).objection(&stranger).expect(medium);
+        assert!(why.contains("another medium"), "{medium}: {why}");
+    }
+    assert_eq!(good("serial:///dev/ttyS0").objection(&MediumAddress::Line), None);
 }
 
 #[test]

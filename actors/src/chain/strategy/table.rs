@@ -68,7 +68,7 @@ impl StrategyTable {
         let plain: String = measure
             .name()
             .chars()
-            .map(|c| if c.is_ascii_alphanumeric() { c } else { '-' })
+            .map(|c| if c.is_ascii_alphanumeric() { c } else { '_' })
             .collect();
         let name = ObjectName::new(&format!("chain/strategy/{plain}"))
             .or_else(|_| ObjectName::new("chain/strategy/custom"))

@@ -13,7 +13,7 @@ use blastema_contract::session::{BeginAnew, Leave, PeerSeen, SessionReported};
 use blastema_contract::strategy::IsolateNode;
 use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Call, Sent};
-use blastema_core::net::isolation::Decision;
+use blastema_core::net::isolation::{Decision, NoSay};
 use blastema_core::recovery::{Done, Failed};
 use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
 use tracing::debug;
@@ -127,8 +127,14 @@ impl Handler<IsolateNode> for Gateway {
     fn handle(&mut self, message: IsolateNode, _: &mut Context<Self>) -> Self::Result {
         let IsolateNode { node, isolated, cause } = &message;
         let decision = Decision { node, isolated: *isolated, cause };
-        self.wiring.wardens.carry_decision_out(decision);
-        Ok(Done::default())
+        match self.wiring.wardens.carry_decision_out(decision) {
+            Ok(()) => Ok(Done::default()),
+            Err(NoSay::Oneself) => Err(format!("{node} has no say on itself").into()),
+            Err(NoSay::TooMany { limit }) => {
+                Err(format!("this node has voted on {limit} others already: admit one of them")
+                    .into())
+            }
+        }
     }
 }
 

@@ -5,7 +5,7 @@ use super::{middleware, named, own_arbiter};
 use crate::host::environment::HostEnvironment;
 use crate::net::claims::{ClaimsBody, ClaimsSetup};
 use crate::net::rest::{RestBody, RestSetup};
-use crate::net::{self, NetEnvironment, NetHandle};
+use crate::net::{self, NetEnvironment, NetHandle, NetworkSpec};
 use crate::node::builder::{Placement, StartError};
 use crate::node::keeper::TellRest;
 use crate::node::network::{Cable, Network};
@@ -14,6 +14,7 @@ use blastema_contract::monitor::Enrol;
 use blastema_contract::notifier::AddPort;
 use blastema_contract::transport::Close;
 use blastema_core::detection::Port;
+use blastema_core::net::discovery::Admission;
 use blastema_core::net::isolation::Judges;
 use blastema_core::{Incarnation, NodeName};
 use std::collections::{BTreeMap, BTreeSet};
@@ -25,6 +26,8 @@ pub(in crate::node) struct Networks {
     pub(in crate::node) cables: BTreeMap<String, Cable>,
     transports: Vec<Recipient<Close>>,
     pub(super) arbiter: Option<ArbiterHandle>,
+    /// The nodes that the description names.
+    pub(super) described: BTreeSet<NodeName>,
 }
 
 /// How long a node that ends waits until its peers have what was sent to them. One that is gone must
@@ -34,6 +37,16 @@ const FAREWELL: Duration = Duration::from_secs(1);
 const FAREWELL_LOOK: Duration = Duration::from_millis(5);
 
 impl Networks {
+    /// Whether this node has met another, was told of it, or has heard what others say of it.
+    pub(in crate::node) fn know(&self, node: &NodeName) -> bool {
+        self.described.contains(node) || self.handle.knows(node)
+    }
+
+    /// All whom it has met, or was told of.
+    pub(in crate::node) fn known(&self) -> BTreeSet<NodeName> {
+        self.described.iter().cloned().chain(self.handle.met()).collect()
+    }
+
     /// Delivers what was sent, and ends every session.
     pub(in crate::node) async fn leave(&self) {
         self.handle.leave();
@@ -86,6 +99,11 @@ pub(super) fn make_networks(
         neighbours.extend(laid.neighbours);
         specs.push(laid.spec);
     }
+    let mut described = neighbours.clone();
+    described.extend(specs.iter().flat_map(admitted).cloned());
+    if let Judges::Wardens(wardens) = &judges {
+        described.extend(wardens.iter().cloned());
+    }
     let beacons = specs.iter().filter_map(|spec| spec.discovery.as_ref()?.beacons.as_ref());
     let beacons = beacons.map(|(transport, _)| transport.close.clone());
     let transports = specs.iter().map(|spec| spec.transport.close.clone()).chain(beacons).collect();
@@ -132,7 +150,16 @@ pub(super) fn make_networks(
         let port = Port::Remote(neighbour);
         chain.notifier.do_send(AddPort { port, recover, stand_down: None });
     }
-    Ok((Networks { handle, cables, transports, arbiter }, enrolments))
+    Ok((Networks { handle, cables, transports, arbiter, described }, enrolments))
+}
+
+/// Those that are admitted by name where they are met.
+fn admitted(spec: &NetworkSpec) -> impl Iterator<Item = &NodeName> {
+    let names = match spec.discovery.as_ref().map(|discovery| &discovery.admission) {
+        Some(Admission::Only(names)) => Some(names),
+        Some(Admission::Anybody) | None => None,
+    };
+    names.into_iter().flatten()
 }
 
 /// Claims of a node that knows nobody.

@@ -1,0 +1,120 @@
+//! The limits of one component's life, and which of them make sense.
+
+use super::spec::SpecError;
+use blastema_core::detection::{Pull, Push, Watch};
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
+/// The limits of one component's life.
+#[derive(Clone, Debug)]
+pub(crate) struct Limits {
+    pub(crate) interval: Option<Duration>,
+    pub(crate) watch: Watch,
+    pub(crate) max_block: Duration,
+    pub(crate) max_wait: Duration,
+    pub(crate) ready_within: Duration,
+    pub(crate) shutdown_within: Duration,
+    pub(crate) own_thread: bool,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Limits {
+            interval: None,
+            watch: Watch::Guard,
+            // Fifty beats: far beyond what a loaded machine adds, and short for a robot's standstill.
+            max_block: Duration::from_millis(500),
+            // Ten times the default deadline of a request that the handler may be waiting for.
+            max_wait: Duration::from_secs(10),
+            // A device that has to warm up, a map that has to be loaded.
+            ready_within: Duration::from_secs(10),
+            // Outputs are brought to rest within a second or two.
+            shutdown_within: Duration::from_secs(5),
+            own_thread: false,
+        }
+    }
+}
+
+/// The watch looks once in a beat: whoever is at work at two looks would be hanging.
+const BLOCK_MIN: Duration = Duration::from_millis(10);
+/// The clocks of threads and media are no finer than this.
+const LEAST: Duration = Duration::from_millis(1);
+/// Signs of life that come more seldom tell nobody anything; silence is not watched at all then.
+const SIGNS: RangeInclusive<Duration> = LEAST..=Duration::from_secs(24 * 60 * 60);
+/// Signs of life that may be missing. A thousand is an hour of one in four seconds.
+const TOLERANCE: RangeInclusive<u32> = 1..=1000;
+
+impl Limits {
+    /// Finds what would never, or always, be so. [`Duration::MAX`] is for ever, where that makes sense.
+    pub(super) fn check(&self, name: &str) -> Result<(), SpecError> {
+        let spans = [
+            (
+                "max_block",
+                self.max_block,
+                BLOCK_MIN,
+                "10 ms at least: the watch looks no more often",
+            ),
+            (
+                "max_wait",
+                self.max_wait,
+                LEAST,
+                "no handler awaits anything so short: 1 ms at least",
+            ),
+            ("ready_within", self.ready_within, LEAST, "nothing starts so fast: 1 ms at least"),
+        ];
+        for (setting, value, least, cure) in spans {
+            if value < least {
+                return Err(SpecError::setting(name, setting, format!("{value:?}"), cure));
+            }
+        }
+        match self.watch {
+            Watch::Push(push) => check_push(name, push),
+            Watch::Pull(pull) => check_pull(name, pull),
+            _ => Ok(()),
+        }
+    }
+}
+
+fn check_push(name: &str, push: Push) -> Result<(), SpecError> {
+    let Push { interval, tolerance, start_up } = push;
+    check_signs(name, interval, tolerance)?;
+    if start_up < LEAST {
+        let cure = "no life gives a sign at once: 1 ms at least";
+        return Err(SpecError::setting(
+            name,
+            "the watch's start_up",
+            format!("{start_up:?}"),
+            cure,
+        ));
+    }
+    Ok(())
+}
+
+fn check_pull(name: &str, pull: Pull) -> Result<(), SpecError> {
+    let Pull { interval, within, tolerance, patience } = pull;
+    check_signs(name, interval, tolerance)?;
+    let cure = "an answer, and a message in the queue, take 1 ms at least";
+    for (setting, value) in [("the watch's within", within), ("the watch's patience", patience)] {
+        if value < LEAST {
+            return Err(SpecError::setting(name, setting, format!("{value:?}"), cure));
+        }
+    }
+    Ok(())
+}
+
+fn check_signs(name: &str, interval: Duration, tolerance: u32) -> Result<(), SpecError> {
+    if !SIGNS.contains(&interval) {
+        let cure = "write 1 ms to 24 h, or Watch::Guard";
+        return Err(SpecError::setting(
+            name,
+            "the watch's interval",
+            format!("{interval:?}"),
+            cure,
+        ));
+    }
+    if !TOLERANCE.contains(&tolerance) {
+        let cure = "write 1 to 1000 signs of life";
+        return Err(SpecError::setting(name, "the watch's tolerance", tolerance.to_string(), cure));
+    }
+    Ok(())
+}

@@ -1,0 +1,99 @@
+//! Keeping another node out by hand, and letting it in again.
+
+use super::Node;
+use blastema_core::net::isolation::{Decision, NoSay};
+use blastema_core::spelling::nearest;
+use blastema_core::{NameError, NodeName};
+
+/// Why a node was neither isolated nor let in again: nothing has changed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum IsolateError {
+    /// The name does not parse.
+    #[error("the name of the node: {0}")]
+    Name(#[from] NameError),
+    /// It is this node itself, on which the others decide. To take it out of service, let it come to safe
+    /// rest, or shut it down.
+    #[error("{node} is this node itself: it is for the others to isolate it; shut it down instead")]
+    Oneself {
+        /// The node.
+        node: NodeName,
+    },
+    /// This node has never met one of that name, is not told to expect it, and has heard of no vote on it.
+    /// Mend the name; or describe the node, for example as a neighbour.
+    #[error("no node is known here as {node}: {}", known_here(nearest.as_ref(), known))]
+    Unknown {
+        /// The node.
+        node: NodeName,
+        /// What may have been meant.
+        nearest: Option<NodeName>,
+        /// Those that are known, in the order of their names; at most ten.
+        known: Vec<NodeName>,
+    },
+    /// Whom one node may isolate is bounded. Admit another one first.
+    #[error("{node} is one too many: this node has said so of {limit} others already; admit one")]
+    TooMany {
+        /// The node.
+        node: NodeName,
+        /// Of how many it may.
+        limit: usize,
+    },
+}
+
+/// So many nodes are named to somebody who named none of them.
+const KNOWN_MAX: usize = 10;
+
+fn known_here(nearest: Option<&NodeName>, known: &[NodeName]) -> String {
+    let names: Vec<&str> = known.iter().map(NodeName::as_str).collect();
+    match (nearest, names.is_empty()) {
+        (Some(name), _) => format!("did you mean {name}?"),
+        (None, true) => "it knows no other one; is it on a network?".to_owned(),
+        (None, false) => format!("it knows {}", names.join(", ")),
+    }
+}
+
+impl Node {
+    /// Isolates a node that cannot be recovered: from now on what it sends is refused here, and nothing is
+    /// sent there ([`Why::Isolated`](crate::Why::Isolated)). The others follow if this node is a
+    /// [warden](crate::NodeBuilder::warden), or when more than half of the nodes have said so. A node that is
+    /// away is told when it is back.
+    ///
+    /// # Errors
+    /// Nothing has changed: the name does not parse, is this node's own, or belongs to nobody that this node
+    /// has met or was told of, as neighbour, warden, or member of a service.
+    pub fn isolate(&self, node: &str) -> Result<(), IsolateError> {
+        self.set_isolated(node, true)
+    }
+
+    /// Takes back what this node has said about an isolated one, or says that it is to be let in again.
+    /// The session with that node begins anew.
+    ///
+    /// # Errors
+    /// As [`isolate`](Self::isolate).
+    pub fn admit(&self, node: &str) -> Result<(), IsolateError> {
+        self.set_isolated(node, false)
+    }
+
+    fn set_isolated(&self, node: &str, isolated: bool) -> Result<(), IsolateError> {
+        let node = NodeName::new(node)?;
+        if node == self.0.name {
+            return Err(IsolateError::Oneself { node });
+        }
+        let networks = self.0.networks.as_ref().filter(|networks| networks.know(&node));
+        let Some(networks) = networks else { return Err(self.unknown(node)) };
+        let cause = "the application says so";
+        match networks.handle.decide(Decision { node: &node, isolated, cause }) {
+            Ok(()) => Ok(()),
+            Err(NoSay::Oneself) => Err(IsolateError::Oneself { node }),
+            Err(NoSay::TooMany { limit }) => Err(IsolateError::TooMany { node, limit }),
+        }
+    }
+
+    fn unknown(&self, node: NodeName) -> IsolateError {
+        let mut known = self.0.networks.as_ref().map(|all| all.known()).unwrap_or_default();
+        known.remove(&self.0.name);
+        let nearest = nearest(node.as_str(), known.iter().map(NodeName::as_str));
+        let nearest = nearest.and_then(|name| known.get(name)).cloned();
+        IsolateError::Unknown { node, nearest, known: known.into_iter().take(KNOWN_MAX).collect() }
+    }
+}

@@ -1,0 +1,144 @@
+//! What can be known to be wrong with a network before anything is started.
+
+use super::laying::HELLO_INTERVAL;
+use super::{Link, Medium, Network, Remote};
+use crate::net::Interface;
+use crate::node::builder::StartError;
+use blastema_contract::transport::MediumAddress;
+use blastema_core::NodeName;
+use blastema_transports::Endpoint;
+use blastema_transports::endpoint::is_interface;
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
+/// How often a hello may be said: more often is taken for an attack by the neighbour, and a link must be
+/// known to be dead within a minute.
+const HELLO_RANGE: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_secs(15);
+
+impl Network {
+    pub(in crate::node) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Whom its links lead to.
+    pub(in crate::node) fn neighbours(&self) -> impl Iterator<Item = &str> {
+        self.links.iter().map(|link| link.neighbour.as_str())
+    }
+
+    /// What people call its links.
+    pub(in crate::node) fn link_names(&self) -> impl Iterator<Item = String> {
+        self.links.iter().map(|link| self.link_name(link))
+    }
+
+    /// What people call one of its links.
+    pub(super) fn link_name(&self, link: &Link) -> String {
+        let usual = || match self.links.len() {
+            1 => self.name.clone(),
+            _ => format!("{}/{}", self.name, link.neighbour),
+        };
+        link.name.clone().unwrap_or_else(usual)
+    }
+
+    /// Finds what can be known to be wrong before anything is started.
+    pub(in crate::node) fn check(&self, node: &NodeName) -> Result<(), StartError> {
+        let wrong = |what| Err(StartError::Network(format!("network {}: {what}", self.name)));
+        if let Some(what) = self.own_fault() {
+            return wrong(what);
+        }
+        for link in &self.links {
+            let what = self.link_fault(link, node).or_else(|| self.remote_fault(link));
+            if let Some(what) = what {
+                return wrong(what);
+            }
+        }
+        Ok(())
+    }
+
+    /// What is wrong with our own end of it.
+    fn own_fault(&self) -> Option<String> {
+        if let Medium::At(endpoint) = &self.medium
+            && let Err(why) = endpoint.check()
+        {
+            return Some(why);
+        }
+        if matches!(&self.medium, Medium::Memory(config) if config.name.is_empty()) {
+            return Some("our own end of the memory medium has no name: give it one".to_owned());
+        }
+        let Some(Interface::Named(name)) = &self.interface else { return None };
+        if !is_interface(name) {
+            return Some(format!(
+                "{name:?} is no name of an interface: write one as in eth0, 1 to 15 letters without slash"
+            ));
+        }
+        let bound_to = match &self.medium {
+            Medium::At(Endpoint::Udp(config)) => config.interface.as_ref(),
+            Medium::At(Endpoint::Tcp(config)) => config.interface.as_ref(),
+            _ => None,
+        };
+        let other = bound_to.filter(|bound_to| *bound_to != name)?;
+        Some(format!(
+            "its endpoint says interface={other}, and interface() says {name}: say one of them only"
+        ))
+    }
+
+    fn link_fault(&self, link: &Link, node: &NodeName) -> Option<String> {
+        let Link { name, neighbour, cost, hello_interval, expected_within, .. } = link;
+        if neighbour == node.as_str() {
+            return Some(format!(
+                "{neighbour} is this node itself, and no neighbour: write the neighbour's name, or \
+                 leave the link out"
+            ));
+        }
+        if name.as_ref().is_some_and(String::is_empty) {
+            return Some(format!("the link to {neighbour} has an empty name: leave named() out"));
+        }
+        // Over a link that costs nothing, two nodes may each take the other for the shorter way.
+        if *cost == Some(0) {
+            return Some(format!("the link to {neighbour} costs 0: a link costs 1 at least"));
+        }
+        let interval = hello_interval.unwrap_or(HELLO_INTERVAL);
+        if !HELLO_RANGE.contains(&interval) {
+            return Some(format!(
+                "the hello to {neighbour} cannot be said every {interval:?}: 1 ms to 15 s"
+            ));
+        }
+        (*expected_within < interval).then(|| {
+            format!(
+                "{neighbour} is expected within {expected_within:?}, and says hello every {interval:?}: \
+                 give it the time of some hellos, or Duration::MAX if it need not come"
+            )
+        })
+    }
+
+    /// Why the neighbour cannot be where the link leads.
+    fn remote_fault(&self, link: &Link) -> Option<String> {
+        let Link { neighbour, remote, .. } = link;
+        let why = match (remote, &self.medium) {
+            (Remote::At(address), Medium::At(endpoint)) => endpoint.objection(address)?,
+            (Remote::At(MediumAddress::Memory(end)), Medium::Memory(config)) => {
+                memory_objection(end, &config.name)?
+            }
+            (Remote::Written(end), Medium::Memory(config)) => memory_objection(end, &config.name)?,
+            (Remote::At(_), Medium::Memory(_)) => {
+                "it is no end of a memory medium: name it by Link::in_memory"
+            }
+            _ => return None,
+        };
+        let address = match remote {
+            Remote::At(address) => address.to_string(),
+            Remote::Written(text) => text.clone(),
+        };
+        let address = if address.is_empty() { "\"\"".to_owned() } else { address };
+        Some(format!("{address} is not where {neighbour} is: {why}"))
+    }
+}
+
+fn memory_objection(end: &str, own: &str) -> Option<&'static str> {
+    if end.is_empty() {
+        Some("write the name of its end")
+    } else if end == own {
+        Some("it is our own end: write the neighbour's")
+    } else {
+        None
+    }
+}
