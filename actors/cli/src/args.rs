@@ -1,6 +1,7 @@
 //! What the command line may say.
 
 use clap::{Args, Parser, Subcommand};
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -15,10 +16,18 @@ Exit status:
   1  something stayed unrecovered, or a promise was broken; the table says which
   2  the command line was wrong, or the demonstration could not be run to its end";
 
-const MONITOR_STATUS: &str = "\
+const MONITOR_HELP: &str = "\
+Examples:
+  blastema monitor /run/robot/module1.window
+  blastema monitor --json /run/robot/module1.window /run/robot/module2.window
+  watch -n 1 blastema monitor /run/robot/module1.window
+
 Exit status:
   0  every node was shown
-  2  the command line was wrong, or a node could not be shown";
+  2  the command line was wrong, or a node could not be shown: those named before it were";
+
+/// The shortest and the longest `--within`: what a node takes at least, and what nobody waits for.
+const WITHIN: RangeInclusive<Duration> = Duration::from_millis(10)..=Duration::from_secs(60 * 60);
 
 /// The whole command line.
 #[derive(Debug, Parser)]
@@ -61,10 +70,11 @@ pub(crate) enum Job {
     /// Show what a running node knows of itself
     ///
     /// Its objects with what the monitor thinks of each, the threads that components live on, links,
-    /// sessions with other nodes, claimed names, actuators and who commands them, and faults, as they are now. A node is shown where its
-    /// program gave it a window, by `NodeBuilder::shown_at`, to the user who runs it. What is not known is a
-    /// dash. To go on looking: `watch -n 1 blastema monitor PATH`.
-    #[command(after_help = MONITOR_STATUS)]
+    /// sessions with other nodes, claimed names, actuators and who commands them, and faults, as they are now.
+    /// A node is shown where its program gave it a window, by `NodeBuilder::shown_at`, to the user who runs
+    /// it, and nobody else. What is not known is a dash; a table that is left out is empty, and one whose part
+    /// of the node has not answered says so. Nothing can be changed from here.
+    #[command(after_help = MONITOR_HELP)]
     Monitor(MonitorOptions),
     /// Run one module of the demonstration's robot; the demonstration starts these by itself
     #[command(hide = true)]
@@ -95,9 +105,13 @@ pub(crate) struct MonitorOptions {
     /// The path of a node's window, a Unix socket; several are shown one after the other
     #[arg(required = true, value_name = "PATH")]
     pub(crate) windows: Vec<PathBuf>,
-    /// Print one JSON document for each node, each on one line, instead of tables
+    /// Print one JSON document for each node, each on one line, instead of tables: texts are whole there, spans
+    /// are in milliseconds (`_ms`), and what is not known is null
     #[arg(long)]
     pub(crate) json: bool,
+    /// Wait so long for each node to answer, 10ms to 1h, such as 500ms, 10s or 1m
+    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = parse_within)]
+    pub(crate) within: Duration,
 }
 
 /// How the demonstration starts one module.
@@ -115,6 +129,20 @@ pub(crate) struct ModuleOptions {
 }
 
 fn parse_duration(text: &str) -> Result<Duration, String> {
+    match parse_span(text)? {
+        span if (SHORTEST..=LONGEST).contains(&span) => Ok(span),
+        _ => Err(format!("{text} is not between 1s and 24h")),
+    }
+}
+
+fn parse_within(text: &str) -> Result<Duration, String> {
+    match parse_span(text)? {
+        span if WITHIN.contains(&span) => Ok(span),
+        _ => Err(format!("{text} is not between 10ms and 1h")),
+    }
+}
+
+fn parse_span(text: &str) -> Result<Duration, String> {
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (number, unit) = text.split_at(digits);
     let millis_of_unit = match unit {
@@ -130,11 +158,7 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
     }
     // What no number holds is as much too long as the largest one.
     let number: u64 = number.parse().unwrap_or(u64::MAX);
-    let span = Duration::from_millis(number.saturating_mul(millis_of_unit));
-    if span < SHORTEST || span > LONGEST {
-        return Err(format!("{text} is not between 1s and 24h"));
-    }
-    Ok(span)
+    Ok(Duration::from_millis(number.saturating_mul(millis_of_unit)))
 }
 
 #[cfg(test)]
@@ -225,13 +249,43 @@ mod tests {
             }
         });
         assert!(demo.is_some());
+        let monitor = Arguments::command().find_subcommand_mut("monitor").map(|monitor| {
+            let help = monitor.render_long_help().to_string();
+            let parts = [
+                "<PATH>...",
+                "--json",
+                "--within <DURATION>",
+                "10ms to 1h",
+                "[default: 10s]",
+                "shown_at",
+                "watch -n 1",
+                "Exit status",
+                "those named before it were",
+                "Nothing can be changed",
+            ];
+            for part in parts {
+                assert!(help.contains(part), "{part} is missing in {help}");
+            }
+        });
+        assert!(monitor.is_some());
     }
 
     #[test]
     fn the_monitor_takes_the_paths_of_windows() {
         let windows = ["/run/a", "/run/b"].map(PathBuf::from).to_vec();
-        let wanted = MonitorOptions { windows, json: true };
+        let within = Duration::from_secs(10);
+        let wanted = MonitorOptions { windows: windows.clone(), json: true, within };
         assert_eq!(parse("blastema monitor --json /run/a /run/b"), Ok(Job::Monitor(wanted)));
+        let within = Duration::from_millis(500);
+        let wanted = MonitorOptions { windows, json: false, within };
+        assert_eq!(
+            parse("blastema monitor --within 500ms /run/a /run/b"),
+            Ok(Job::Monitor(wanted))
+        );
+        for (wrong, told) in [("10", "mean 10s?"), ("0s", "10ms and 1h"), ("2h", "10ms and 1h")] {
+            let refusal = parse(&format!("blastema monitor /a --within {wrong}")).expect_err(wrong);
+            assert!(refusal.contains(told), "{wrong}: {refusal}");
+        }
         let refusal = parse("blastema monitor").expect_err("no node is named");
         assert!(refusal.contains("<PATH>"), "{refusal}");
     }

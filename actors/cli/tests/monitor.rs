@@ -1,9 +1,19 @@
 //! The program looks at a real node through its window.
 
 use blastema::prelude::*;
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
-use std::path::Path;
-use std::process::{Command, Output};
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::{UnixDatagram, UnixListener};
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+use tokio::io::AsyncWriteExt;
+
+/// For a process to begin on a busy computer.
+const PATIENCE: Duration = Duration::from_secs(30);
 
 struct Lamp;
 impl Component for Lamp {}
@@ -55,6 +65,166 @@ fn a_running_node_is_shown_as_tables_and_as_json_and_no_more_once_it_has_stopped
         let told = String::from_utf8(gone.stderr).expect("text");
         assert_eq!(gone.status.code(), Some(2), "{told}");
         assert!(told.contains("no node answers at") && told.contains("shown_at"), "{told}");
+    });
+}
+
+/// The program does not show what is there, and says these words, in one line.
+async fn not_shown(arguments: &[&str], words: &[&str]) {
+    let output = monitor(arguments).await;
+    let told = String::from_utf8(output.stderr).expect("text");
+    assert_eq!((output.status.code(), output.stdout.len()), (Some(2), 0), "{told}");
+    assert_eq!(told.lines().count(), 1, "{told}");
+    for word in words {
+        assert!(told.contains(word), "{word:?} is not said in {told}");
+    }
+    assert!(!told.contains("os error"), "a number helps nobody: {told}");
+}
+
+#[test]
+fn a_path_at_which_there_is_no_window_is_told_with_what_to_do() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("file"), "{}").expect("a file");
+        let dead = at("dead.window");
+        drop(UnixListener::bind(&dead).expect("a socket"));
+        let _datagrams = UnixDatagram::bind(at("datagrams")).expect("a socket");
+        let check = async |path: PathBuf, words: &[&str]| {
+            let words = [&[text(&path)], words].concat();
+            not_shown(&[text(&path)], &words).await;
+        };
+
+        check(at("nothing"), &["nothing is there: start the node"]).await;
+        check(at("no/window"), &["there is no folder", "mend the path"]).await;
+        check(at("file"), &["it is a file, and a window is a socket"]).await;
+        check(at("file/window"), &["is a file: mend the path"]).await;
+        check(folder.path().to_owned(), &["it is a folder: name the window in it"]).await;
+        check(at(&"w".repeat(120)), &["at most 107 bytes"]).await;
+        check(dead, &["has died", "start it anew"]).await;
+        check(at("datagrams"), &["shown_at"]).await;
+    });
+}
+
+#[test]
+fn who_may_not_look_is_told_who_may() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let window = folder.path().join("module1.window");
+        let _listener = UnixListener::bind(&window).expect("a socket");
+        std::fs::set_permissions(&window, Permissions::from_mode(0o000)).expect("it is ours");
+        // Root may do everything, and so looks as somebody else, who can reach the program there.
+        let own = folder.path().join("blastema");
+        std::fs::copy(env!("CARGO_BIN_EXE_blastema"), &own).expect("a file");
+        std::fs::set_permissions(folder.path(), Permissions::from_mode(0o755)).expect("it is ours");
+        let mut program = Command::new(own);
+        if rustix::process::geteuid().is_root() {
+            program.uid(65_534);
+        }
+        let output = program.arg("monitor").arg(&window).output().expect("it can be started");
+
+        let told = String::from_utf8(output.stderr).expect("text");
+        assert_eq!(output.status.code(), Some(2), "{told}");
+        assert!(told.contains("only the user who runs the node may look: run this as"), "{told}");
+    });
+}
+
+/// Shows this to one who comes, and ends.
+async fn shows(window: &Path, shown: &[u8]) {
+    let listener = tokio::net::UnixListener::bind(window).expect("a socket");
+    let (mut viewer, _) = listener.accept().await.expect("somebody looks");
+    viewer.write_all(shown).await.expect("somebody reads");
+}
+
+#[test]
+fn what_is_shown_by_somebody_else_is_not_taken_for_a_node() {
+    blastema::run(async {
+        for (shown, word) in [
+            (&b"{\"temperature\":21.5}"[..], "without \"node\""),
+            (b"[1,2,3]", "without \"node\""),
+            (b"HTTP/1.1 400 Bad Request\r\n", "no JSON document"),
+            (b"\xff\x00", "no text"),
+            (b"", "nothing"),
+        ] {
+            let folder = tempfile::tempdir().expect("a folder");
+            let window = folder.path().join("other.socket");
+            let (tables, json) = ([text(&window)], ["--json", text(&window)]);
+            let words = ["this is not a node's window", text(&window), word];
+            tokio::join!(shows(&window, shown), not_shown(&tables, &words));
+            std::fs::remove_file(&window).expect("it is there");
+            tokio::join!(shows(&window, shown), not_shown(&json, &words));
+        }
+    });
+}
+
+/// Which window the process is to be shown at that this test starts from itself.
+const WINDOW: &str = "BLASTEMA_TEST_WINDOW";
+
+#[test]
+fn a_process_shows_its_node() {
+    let Some(window) = std::env::var_os(WINDOW) else { return };
+    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).expect("it has one");
+    blastema::run(async {
+        let node = Node::builder("module1").shown_at(window).start().await.expect("it starts");
+        node.ended().await;
+    });
+}
+
+#[test]
+fn a_node_whose_process_is_stopped_is_told_as_such_and_how_to_let_it_go_on() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let window = folder.path().join("module1.window");
+        let program = std::env::current_exe().expect("a running program has a path");
+        let mut process = tokio::process::Command::new(program)
+            .args(["--exact", "a_process_shows_its_node", "--nocapture"])
+            .env(WINDOW, &window)
+            .stdout(Stdio::null())
+            .kill_on_drop(true)
+            .spawn()
+            .expect("the test can be started again");
+        let begun = async {
+            while !monitor(&[text(&window)]).await.status.success() {
+                assert_eq!(process.try_wait().expect("it is ours"), None, "it goes on");
+            }
+        };
+        tokio::time::timeout(PATIENCE, begun).await.expect("it begins");
+        let number = process.id().expect("it lives").to_string();
+        let own = Pid::from_raw(number.parse().expect("a number"));
+        let signal = |signal| kill_process(own.expect("it lives"), signal).expect("it is ours");
+
+        signal(Signal::STOP);
+        let hint = format!("`kill -CONT {number}`");
+        let words = &["did not answer within 0.2 s", "is stopped", &hint];
+        not_shown(&["--within", "200ms", text(&window)], words).await;
+
+        signal(Signal::CONT);
+        assert!(monitor(&[text(&window)]).await.status.success(), "it goes on");
+        process.kill().await.expect("it is ours");
+    });
+}
+
+#[test]
+fn who_takes_connections_and_says_nothing_is_not_waited_for_without_end() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let window = folder.path().join("silent");
+        let listener = UnixListener::bind(&window).expect("a socket");
+
+        let words = &["did not answer within 0.1 s", "--within"];
+        not_shown(&["--within", "100ms", text(&window)], words).await;
+
+        // As many wait now as the system lets: no more can even connect.
+        listener.set_nonblocking(true).expect("it is a socket");
+        let mut waiting = Vec::new();
+        let full = loop {
+            match tokio::net::UnixStream::connect(&window).await {
+                Ok(viewer) => waiting.push(viewer),
+                Err(error) => break error,
+            }
+        };
+        assert_eq!(full.kind(), std::io::ErrorKind::WouldBlock);
+        let words = &["did not answer within 0.1 s", "others wait there, too"];
+        not_shown(&["--within", "100ms", text(&window)], words).await;
     });
 }
 

@@ -1,0 +1,219 @@
+//! Looking through a node's window, and why there is nothing to be seen.
+
+use rustix::io::Errno;
+use serde_json::Value;
+use std::fs;
+use std::io;
+use std::os::unix::fs::FileTypeExt;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use tokio::io::AsyncReadExt;
+use tokio::net::UnixStream;
+use tokio::time::{sleep, timeout};
+
+/// The longest picture that is read: that of ten thousand components takes a third of it.
+const LONGEST: u64 = 16 << 20;
+/// The longest path of a Unix-domain socket on Linux, in bytes, without the closing zero.
+const LONGEST_PATH: usize = 107;
+/// Where as many wait at a window as the system lets, there may be room after so long.
+const PAUSE: Duration = Duration::from_millis(10);
+
+/// Why a node cannot be shown.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum LookError {
+    /// Nobody shows anything there.
+    #[error("no node answers at {}: {reason}", path.display())]
+    Nobody {
+        /// The path.
+        path: PathBuf,
+        /// What is there, and what to do.
+        reason: String,
+    },
+    /// Somebody listens there, and says nothing in time.
+    #[error("the node at {} did not answer within {}: {reason}", path.display(), span(.within))]
+    Silent {
+        /// The path.
+        path: PathBuf,
+        /// How long it was waited for.
+        within: Duration,
+        /// What may help.
+        reason: String,
+    },
+    /// Somebody else listens there.
+    #[error(
+        "this is not a node's window: {} shows {reason}; give the path that NodeBuilder::shown_at \
+         was given",
+        path.display()
+    )]
+    NoNode {
+        /// The path.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+fn span(within: &Duration) -> String {
+    format!("{} s", within.as_secs_f64())
+}
+
+/// What a node shows of itself: as it was sent, and as a document.
+pub(super) struct Seen {
+    pub(super) text: String,
+    pub(super) picture: Value,
+}
+
+/// Looks once.
+///
+/// # Errors
+/// What is there instead of a node, and what to do.
+pub(super) async fn look(path: &Path, within: Duration) -> Result<Seen, LookError> {
+    let mut process = None;
+    let looked = timeout(within, async {
+        let window = connect(path).await?;
+        process = window.peer_cred().ok().and_then(|peer| peer.pid());
+        let mut bytes = Vec::new();
+        window.take(LONGEST).read_to_end(&mut bytes).await?;
+        Ok::<_, io::Error>(bytes)
+    });
+    match looked.await {
+        Ok(Ok(bytes)) => {
+            read(bytes).map_err(|reason| LookError::NoNode { path: path.to_owned(), reason })
+        }
+        Ok(Err(error)) => {
+            Err(LookError::Nobody { path: path.to_owned(), reason: explain(path, &error) })
+        }
+        Err(_) => {
+            Err(LookError::Silent { path: path.to_owned(), within, reason: silence_of(process) })
+        }
+    }
+}
+
+async fn connect(path: &Path) -> io::Result<UnixStream> {
+    loop {
+        match UnixStream::connect(path).await {
+            // As many wait there already as the system lets.
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => sleep(PAUSE).await,
+            connected => return connected,
+        }
+    }
+}
+
+fn read(bytes: Vec<u8>) -> Result<Seen, String> {
+    if bytes.is_empty() {
+        return Err("nothing".to_owned());
+    }
+    if bytes.len() as u64 >= LONGEST {
+        return Err(format!("more than {LONGEST} bytes"));
+    }
+    let text = String::from_utf8(bytes).map_err(|_| "what is no text".to_owned())?;
+    let picture: Value = serde_json::from_str(&text)
+        .map_err(|error| format!("what is no JSON document ({error})"))?;
+    match lacking(&picture) {
+        None => Ok(Seen { text, picture }),
+        Some(lacking) => Err(format!("a document without {lacking:?}")),
+    }
+}
+
+/// What every node's picture has, and this one has not.
+fn lacking(picture: &Value) -> Option<&'static str> {
+    let known = |part: &Value| part.is_array() || part.is_null();
+    let has = |key: &str, is: fn(&Value) -> bool| picture.get(key).is_some_and(is);
+    let texts = ["node", "state"].into_iter().find(|key| !has(key, Value::is_string));
+    let number = (!has("incarnation", Value::is_u64)).then_some("incarnation");
+    let parts = ["table", "threads", "links", "faults"].into_iter();
+    texts.or(number).or(parts.into_iter().find(|key| !picture.get(*key).is_some_and(known)))
+}
+
+/// What stands in the way of connecting there.
+fn explain(path: &Path, error: &io::Error) -> String {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    match error.kind() {
+        _ if path.as_os_str().len() > LONGEST_PATH => format!(
+            "a socket's path has at most {LONGEST_PATH} bytes, and this one {}: name it from within \
+             its folder, or by a shorter link",
+            path.as_os_str().len()
+        ),
+        _ if path.is_dir() => "it is a folder: name the window in it".to_owned(),
+        _ if fs::metadata(path).is_ok_and(|found| !found.file_type().is_socket()) => {
+            "it is a file, and a window is a socket: give the path that NodeBuilder::shown_at was given"
+                .to_owned()
+        }
+        io::ErrorKind::NotFound if folder.is_some_and(|folder| !folder.exists()) => {
+            format!("there is no folder {}: mend the path", folder.unwrap_or(path).display())
+        }
+        io::ErrorKind::NotFound => {
+            "nothing is there: start the node, or give it this window by NodeBuilder::shown_at"
+                .to_owned()
+        }
+        io::ErrorKind::ConnectionRefused => {
+            "the node that was shown there has died, or does not listen yet: start it anew".to_owned()
+        }
+        io::ErrorKind::PermissionDenied => {
+            "only the user who runs the node may look: run this as that user".to_owned()
+        }
+        io::ErrorKind::NotADirectory => {
+            "what should be its folder is a file: mend the path".to_owned()
+        }
+        io::ErrorKind::ConnectionReset => {
+            "it has ended in that moment: look again when it has begun anew".to_owned()
+        }
+        _ if error.raw_os_error() == Some(Errno::PROTOTYPE.raw_os_error()) => {
+            "it is a socket of another kind: give the path that NodeBuilder::shown_at was given"
+                .to_owned()
+        }
+        _ => format!("{error}: give the path that NodeBuilder::shown_at was given"),
+    }
+}
+
+/// What may be known of a process that does not answer.
+fn silence_of(process: Option<i32>) -> String {
+    let Some(process) = process else {
+        return "others wait there, too: it stands still, or is looked at without end; try again"
+            .to_owned();
+    };
+    match is_stopped(process) {
+        true => format!("its process {process} is stopped; `kill -CONT {process}` lets it go on"),
+        false => format!(
+            "its process {process} stands still or has too much to do, or this is not a node's window; \
+             try again, or give it longer by --within"
+        ),
+    }
+}
+
+/// Whether a signal, or a debugger, has stopped it. Only Linux tells.
+fn is_stopped(process: i32) -> bool {
+    let status = fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+    // The name before it, in brackets, may hold anything.
+    let state = status.rsplit_once(')').and_then(|(_, rest)| rest.trim_start().chars().next());
+    matches!(state, Some('T' | 't'))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_nodes_picture_is_taken_for_one() {
+        let whole = r#"{"node":"a","state":"running","incarnation":7,"table":[],"threads":[],
+            "links":null,"faults":[]}"#;
+        assert!(read(whole.into()).is_ok(), "a part that has not answered is null");
+
+        let check = |shown: &str, words: &str| {
+            let told = read(shown.into()).err().expect(shown);
+            assert!(told.contains(words), "{shown}: {told}");
+        };
+        check("", "nothing");
+        check("hello", "no JSON document");
+        check(&whole[..40], "no JSON document");
+        check("{}", "without \"node\"");
+        check("[]", "without \"node\"");
+        check("42", "without \"node\"");
+        check(r#"{"node":7,"state":"running"}"#, "without \"node\"");
+        check(r#"{"node":"a","state":"running"}"#, "without \"incarnation\"");
+        check(&whole.replace("\"links\":null,", ""), "without \"links\"");
+        check(&whole.replace("\"faults\":[]", "\"faults\":{}"), "without \"faults\"");
+        let told = read(vec![0xff, 0xfe]).err();
+        assert_eq!(told.as_deref(), Some("what is no text"));
+    }
+}
