@@ -1,7 +1,7 @@
 //! CAN as the system has it; only the guest of `tests/guest` has any.
 
 use super::*;
-use blastema_transports::{CanBus, CanConfig};
+use blastema_transports::{CanBus, CanConfig, FrameTransport};
 use socketcan::{CanDataFrame, CanFdSocket, EmbeddedFrame, ExtendedId, Socket};
 use std::sync::atomic::{AtomicU8, Ordering};
 
