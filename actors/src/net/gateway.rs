@@ -8,10 +8,11 @@ mod serving;
 pub(super) use errand::{Notify, Ship};
 
 use super::NetEnvironment;
-use super::door::{Condition, Doors, Gate, stream_of};
+use super::door::{Condition, Doors, Gate};
 use super::notice;
 use super::own_faults::OwnFaults;
 use super::wardens::{Told, Wardens};
+use super::way::Freight;
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
@@ -255,8 +256,12 @@ impl Gateway {
                 self.lost += 1;
                 debug!(%peer, %why, "an event did not arrive");
             }
-            ExchangeOutput::Full { peer } => self.at_gate(peer, |gate| gate.hall_is_full()),
-            ExchangeOutput::Room { peer } => self.at_gate(peer, |gate| gate.hall_has_room()),
+            ExchangeOutput::Full { peer, load } => {
+                self.at_gate(peer, |gate| gate.hall_is_full(load))
+            }
+            ExchangeOutput::Room { peer, load } => {
+                self.at_gate(peer, |gate| gate.hall_has_room(load))
+            }
             ExchangeOutput::ObjectFull { peer, object } => {
                 self.at_gate(peer, |gate| gate.object_is_full(object))
             }
@@ -321,12 +326,13 @@ impl Gateway {
         };
         let Some(known) = self.peers.get(&peer) else { return };
         let (gate, gateway) = (known.gate.clone(), context.address());
-        let stream = stream_of(by.1);
+        let delivery = by.1;
         let forward: Forward = Arc::new(move |event: &Parcel| {
+            let freight = Freight::of(delivery, event.len());
             // Publishing never waits: what a peer cannot take now is not sent.
             // Of which only the newest counts, nothing waits behind what does.
-            let open = if newest { gate.has_session() } else { gate.is_open(stream) };
-            if let (true, Some(credit)) = (open, gate.lend_to_event(event.len(), stream)) {
+            let open = if newest { gate.has_session() } else { gate.is_open(freight) };
+            if let (true, Some(credit)) = (open, gate.lend_to_event(event.len(), freight)) {
                 let (event, sent) = (event.clone(), platform::now());
                 gateway.do_send(Published { peer, subscription, event, sent, credit });
             }

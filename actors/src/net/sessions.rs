@@ -234,8 +234,12 @@ impl Body for Sessions {
                 info!(%peer, %incarnation, %why, "session ended");
                 self.report(SessionReported::Ended { peer, why });
             }
-            SessionOutput::Full { stream } => self.report(SessionReported::Full { peer, stream }),
-            SessionOutput::Room { stream } => self.report(SessionReported::Room { peer, stream }),
+            SessionOutput::Full { stream, load } => {
+                self.report(SessionReported::Full { peer, stream, load });
+            }
+            SessionOutput::Room { stream, load } => {
+                self.report(SessionReported::Room { peer, stream, load });
+            }
             SessionOutput::Incompatible { theirs } => {
                 error!(%peer, theirs, "the peer's sessions speak another version: update one node");
             }

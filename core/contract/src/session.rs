@@ -5,9 +5,9 @@
 //! ```
 
 use actix::{Message, Recipient};
-use blastema_core::net::NodeId;
 use blastema_core::net::segment::Stream;
 use blastema_core::net::session::SessionStanding;
+use blastema_core::net::{Load, NodeId};
 use blastema_core::{Incarnation, NodeName, Parcel, Why};
 use bytes::Bytes;
 use std::fmt;
@@ -135,6 +135,8 @@ pub enum SessionReported {
         peer: NodeId,
         /// In which stream.
         stream: Stream,
+        /// With what: bulk alone, or what is small, and then with everything.
+        load: Load,
     },
     /// Sending may go on.
     Room {
@@ -142,6 +144,8 @@ pub enum SessionReported {
         peer: NodeId,
         /// In which stream.
         stream: Stream,
+        /// With what.
+        load: Load,
     },
 }
 

@@ -20,6 +20,7 @@ use self::dealings::{Binding, Numbers, Pending, Session, Waiting, carry};
 use self::hall::Entrance;
 use self::requests::Requests;
 
+use super::load::Load;
 use super::message::{FORMS_MAX, Message};
 use super::naming::Announcement;
 use super::node_id::NodeId;
@@ -177,9 +178,12 @@ impl Exchange {
         }
         match session.hall.enter(waiting.payload.len()) {
             Entrance::Open => {}
-            Entrance::Closing => self.outputs.push_back(ExchangeOutput::Full { peer }),
-            Entrance::Shut => {
-                let refused = refuse(peer, (key.0, key.1), reply_as, Why::Full);
+            Entrance::Closing(load) => {
+                self.outputs.push_back(ExchangeOutput::Full { peer, load });
+            }
+            Entrance::Shut(load) => {
+                let why = Why::WayFull { node: node.to_string(), bulk: load == Load::Bulk };
+                let refused = refuse(peer, (key.0, key.1), reply_as, why);
                 return self.outputs.push_back(refused);
             }
         }
@@ -442,7 +446,8 @@ fn give_up(
 ) {
     let Pending { reply_as, again, .. } = pending;
     // Whoever has left, or has no room, is not asked again.
-    let helps = !matches!(why, Why::Left { .. } | Why::Full | Why::TooLargeForSession { .. });
+    let helps =
+        !matches!(why, Why::Left { .. } | Why::WayFull { .. } | Why::TooLargeForSession { .. });
     match again {
         Some(call) if helps && state.again.len() < AGAIN_MAX => state.again.push(*call),
         _ => {

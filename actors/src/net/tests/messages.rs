@@ -98,7 +98,7 @@ fn a_flood_is_refused_when_full_and_nothing_accepted_is_lost() {
             match sender.tell(Note(n)) {
                 Ok(()) => accepted += 1,
                 Err(error) => {
-                    assert_eq!(error.why, Why::Full);
+                    assert_eq!(error.why, Why::WayFull { node: "right".into(), bulk: false });
                     break;
                 }
             }

@@ -142,10 +142,14 @@ impl Session {
         carry(peer, (binding << 1) | 1, delivery, &message)
     }
 
-    /// These wait no longer. Answers whether senders that were told to stop may go on.
-    pub(super) fn let_out(&mut self, waiting: &[Waiting]) -> bool {
-        let bytes = waiting.iter().map(|waiting| waiting.payload.len()).sum();
-        self.hall.leave(waiting.len(), bytes)
+    /// These wait no longer. Answers with what is to be told to senders that were told to stop.
+    pub(super) fn let_out(
+        &mut self,
+        peer: NodeId,
+        waiting: &[Waiting],
+    ) -> impl Iterator<Item = ExchangeOutput> + use<> {
+        let again = self.hall.leave(waiting.iter().map(|waiting| waiting.payload.len()));
+        again.into_iter().map(move |load| ExchangeOutput::Room { peer, load })
     }
 
     /// The peer has agreed: what waited goes out. `None` if nothing was asked.
@@ -158,12 +162,12 @@ impl Session {
         let key = self.numbers.get(&number)?;
         let binding = self.bindings.get_mut(key)?;
         let (waiting, delivery) = (binding.waiting.take()?, binding.contract.delivery);
-        let room = self.let_out(&waiting).then_some(ExchangeOutput::Room { peer });
+        let rooms = self.let_out(peer, &waiting);
         let sent = waiting
             .into_iter()
             .map(|waiting| self.send(peer, (number, delivery), waiting, next_call));
         // Room first: the session may find itself full, and must have the last word.
-        Some(room.into_iter().chain(sent).collect())
+        Some(rooms.chain(sent).collect())
     }
 }
 

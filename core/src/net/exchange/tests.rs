@@ -247,12 +247,13 @@ fn too_many_messages_for_one_binding_are_told_and_then_refused() {
     }
     pair.run();
     let peer = pair.ids[1];
-    let lost = ExchangeOutput::Lost { peer, to: Some((arm(), "count")), why: Why::Full };
-    assert_eq!(pair.take(0), [ExchangeOutput::Full { peer }, lost]);
+    let (load, why) = (Load::Small, Why::WayFull { node: "right".into(), bulk: false });
+    let lost = ExchangeOutput::Lost { peer, to: Some((arm(), "count")), why };
+    assert_eq!(pair.take(0), [ExchangeOutput::Full { peer, load }, lost]);
 
     pair.agree();
 
-    assert_eq!(pair.take(0), [ExchangeOutput::Room { peer }]);
+    assert_eq!(pair.take(0), [ExchangeOutput::Room { peer, load }]);
     assert_eq!(pair.take(1).len(), 4 * hall::MESSAGES);
 }
 
@@ -319,19 +320,20 @@ fn a_returned_message_resolves_its_request() {
         payload: payload().into(),
         reply_as,
     };
+    let full = Why::WayFull { node: "right".into(), bulk: false };
     let mut told = vec![];
     for reply_as in [Some(10), None] {
         pair.ends[0].handle_call(call(reply_as));
         let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
             panic!("it is sent");
         };
-        pair.ends[0].handle_returned(peer, message.into_bytes(), Why::Full, Sent::Nothing);
+        pair.ends[0].handle_returned(peer, message.into_bytes(), full.clone(), Sent::Nothing);
         told.extend(pair.ends[0].poll_output());
     }
 
     let (peer, to) = (pair.ids[1], Some((arm(), "count")));
-    let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(Why::Full) };
-    let lost = ExchangeOutput::Lost { peer, to, why: Why::Full };
+    let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(full.clone()) };
+    let lost = ExchangeOutput::Lost { peer, to, why: full };
     assert_eq!(told, [resolved, lost]);
 }
 

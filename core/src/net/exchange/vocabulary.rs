@@ -1,5 +1,6 @@
 //! What an exchange is told, and wants done.
 
+use crate::net::load::Load;
 use crate::net::naming::Announcement;
 use crate::net::node_id::NodeId;
 use crate::net::segment::Stream;
@@ -126,11 +127,15 @@ pub enum ExchangeOutput {
     Full {
         /// Whom.
         peer: NodeId,
+        /// What there is no room for: bulk alone, or what is small, and then nothing goes.
+        load: Load,
     },
     /// They may go on.
     Room {
         /// Whom.
         peer: NodeId,
+        /// With what.
+        load: Load,
     },
     /// The peer's object has no room: senders should stop, for this object.
     ObjectFull {

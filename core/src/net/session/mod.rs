@@ -43,9 +43,10 @@ pub use self::standing::{SessionStanding, SessionState};
 use self::assembly::Assembly;
 use self::best_effort::BestEffort;
 use self::inbound::Inbound;
-use self::outbound::Outbound;
+use self::outbound::{Outbound, load_of};
 use self::replicas::Replicas;
 use self::round_trip::RoundTrip;
+use super::load::Load;
 use super::packet::{Class, Undelivered};
 use super::segment::{Data, Datagram, Segment, Stream};
 use super::wire::Refusals;
@@ -120,8 +121,8 @@ struct Peer {
 struct StreamState {
     outbound: Outbound,
     inbound: Inbound,
-    /// Its senders have been told to stop.
-    is_full: bool,
+    /// Its senders have been told to stop: with everything, and with bulk.
+    full: [bool; 2],
 }
 
 /// In the order of their places.
@@ -194,7 +195,7 @@ impl Session {
     /// Sends a message, exactly once and in the order of its stream.
     ///
     /// # Errors
-    /// [`Why::Full`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`] tells when the
+    /// [`Why::WayFull`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`] tells when the
     /// stream takes more. [`Why::TooLargeForSession`], [`Why::Unreachable`], [`Why::Stopped`] after
     /// [`handle_close`](Session::handle_close). The message comes back.
     pub fn handle_send(
@@ -205,19 +206,23 @@ impl Session {
     ) -> Result<(), Refused> {
         self.now = now;
         let message = self.check(message.into())?;
-        let SessionConfig { buffer_bytes, buffer_messages, .. } = self.config;
+        let load = load_of(&message);
+        let buffer_messages = self.config.buffer_messages;
+        let buffer_bytes = self.buffer_bytes(load);
         let state = &mut self.streams[stream as usize];
-        let outbound = &mut state.outbound;
-        let (messages, bytes) = (outbound.messages() + 1, outbound.bytes() + message.len());
-        let full = |times| messages > times * buffer_messages || bytes > times * buffer_bytes;
-        if full(1) && !state.is_full {
-            state.is_full = true;
-            self.outputs.push_back(SessionOutput::Full { stream });
+        let messages = state.outbound.messages() + 1;
+        let bytes = state.outbound.bytes(load) + message.len();
+        if (messages > buffer_messages || bytes > buffer_bytes) && !state.full[load as usize] {
+            state.full[load as usize] = true;
+            self.outputs.push_back(SessionOutput::Full { stream, load });
         }
-        if full(2) {
-            return Err((Why::Full, message.into_bytes()));
+        // What is on its way here when senders are told to stop, or waits for bindings, has room all the same.
+        if messages > 2 * buffer_messages || bytes > 2 * self.config.buffer_bytes {
+            let node = self.config.peer.to_string();
+            let why = Why::WayFull { node, bulk: load == Load::Bulk };
+            return Err((why, message.into_bytes()));
         }
-        outbound.push(message);
+        state.outbound.push(message);
         self.owed_since.get_or_insert(now);
         Ok(())
     }
@@ -434,8 +439,8 @@ impl Session {
                 let why = why.clone();
                 self.outputs.push_back(SessionOutput::Returned { stream, message, why, sent });
             }
-            if state.is_full {
-                self.outputs.push_back(SessionOutput::Room { stream });
+            for load in Load::ALL.into_iter().filter(|load| state.full[*load as usize]) {
+                self.outputs.push_back(SessionOutput::Room { stream, load });
             }
             *state = StreamState::new(&self.config);
         }
@@ -491,7 +496,7 @@ impl StreamState {
         StreamState {
             outbound: Outbound::new(config.window),
             inbound: Inbound::new(config.window, config.message_max),
-            is_full: false,
+            full: [false; 2],
         }
     }
 }

@@ -1,5 +1,7 @@
 //! The sending half of an ordered stream.
 
+use super::config::HEADER_MAX;
+use crate::net::load::Load;
 use crate::net::segment::Ack;
 use crate::net::wire::{WireError, Write, varint_length};
 use crate::{Instant, Parcel};
@@ -16,7 +18,8 @@ pub(crate) struct Outbound {
     cut: usize,
     /// How many bytes of the next one have been cut.
     cut_bytes: usize,
-    bytes: usize,
+    /// Of what is small, and of bulk.
+    bytes: [usize; 2],
     /// Parts on their way, by sequence number.
     flight: BTreeMap<u64, Part>,
     /// The bytes of those that are not known to be lost.
@@ -67,6 +70,11 @@ pub(crate) struct Progress {
     pub(crate) order: Option<u64>,
 }
 
+/// What is small to whoever sent it is so with what an exchange has put before it.
+pub(crate) fn load_of(message: &Parcel) -> Load {
+    Load::of(message.len().saturating_sub(HEADER_MAX))
+}
+
 /// The length that stands before a message.
 fn length_of(message: usize) -> BytesMut {
     let mut bytes = BytesMut::with_capacity(64);
@@ -80,7 +88,7 @@ impl Outbound {
             messages: VecDeque::new(),
             cut: 0,
             cut_bytes: 0,
-            bytes: 0,
+            bytes: [0; 2],
             flight: BTreeMap::new(),
             flying_bytes: 0,
             lost: 0,
@@ -90,8 +98,9 @@ impl Outbound {
         }
     }
 
-    pub(crate) fn bytes(&self) -> usize {
-        self.bytes
+    /// The bytes of all messages of this load.
+    pub(crate) fn bytes(&self, load: Load) -> usize {
+        self.bytes[load as usize]
     }
 
     pub(crate) fn messages(&self) -> usize {
@@ -119,7 +128,7 @@ impl Outbound {
     }
 
     pub(crate) fn push(&mut self, message: Parcel) {
-        self.bytes += message.len();
+        self.bytes[load_of(&message) as usize] += message.len();
         self.messages.push_back(Held { message, last: None });
     }
 
@@ -217,7 +226,7 @@ impl Outbound {
         }
         while self.messages.front().is_some_and(|held| held.last.is_some_and(|n| n < ack.next)) {
             let held = self.messages.pop_front().expect("there is a front");
-            self.bytes -= held.message.len();
+            self.bytes[load_of(&held.message) as usize] -= held.message.len();
             self.cut -= 1;
         }
         Ok(progress)

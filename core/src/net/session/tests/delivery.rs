@@ -100,15 +100,61 @@ fn a_full_stream_says_so_then_refuses_then_has_room_again() {
         pair.send(0, text("x"));
     }
     let refused = pair.ends[0].handle_send(Stream::Data, text("x"), at(pair.now));
-    assert_eq!(refused, Err((Why::Full, text("x"))));
+    let full = Why::WayFull { node: "right".into(), bulk: false };
+    assert_eq!(refused, Err((full, text("x"))));
     pair.run(1);
-    assert_eq!(pair.take(0), [SessionOutput::Full { stream: Stream::Data }]);
+    let (stream, load) = (Stream::Data, Load::Small);
+    assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
 
     pair.lose = Box::new(|_, _| false);
     pair.run(200);
 
-    assert_eq!(pair.take(0), [SessionOutput::Room { stream: Stream::Data }]);
+    assert_eq!(pair.take(0), [SessionOutput::Room { stream, load }]);
     assert_eq!(pair.take(1).len(), 9, "opened, and eight messages");
+}
+
+#[test]
+fn bulk_that_fills_its_room_leaves_what_is_small_its_own_and_all_arrive_in_order() {
+    let mut pair = Pair::open();
+    pair.lose = Box::new(|_, _| true);
+    let (image, now) = (Bytes::from(vec![7; 1 << 20]), at(pair.now));
+    let sent = (0..100).map(|_| pair.ends[0].handle_send(Stream::Data, image.clone(), now));
+    let images = sent.take_while(Result::is_ok).count();
+    let order = Bytes::from(vec![8; Load::SMALL_MAX]);
+    for _ in 0..200 {
+        pair.send(0, order.clone());
+    }
+    pair.drain();
+    let (stream, load) = (Stream::Data, Load::Bulk);
+    assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
+    assert_eq!(images, 8, "what is on its way when it is said has room as well");
+
+    pair.lose = Box::new(|_, _| false);
+    pair.run(5000);
+
+    assert_eq!(pair.take(0), [SessionOutput::Room { stream, load }]);
+    let all = [vec![message(image); 8], vec![message(order); 200]].concat();
+    assert!(pair.take(1) == all, "in the order in which they were sent");
+}
+
+#[test]
+fn bulk_has_room_again_while_two_of_the_largest_still_wait() {
+    let mut pair = Pair::open();
+    let image = Bytes::from(vec![7; 1 << 20]);
+    for _ in 0..3 {
+        pair.send(0, image.clone());
+    }
+    let (stream, load) = (Stream::Data, Load::Bulk);
+    pair.drain();
+    assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
+
+    let told = (0..1000).map(|_| {
+        pair.run(0);
+        (pair.take(0), pair.ends[0].standing().unacknowledged)
+    });
+    let told: Vec<_> = told.filter(|(told, _)| !told.is_empty()).collect();
+
+    assert_eq!(told, [(vec![SessionOutput::Room { stream, load }], 2)]);
 }
 
 #[test]
