@@ -211,6 +211,15 @@ impl Gate {
         }
     }
 
+    /// Why an event is not sent there now.
+    pub(super) fn why_not(&self, freight: Freight) -> Why {
+        match self.condition() {
+            _ if self.is_isolated() => Why::Isolated,
+            Condition::Open => self.way_full(freight),
+            _ => Why::Unreachable { node: self.node.to_string() },
+        }
+    }
+
     fn way_full(&self, Freight { load, .. }: Freight) -> Why {
         Why::WayFull { node: self.node.to_string(), bulk: load == Load::Bulk }
     }

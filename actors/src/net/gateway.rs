@@ -2,6 +2,7 @@
 
 mod errand;
 mod inputs;
+mod losses;
 mod peer;
 mod serving;
 
@@ -249,13 +250,7 @@ impl Gateway {
                     reply_to(result);
                 }
             }
-            ExchangeOutput::Lost { to: Some((object, contract)), why, .. } => {
-                self.wiring.dead_letters.take(&object, contract, &why);
-            }
-            ExchangeOutput::Lost { peer, to: None, why } => {
-                self.lost += 1;
-                debug!(%peer, %why, "an event did not arrive");
-            }
+            ExchangeOutput::Lost { peer, to, why } => self.bury(peer, to, &why),
             ExchangeOutput::Full { peer, load } => {
                 self.at_gate(peer, |gate| gate.hall_is_full(load))
             }
@@ -326,15 +321,18 @@ impl Gateway {
         };
         let Some(known) = self.peers.get(&peer) else { return };
         let (gate, gateway) = (known.gate.clone(), context.address());
-        let delivery = by.1;
+        let (delivery, losses) = (by.1, self.losses(known, &key));
         let forward: Forward = Arc::new(move |event: &Parcel| {
             let freight = Freight::of(delivery, event.len());
             // Publishing never waits: what a peer cannot take now is not sent.
             // Of which only the newest counts, nothing waits behind what does.
             let open = if newest { gate.has_session() } else { gate.is_open(freight) };
-            if let (true, Some(credit)) = (open, gate.lend_to_event(event.len(), freight)) {
-                let (event, sent) = (event.clone(), platform::now());
-                gateway.do_send(Published { peer, subscription, event, sent, credit });
+            match open.then(|| gate.lend_to_event(event.len(), freight)).flatten() {
+                Some(credit) => {
+                    let (event, sent) = (event.clone(), platform::now());
+                    gateway.do_send(Published { peer, subscription, event, sent, credit });
+                }
+                None => losses.take(&gate.why_not(freight)),
             }
         });
         self.end_forward((peer, subscription));
@@ -548,7 +546,7 @@ impl Supervised for Gateway {
         self.doorways.clear();
         self.notices.clear();
         self.credit = None;
-        self.exchange = self.exchange.reborn();
+        self.exchange = self.exchange.reborn(&why);
         self.naming = Naming::default();
         self.revision = None;
         self.peers.keys().for_each(|peer| self.set(*peer, Condition::Opening));

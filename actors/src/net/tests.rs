@@ -6,6 +6,7 @@ mod cables;
 mod calls;
 mod delivery;
 mod hostile;
+mod losses;
 mod messages;
 mod nodes;
 mod panics;

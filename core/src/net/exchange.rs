@@ -14,7 +14,7 @@ mod incoming;
 mod requests;
 mod vocabulary;
 
-pub use self::vocabulary::{Call, Epoch, ExchangeOutput, Sent, TopicContract};
+pub use self::vocabulary::{Addressee, Call, Epoch, ExchangeOutput, Sent, TopicContract};
 
 use self::dealings::{Binding, Numbers, Pending, Session, Waiting, carry};
 use self::hall::Entrance;
@@ -77,9 +77,10 @@ struct Peer {
 }
 
 impl Exchange {
-    /// An exchange in the place of one that failed. No number of the old one's is used again.
-    pub fn reborn(&self) -> Self {
-        Exchange {
+    /// An exchange in the place of one that failed. No number of the old one's is used again; what waited in it
+    /// is lost for this reason, and what comes back of its sessions is known. Callers have been told.
+    pub fn reborn(&self, why: &Why) -> Self {
+        let mut next = Exchange {
             next_subscription: self.next_subscription,
             next_binding: self.next_binding,
             next_call: self.next_call,
@@ -87,7 +88,21 @@ impl Exchange {
             requests: self.requests.clone(),
             refusals: self.refusals,
             ..Exchange::default()
+        };
+        for (peer, state) in &self.peers {
+            let past = state.session.as_ref().map_or(&state.past, |session| &session.numbers);
+            next.peers.insert(*peer, Peer { past: past.clone(), ..Peer::default() });
+            let bindings = state.session.iter().flat_map(|session| &session.bindings);
+            for ((object, contract, _), binding) in bindings {
+                let told = binding.waiting.iter().flatten().filter(|told| told.pending.is_none());
+                for _ in told {
+                    let (peer, why) = (*peer, why.clone());
+                    let to = Addressee::Object(object.clone(), contract);
+                    next.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
+                }
+            }
         }
+        next
     }
 
     /// The next thing to do, in order.
@@ -142,7 +157,7 @@ impl Exchange {
                 match waiting.pending {
                     Some(pending) => give_up(state, &mut self.outputs, pending, why, Sent::Nothing),
                     None => {
-                        let to = Some((object.clone(), contract));
+                        let to = Addressee::Object(object.clone(), contract);
                         self.outputs.push_back(ExchangeOutput::Lost { peer, to, why: why.clone() });
                     }
                 }
@@ -412,11 +427,14 @@ impl Exchange {
                     let present = peer.session.as_ref().map(|session| &session.numbers);
                     present.and_then(|numbers| numbers.get(&binding)).or(peer.past.get(&binding))
                 });
-                let to = past.map(|(object, contract, _)| (object.clone(), *contract));
+                let to = past.map_or(Addressee::Forgotten, |(object, contract, _)| {
+                    Addressee::Object(object.clone(), contract)
+                });
                 self.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
             }
-            Message::Event { .. } => {
-                self.outputs.push_back(ExchangeOutput::Lost { peer, to: None, why });
+            Message::Event { subscription, .. } => {
+                let to = Addressee::Subscription(subscription);
+                self.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
             }
             // It was made, and no session carries it: whoever waits for it is told that much.
             Message::Reply { call, result: Ok(_) } => {
@@ -484,7 +502,7 @@ fn refuse(
 ) -> ExchangeOutput {
     match reply_as {
         Some(reply_as) => ExchangeOutput::Resolve { reply_as, result: Err(why) },
-        None => ExchangeOutput::Lost { peer, to: Some(to), why },
+        None => ExchangeOutput::Lost { peer, to: Addressee::Object(to.0, to.1), why },
     }
 }
 

@@ -335,3 +335,23 @@ fn a_peer_that_does_not_stop_loses_what_is_too_much_and_is_named_and_others_are_
         assert!(declared[0].detail.contains("left does not stop"), "{}", declared[0].detail);
     });
 }
+
+#[test]
+fn a_reading_that_finds_its_receiver_between_two_lives_is_counted_as_that_and_not_as_full() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_slow, _log) = slow(&right, MS, WhenFull::Refuse).await;
+        left.sender::<Job>("right:slow").tell(Job(DEADLY)).unwrap();
+        advance(100 * MS).await;
+        let glances = left.sender::<Glance>("right:slow");
+        for n in 0..100 {
+            glances.tell(Glance(n)).unwrap();
+            advance(MS).await;
+        }
+
+        let name = ObjectName::new("slow").unwrap();
+        let count = |reason| right.host.dead_letters.count(&name, reason);
+        assert_eq!(count(DeadReason::Restarting), 100 - QUEUE as u64);
+        assert_eq!((count(DeadReason::PeerDied), count(DeadReason::Full)), (1, 0));
+    });
+}

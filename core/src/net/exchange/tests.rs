@@ -230,7 +230,7 @@ fn without_a_session_a_call_is_refused_with_the_reason() {
     pair.call(count(), Some(10));
     assert_eq!(pair.take(0), [resolved(Why::Restarting)]);
     pair.call(count(), None);
-    let (peer, to) = (pair.ids[1], Some((arm(), "count")));
+    let (peer, to) = (pair.ids[1], Addressee::Object(arm(), "count"));
     assert_eq!(pair.take(0), [ExchangeOutput::Lost { peer, to, why: Why::Restarting }]);
 }
 
@@ -248,7 +248,7 @@ fn too_many_messages_for_one_binding_are_told_and_then_refused() {
     pair.run();
     let peer = pair.ids[1];
     let (load, why) = (Load::Small, Why::WayFull { node: "right".into(), bulk: false });
-    let lost = ExchangeOutput::Lost { peer, to: Some((arm(), "count")), why };
+    let lost = ExchangeOutput::Lost { peer, to: Addressee::Object(arm(), "count"), why };
     assert_eq!(pair.take(0), [ExchangeOutput::Full { peer, load }, lost]);
 
     pair.agree();
@@ -331,7 +331,7 @@ fn a_returned_message_resolves_its_request() {
         told.extend(pair.ends[0].poll_output());
     }
 
-    let (peer, to) = (pair.ids[1], Some((arm(), "count")));
+    let (peer, to) = (pair.ids[1], Addressee::Object(arm(), "count"));
     let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(full.clone()) };
     let lost = ExchangeOutput::Lost { peer, to, why: full };
     assert_eq!(told, [resolved, lost]);
@@ -426,4 +426,43 @@ fn a_reply_that_no_session_carries_is_told_to_have_been_made() {
 
     let result = Err(Why::ReplyTooLarge { limit: 5 });
     assert_eq!(pair.take(0), [ExchangeOutput::Resolve { reply_as: 10, result }]);
+}
+
+#[test]
+fn what_waited_in_a_machine_that_failed_is_told_as_lost_and_what_comes_back_of_it_is_known() {
+    let mut pair = Pair::open();
+    pair.call(count(), None);
+    pair.agree();
+    let sent = pair.take(1);
+    assert_eq!(sent.len(), 1, "it is bound");
+    let call = |contract: ContractIdentity| Call {
+        node: node("right"),
+        object: arm(),
+        contract,
+        id: None,
+        sent: at(0),
+        until: None,
+        payload: payload().into(),
+        reply_as: None,
+    };
+    pair.ends[0].handle_call(call(count()));
+    let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
+        panic!("it is sent");
+    };
+    let other = ContractIdentity { name: "other", ..count() };
+    pair.ends[0].handle_call(call(other));
+    while pair.ends[0].poll_output().is_some() {}
+
+    let why = Why::OutcomeUnknown { reason: "it failed".into() };
+    let mut reborn = pair.ends[0].reborn(&why);
+    let lost = |contract, why| {
+        let to = Addressee::Object(arm(), contract);
+        Some(ExchangeOutput::Lost { peer, to, why })
+    };
+    assert_eq!(reborn.poll_output(), lost("other", why));
+    assert_eq!(reborn.poll_output(), None);
+
+    let died = Why::PeerDied { incarnation: Incarnation(1) };
+    reborn.handle_returned(peer, message.into_bytes(), died.clone(), Sent::Perhaps);
+    assert_eq!(reborn.poll_output(), lost("count", died));
 }

@@ -53,6 +53,17 @@ pub enum Sent {
     Perhaps,
 }
 
+/// Whom a message was for that was lost.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Addressee {
+    /// This object, by the contract of this name.
+    Object(ObjectName, &'static str),
+    /// Those who listen by the subscription of this number.
+    Subscription(u32),
+    /// Nobody knows any more: its session is long over.
+    Forgotten,
+}
+
 /// What an exchange wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ExchangeOutput {
@@ -118,8 +129,8 @@ pub enum ExchangeOutput {
     Lost {
         /// For which node.
         peer: NodeId,
-        /// For which object there, and by which contract; `None` for an event.
-        to: Option<(ObjectName, &'static str)>,
+        /// For whom there.
+        to: Addressee,
         /// Why.
         why: Why,
     },
