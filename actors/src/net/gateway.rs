@@ -26,11 +26,11 @@ use blastema_contract::recoverer::Recover;
 use blastema_contract::router::KeepOut;
 use blastema_contract::session::{BeginAnew, Credit, Leave, PeerSeen, Say, SayNewest};
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::isolation::Isolation;
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
+use blastema_core::net::{NodeId, Strand};
 use blastema_core::{
     ContractIdentity, Delivery, FaultKind, NodeName, Parcel, PeerIdentity, Place, Why,
 };
@@ -203,10 +203,10 @@ impl Gateway {
         }
     }
 
-    fn say(&mut self, peer: NodeId, stream: Stream, message: Parcel) {
+    fn say(&mut self, peer: NodeId, (stream, strand): (Stream, Strand), message: Parcel) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
         let credit = self.credit.take();
-        self.wiring.sessions.say.do_send(Say { peer, session, stream, message, credit });
+        self.wiring.sessions.say.do_send(Say { peer, session, stream, strand, message, credit });
     }
 
     fn say_newest(&mut self, peer: NodeId, channel: u32, message: Parcel) {
@@ -219,10 +219,10 @@ impl Gateway {
     fn leave(&mut self) {
         if std::mem::take(&mut self.leaving) {
             self.exchange.handle_leave();
-            while let Some(ExchangeOutput::Send { peer, stream, message }) =
+            while let Some(ExchangeOutput::Send { peer, stream, strand, message }) =
                 self.exchange.poll_output()
             {
-                self.say(peer, stream, message);
+                self.say(peer, (stream, strand), message);
             }
             self.wiring.sessions.leave.do_send(Leave);
         }
@@ -230,8 +230,8 @@ impl Gateway {
 
     fn carry_out(&mut self, output: ExchangeOutput, context: &mut Context<Self>) {
         match output {
-            ExchangeOutput::Send { peer, stream, message } => {
-                self.say(peer, stream, message);
+            ExchangeOutput::Send { peer, stream, strand, message } => {
+                self.say(peer, (stream, strand), message);
             }
             ExchangeOutput::SendNewest { peer, channel, message } => {
                 self.say_newest(peer, channel, message);

@@ -336,11 +336,11 @@ impl Handler<Say> for Sessions {
     type Result = ();
 
     fn handle(&mut self, say: Say, context: &mut Context<Self>) {
-        let Say { peer, session, stream, message, credit } = say;
+        let Say { peer, session, stream, strand, message, credit } = say;
         // The session has it from here on.
         drop(credit);
         let sent = match self.present(peer, session) {
-            Some(session) => session.handle_send(stream, message, platform::now()),
+            Some(session) => session.handle_send_along((stream, strand), message, platform::now()),
             None => Err((self.unreachable(peer), message.into_bytes())),
         };
         self.give_back(peer, sent);

@@ -7,7 +7,7 @@
 use actix::{Message, Recipient};
 use blastema_core::net::segment::Stream;
 use blastema_core::net::session::SessionStanding;
-use blastema_core::net::{Load, NodeId};
+use blastema_core::net::{Load, NodeId, Strand};
 use blastema_core::{Incarnation, NodeName, Parcel, Why};
 use bytes::Bytes;
 use std::fmt;
@@ -57,6 +57,8 @@ pub struct Say {
     pub session: u32,
     /// In which stream.
     pub stream: Stream,
+    /// With what it stays in order there.
+    pub strand: Strand,
     /// What.
     pub message: Parcel,
     /// Room that it takes with whoever sent it.

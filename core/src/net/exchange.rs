@@ -25,6 +25,7 @@ use super::message::{FORMS_MAX, Message};
 use super::naming::Announcement;
 use super::node_id::NodeId;
 use super::segment::Stream;
+use super::strand::Strand;
 use super::wire::Refusals;
 use crate::{ContractIdentity, Delivery, Incarnation, Instant, ObjectName, Parcel, Why};
 use bytes::Bytes;
@@ -186,8 +187,8 @@ impl Exchange {
         let key = (object, contract.name, contract.fingerprint);
         let pending = reply_as.map(|reply_as| Pending { reply_as, until, again });
         let waiting = Waiting { id, sent, payload, pending };
-        if let Some(Binding { waiting: None, number, contract }) = session.bindings.get(&key) {
-            let bound = (*number, contract.delivery);
+        if let Some(binding @ Binding { waiting: None, .. }) = session.bindings.get(&key) {
+            let bound = binding.way();
             let sent = session.send(peer, bound, waiting, &mut self.next_call);
             return self.outputs.push_back(sent);
         }
@@ -210,7 +211,8 @@ impl Exchange {
                 let identity = contract.full().encode().into();
                 let object = key.0.clone();
                 session.numbers.insert(number, key.clone());
-                let binding = Binding { number, contract, waiting: Some(vec![waiting]) };
+                let strand = Strand::to(&object);
+                let binding = Binding { number, strand, contract, waiting: Some(vec![waiting]) };
                 session.bindings.insert(key, binding);
                 let bind = Message::Bind { binding: number, object, identity };
                 self.outputs.push_back(control(peer, &bind));
@@ -279,8 +281,8 @@ impl Exchange {
             true => Stream::Redundant,
             false => Stream::Data,
         };
-        let message = Message::Reply { call, result }.encode();
-        self.outputs.push_back(ExchangeOutput::Send { peer, stream, message });
+        let (strand, message) = (Strand::Call(call), Message::Reply { call, result }.encode());
+        self.outputs.push_back(ExchangeOutput::Send { peer, stream, strand, message });
     }
 
     /// Time passes: what was to be answered by now is given up.
@@ -333,7 +335,8 @@ impl Exchange {
         if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
             let stamp_us = session.stamp_us(sent);
             let message = Message::Event { subscription, stamp_us, payload };
-            self.outputs.push_back(carry(peer, subscription << 1, delivery, &message));
+            let way = (subscription << 1, delivery, Strand::Subscription(subscription));
+            self.outputs.push_back(carry(peer, way, &message));
         }
     }
 
@@ -444,6 +447,7 @@ impl Exchange {
                     self.outputs.push_back(ExchangeOutput::Send {
                         peer,
                         stream: Stream::Data,
+                        strand: Strand::Call(call),
                         message: message.encode(),
                     });
                 }
@@ -481,7 +485,8 @@ fn give_up(
 }
 
 fn control(peer: NodeId, message: &Message) -> ExchangeOutput {
-    ExchangeOutput::Send { peer, stream: Stream::Control, message: message.encode() }
+    let (stream, strand) = (Stream::Control, Strand::default());
+    ExchangeOutput::Send { peer, stream, strand, message: message.encode() }
 }
 
 fn subscribe(topic: &TopicContract, interest: &Interest) -> Message {

@@ -58,6 +58,7 @@ pub mod packet;
 pub mod router;
 pub mod segment;
 pub mod session;
+pub mod strand;
 pub mod waiting_room;
 
 pub use bundle::{Bundle, BundleOutput};
@@ -69,6 +70,7 @@ pub use node_id::NodeId;
 pub use packet::Class;
 pub use router::{LinkNumber, Router, RouterConfig, RouterOutput};
 pub use session::{Session, SessionConfig, SessionOutput};
+pub use strand::Strand;
 pub use topology::Route;
 pub use waiting_room::WaitingRoom;
 pub use wire::{Refusals, WireError};

@@ -4,10 +4,10 @@ use super::*;
 use crate::{Event, Outcome, WhenFull};
 use blastema_contract::session::Say;
 use blastema_core::codec;
-use blastema_core::net::NodeId;
 use blastema_core::net::message::Message;
 use blastema_core::net::segment::Stream;
 use blastema_core::net::waiting_room::MESSAGES_MAX;
+use blastema_core::net::{NodeId, Strand};
 use bytes::Bytes;
 
 /// Is worked at for a while.
@@ -302,8 +302,9 @@ fn blurt(left: &Module, count: usize) {
         Message::Tell { binding: 1, stamp_us: 0, id: None, payload: payload.into() }.encode();
     let peer = NodeId::of(&NodeName::new("right").unwrap());
     for _ in 0..count {
-        let (stream, message) = (Stream::Data, message.clone());
-        left.net.sessions.do_send(Say { peer, session: 1, stream, message, credit: None });
+        let (stream, strand, message) = (Stream::Data, Strand::default(), message.clone());
+        let (session, credit) = (1, None);
+        left.net.sessions.do_send(Say { peer, session, stream, strand, message, credit });
     }
 }
 

@@ -4,6 +4,7 @@ use crate::net::load::Load;
 use crate::net::naming::Announcement;
 use crate::net::node_id::NodeId;
 use crate::net::segment::Stream;
+use crate::net::strand::Strand;
 use crate::{
     ContractIdentity, Instant, MessageId, NodeName, ObjectName, Parcel, PeerIdentity, Why,
 };
@@ -73,6 +74,8 @@ pub enum ExchangeOutput {
         peer: NodeId,
         /// In which stream.
         stream: Stream,
+        /// With what it stays in order there.
+        strand: Strand,
         /// What.
         message: Parcel,
     },

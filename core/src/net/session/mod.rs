@@ -12,7 +12,8 @@
 //! * A peer's session is known by its incarnation and a number that rises within it. A greater number
 //!   ends the old session; a smaller one is refused. Which incarnation is the present one, the router
 //!   says. Tags keep apart what belongs to which.
-//! * Within a session each message of the ordered streams is delivered exactly once and in order.
+//! * Within a session each message of the ordered streams is delivered exactly once and in order. What is small
+//!   enters between the parts of what is large and of another strand, that is for somebody else.
 //!   When a session ends, every message that was not acknowledged is handed back with the reason: it
 //!   was delivered at most once, perhaps not at all.
 //! * What claims to come from the peer is held against what the router knows of its life, and a newer
@@ -49,6 +50,7 @@ use self::round_trip::RoundTrip;
 use super::load::Load;
 use super::packet::{Class, Undelivered};
 use super::segment::{Data, Datagram, Segment, Stream};
+use super::strand::Strand;
 use super::wire::Refusals;
 use crate::{Incarnation, Instant, Machine, Parcel, Why};
 use bytes::Bytes;
@@ -192,15 +194,28 @@ impl Session {
         self.number
     }
 
-    /// Sends a message, exactly once and in the order of its stream.
+    /// Sends a message, exactly once and in the order of its stream: all that is sent so is one strand.
+    ///
+    /// # Errors
+    /// As [`handle_send_along`](Session::handle_send_along).
+    pub fn handle_send(
+        &mut self,
+        stream: Stream,
+        message: impl Into<Parcel>,
+        now: Instant,
+    ) -> Result<(), Refused> {
+        self.handle_send_along((stream, Strand::default()), message, now)
+    }
+
+    /// Sends a message, exactly once and in the order of its strand.
     ///
     /// # Errors
     /// [`Why::WayFull`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`] tells when the
     /// stream takes more. [`Why::TooLargeForSession`], [`Why::Unreachable`], [`Why::Stopped`] after
     /// [`handle_close`](Session::handle_close). The message comes back.
-    pub fn handle_send(
+    pub fn handle_send_along(
         &mut self,
-        stream: Stream,
+        (stream, strand): (Stream, Strand),
         message: impl Into<Parcel>,
         now: Instant,
     ) -> Result<(), Refused> {
@@ -222,7 +237,7 @@ impl Session {
             let why = Why::WayFull { node, bulk: load == Load::Bulk };
             return Err((why, message.into_bytes()));
         }
-        state.outbound.push(message);
+        state.outbound.push(strand, message);
         self.owed_since.get_or_insert(now);
         Ok(())
     }

@@ -221,3 +221,26 @@ fn whoever_cannot_be_reached_because_packets_come_back_is_told_why_and_what_to_d
         }
     }
 }
+
+#[test]
+fn over_9600_baud_what_is_small_does_not_wait_for_the_rest_of_what_is_large() {
+    let mut pair = Pair::new();
+    pair.rate = Some(960);
+    pair.connect_over(85);
+    pair.run(1000);
+    pair.take(1);
+    let [camera, motor] = ["camera", "motor"].map(|name| Strand::to(&name.parse().unwrap()));
+    let image = Bytes::from(vec![7; 12_000]);
+    let now = at(pair.now);
+    pair.ends[0].handle_send_along((Stream::Data, camera), image.clone(), now).unwrap();
+    pair.run(3000);
+
+    let now = at(pair.now);
+    let order = Bytes::from(vec![8; 20]);
+    pair.ends[0].handle_send_along((Stream::Data, motor), order.clone(), now).unwrap();
+    pair.run(1000);
+
+    assert_eq!(pair.take(1), [message(order)], "within a second of twenty");
+    pair.run(20_000);
+    assert!(pair.take(1) == [message(image)]);
+}
