@@ -40,7 +40,7 @@ impl<M: Contract> Inlet<M> for Desk<M> {
         Ok(())
     }
 
-    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+    fn room<'a>(&'a self, _: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(future::ready(()))
     }
 

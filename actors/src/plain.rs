@@ -158,7 +158,7 @@ impl<M: Contract> Inlet<M> for Outside<M> {
         self.pass(message, None)
     }
 
-    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+    fn room<'a>(&'a self, _: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         // An actix mailbox tells nobody that it has room again.
         Box::pin(tokio::time::sleep(pulse::BEAT))
     }

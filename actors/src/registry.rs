@@ -102,8 +102,8 @@ pub(crate) trait RemoteDoor: Send + Sync {
     /// Why the message was not taken.
     fn send(&self, message: Parcel, asked: Option<Asked>) -> Result<(), Why>;
 
-    /// Completes when there may be room for a message that was refused as [`Why::Full`].
-    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>>;
+    /// Completes when there may be room for a message that was refused so.
+    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
 }
 
 /// One contract that one object takes.
@@ -301,8 +301,8 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
         self.send(&message, None).map_err(|why| SendError { why, message })
     }
 
-    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
-        self.door.room()
+    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+        self.door.room(refused)
     }
 
     fn ask(

@@ -22,8 +22,8 @@ pub(crate) trait Inlet<M: Contract>: Send + Sync {
     /// Hands the message over, or gives it back where there is no room.
     fn offer(&self, message: M) -> Result<(), SendError<M>>;
 
-    /// Completes when there may be room.
-    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>>;
+    /// Completes when there may be room for what was refused so.
+    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
 
     /// Hands a request over. It is not begun when `within` has passed; who waits minds it as well.
     fn ask(
@@ -68,7 +68,8 @@ impl<M: Contract> Sender<M> {
     /// node waits there, once it has been accepted here, until the receiver has room.
     ///
     /// # Errors
-    /// The reason, and the message as it was; never [`Why::Full`] or [`Why::Restarting`].
+    /// The reason, and the message as it was; never [`Why::Full`], [`Why::WayFull`] or
+    /// [`Why::Restarting`].
     pub async fn deliver(&self, message: M) -> Result<(), SendError<M>> {
         deliver(&*self.0, message).await
     }
@@ -179,11 +180,17 @@ pub(crate) async fn deliver<M: Contract>(
 ) -> Result<(), SendError<M>> {
     let mut message = message;
     loop {
-        match inlet.offer(message) {
-            Err(SendError { why: Why::Full | Why::Restarting, message: back }) => message = back,
+        let refused = match inlet.offer(message) {
+            Err(SendError {
+                why: why @ (Why::Full | Why::WayFull { .. } | Why::Restarting),
+                message: back,
+            }) => {
+                message = back;
+                why
+            }
             other => return other,
-        }
-        inlet.room().await;
+        };
+        inlet.room(&refused).await;
     }
 }
 
@@ -208,8 +215,8 @@ impl<M: Contract> Inlet<M> for Detached<M> {
         }
     }
 
-    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
-        self.inner.0.room()
+    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+        self.inner.0.room(refused)
     }
 
     fn ask(

@@ -1,6 +1,6 @@
 //! What was not delivered, counted by receiver, contract and reason, and the latest of it.
 
-use crate::{Instant, ObjectName, Why};
+use crate::{Instant, NodeName, ObjectName, Why};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, VecDeque};
@@ -10,11 +10,20 @@ use std::fmt;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum DeadReason {
-    /// The queue was full, and its policy chose this message.
+    /// The receiver's queue was full, and its policy chose this message.
     Full,
+    /// The receiver's queue was full while it was between two lives; or the session with its node was about to
+    /// begin.
+    Restarting,
+    /// As much was on its way to the receiver's node as may be.
+    WayFull,
+    /// No way led to the receiver's node any more, or what leads there began anew: it may have arrived.
+    Unreachable,
+    /// The receiver's node had ended in order.
+    Left,
     /// The receiver was stopped while the message waited.
     Stopped,
-    /// The receiver died while it served the message.
+    /// The receiver died while it served the message, or its node did before that had acknowledged it.
     PeerDied,
     /// The message was older than its contract allows when its turn came.
     Expired,
@@ -24,7 +33,15 @@ pub enum DeadReason {
     Quarantined,
     /// The receiver was isolated.
     Isolated,
-    /// It came from outside and could not be given to the object, for another reason.
+    /// The two nodes, or the publisher and the listener, hold different contracts.
+    ContractDiffers,
+    /// There was no such object, or it took no such contract.
+    Unknown,
+    /// It was larger than its contract, or the way to another node, allows.
+    TooLarge,
+    /// What came from another node was no message of its contract.
+    Undecodable,
+    /// It could not be given to the object, for another reason.
     Refused,
 }
 
@@ -33,12 +50,20 @@ impl DeadReason {
     pub fn text(self) -> &'static str {
         match self {
             DeadReason::Full => "queue full",
+            DeadReason::Restarting => "receiver restarting",
+            DeadReason::WayFull => "way full",
+            DeadReason::Unreachable => "no way",
+            DeadReason::Left => "node left",
             DeadReason::Stopped => "receiver stopped",
             DeadReason::PeerDied => "receiver died",
             DeadReason::Expired => "too old",
             DeadReason::DeadlinePassed => "deadline passed",
             DeadReason::Quarantined => "quarantined",
             DeadReason::Isolated => "receiver isolated",
+            DeadReason::ContractDiffers => "contract differs",
+            DeadReason::Unknown => "receiver unknown",
+            DeadReason::TooLarge => "too large",
+            DeadReason::Undecodable => "undecodable",
             DeadReason::Refused => "refused",
         }
     }
@@ -53,13 +78,23 @@ impl fmt::Display for DeadReason {
 impl From<&Why> for DeadReason {
     fn from(why: &Why) -> Self {
         match why {
-            Why::Full | Why::Restarting => DeadReason::Full,
+            Why::Full => DeadReason::Full,
+            Why::Restarting => DeadReason::Restarting,
+            Why::WayFull { .. } => DeadReason::WayFull,
+            Why::Unreachable { .. } | Why::Undelivered { .. } | Why::OutcomeUnknown { .. } => {
+                DeadReason::Unreachable
+            }
+            Why::Left { .. } => DeadReason::Left,
             Why::Stopped => DeadReason::Stopped,
             Why::PeerDied { .. } => DeadReason::PeerDied,
             Why::Expired => DeadReason::Expired,
             Why::DeadlinePassed => DeadReason::DeadlinePassed,
             Why::Quarantined { .. } => DeadReason::Quarantined,
             Why::Isolated => DeadReason::Isolated,
+            Why::ContractDiffers { .. } => DeadReason::ContractDiffers,
+            Why::Unknown { .. } => DeadReason::Unknown,
+            Why::TooLarge { .. } | Why::TooLargeForSession { .. } => DeadReason::TooLarge,
+            Why::Undecodable { .. } => DeadReason::Undecodable,
             _ => DeadReason::Refused,
         }
     }
@@ -68,7 +103,9 @@ impl From<&Why> for DeadReason {
 /// One message that was not delivered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeadLetter {
-    /// To whom it went.
+    /// On which other node its receiver is; `None` for one of this node.
+    pub node: Option<NodeName>,
+    /// To whom it went, or, for an event, the name of its topic.
     pub object: ObjectName,
     /// The name of its contract.
     pub contract: Cow<'static, str>,
@@ -81,7 +118,9 @@ pub struct DeadLetter {
 /// How many messages of one contract were not delivered to one object for one reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeadLetterCount {
-    /// To whom they went.
+    /// On which other node their receiver is; `None` for one of this node.
+    pub node: Option<NodeName>,
+    /// To whom they went, or, for events, the name of their topic.
     pub object: ObjectName,
     /// The name of their contract.
     pub contract: Cow<'static, str>,
@@ -107,11 +146,13 @@ impl Default for DeadLetterLimits {
     }
 }
 
+type Key = (Option<NodeName>, ObjectName, Cow<'static, str>, DeadReason);
+
 /// The record of all that was not delivered.
 #[derive(Debug, Default)]
 pub struct DeadLetters {
     limits: DeadLetterLimits,
-    counts: BTreeMap<(ObjectName, Cow<'static, str>, DeadReason), u64>,
+    counts: BTreeMap<Key, u64>,
     beyond: u64,
     latest: VecDeque<DeadLetter>,
 }
@@ -124,7 +165,8 @@ impl DeadLetters {
 
     /// Takes note of one message that was not delivered.
     pub fn handle(&mut self, letter: DeadLetter) {
-        let key = (letter.object.clone(), letter.contract.clone(), letter.reason);
+        let DeadLetter { node, object, contract, reason, .. } = letter.clone();
+        let key = (node, object, contract, reason);
         let room = self.counts.len() < self.limits.counts;
         match self.counts.get_mut(&key) {
             Some(count) => *count += 1,
@@ -151,9 +193,10 @@ impl DeadLetters {
         self.beyond
     }
 
-    /// The counts, by object, contract and reason.
+    /// The counts, by node, object, contract and reason.
     pub fn counts(&self) -> impl Iterator<Item = DeadLetterCount> + '_ {
-        self.counts.iter().map(|((object, contract, reason), count)| DeadLetterCount {
+        self.counts.iter().map(|((node, object, contract, reason), count)| DeadLetterCount {
+            node: node.clone(),
             object: object.clone(),
             contract: contract.clone(),
             reason: *reason,
@@ -161,9 +204,9 @@ impl DeadLetters {
         })
     }
 
-    /// How many messages to `object` were not delivered for this reason.
+    /// How many messages to objects of this name, on whichever node, were not delivered for this reason.
     pub fn count(&self, object: &ObjectName, reason: DeadReason) -> u64 {
-        let of = |key: &(ObjectName, _, DeadReason)| key.0 == *object && key.2 == reason;
+        let of = |key: &Key| key.1 == *object && key.3 == reason;
         self.counts.iter().filter(|(key, _)| of(key)).map(|(_, count)| count).sum()
     }
 
@@ -178,8 +221,9 @@ mod tests {
     use super::*;
 
     fn letter(contract: &'static str, reason: DeadReason, millis: u64) -> DeadLetter {
-        let object = ObjectName::new("arm").unwrap();
-        DeadLetter { object, contract: contract.into(), reason, at: Instant::from_millis(millis) }
+        let (node, object) = (None, ObjectName::new("arm").unwrap());
+        let (contract, at) = (contract.into(), Instant::from_millis(millis));
+        DeadLetter { node, object, contract, reason, at }
     }
 
     #[test]
@@ -203,6 +247,19 @@ mod tests {
     }
 
     #[test]
+    fn objects_of_one_name_on_several_nodes_are_counted_apart() {
+        let mut letters = DeadLetters::default();
+        let node = NodeName::new("module2").ok();
+        letters.handle(letter("a", DeadReason::Full, 1));
+        letters.handle(DeadLetter { node: node.clone(), ..letter("a", DeadReason::Full, 2) });
+        letters.handle(DeadLetter { node: node.clone(), ..letter("a", DeadReason::Full, 3) });
+
+        let counts: Vec<_> = letters.counts().map(|count| (count.node, count.count)).collect();
+        assert_eq!(counts, [(None, 1), (node, 2)]);
+        assert_eq!(letters.count(&ObjectName::new("arm").unwrap(), DeadReason::Full), 3);
+    }
+
+    #[test]
     fn beyond_the_limits_letters_are_counted_together_and_the_oldest_is_forgotten() {
         let mut letters = DeadLetters::new(DeadLetterLimits { counts: 1, latest: 2 });
         letters.handle(letter("a", DeadReason::Full, 1));
@@ -215,10 +272,21 @@ mod tests {
     }
 
     #[test]
-    fn every_reason_has_a_text_of_its_own() {
+    fn whatever_keeps_a_message_from_arriving_is_a_reason_of_its_own() {
+        let (node, name, reason) = (|| "far".to_owned(), || "arm".to_owned(), || "x".to_owned());
         let whys = [
             (Why::Full, DeadReason::Full),
-            (Why::Restarting, DeadReason::Full),
+            (Why::Restarting, DeadReason::Restarting),
+            (Why::WayFull { node: node(), bulk: true }, DeadReason::WayFull),
+            (Why::Unreachable { node: node() }, DeadReason::Unreachable),
+            (Why::Undelivered { node: node(), reason: reason() }, DeadReason::Unreachable),
+            (Why::OutcomeUnknown { reason: reason() }, DeadReason::Unreachable),
+            (Why::Left { node: node() }, DeadReason::Left),
+            (Why::ContractDiffers { difference: reason() }, DeadReason::ContractDiffers),
+            (Why::Unknown { name: name() }, DeadReason::Unknown),
+            (Why::TooLarge { limit: 1 }, DeadReason::TooLarge),
+            (Why::TooLargeForSession { limit: 1 }, DeadReason::TooLarge),
+            (Why::Undecodable { reason: reason() }, DeadReason::Undecodable),
             (Why::Stopped, DeadReason::Stopped),
             (Why::PeerDied { incarnation: crate::Incarnation(1) }, DeadReason::PeerDied),
             (Why::Expired, DeadReason::Expired),
@@ -228,7 +296,7 @@ mod tests {
             (Why::Fenced, DeadReason::Refused),
         ];
         for (why, reason) in whys {
-            assert_eq!(DeadReason::from(&why), reason);
+            assert_eq!(DeadReason::from(&why), reason, "{why}");
         }
     }
 }

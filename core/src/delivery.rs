@@ -201,6 +201,19 @@ pub enum Why {
         /// The limit in bytes.
         limit: usize,
     },
+    /// As much is on its way to the receiver's node as may be, whoever there it is for: `deliver` waits. Bulk,
+    /// messages of more than 16 KiB, has room of its own.
+    #[error("the way to node {node} is full{}", of_what(.bulk))]
+    WayFull {
+        /// The node that the message is for.
+        node: String,
+        /// The message is bulk: what is small may find room.
+        bulk: bool,
+    },
+}
+
+fn of_what(bulk: &bool) -> &'static str {
+    if *bulk { " of messages that are as large as this one" } else { "" }
 }
 
 /// What is known of a request that got no reply.
@@ -219,6 +232,7 @@ impl Why {
     pub fn outcome(&self) -> Outcome {
         match self {
             Why::Full
+            | Why::WayFull { .. }
             | Why::Restarting
             | Why::ContractDiffers { .. }
             | Why::Quarantined { .. }

@@ -62,6 +62,7 @@ impl RetryRule {
         let Attempt { asked, why, idempotent } = attempt;
         let helps = match why {
             Why::Full
+            | Why::WayFull { .. }
             | Why::Restarting
             | Why::Unreachable { .. }
             | Why::Undelivered { .. }

@@ -27,6 +27,29 @@ struct Count;
 #[derive(Default)]
 struct Screen(u32);
 
+/// An order, to another component than the images.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "large/order", reply = u32)]
+struct Order(u32);
+
+/// Counts orders.
+#[derive(Default)]
+struct Motor(u32);
+
+impl Component for Motor {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Order>();
+    }
+}
+
+impl Handle<Order> for Motor {
+    async fn handle(&mut self, Order(number): Order, _: &mut Context<Self>) -> u32 {
+        assert_eq!(number, self.0, "none is lost, doubled or overtaken");
+        self.0 += 1;
+        self.0
+    }
+}
+
 impl Component for Screen {
     fn ports(ports: &mut Ports<Self>) {
         ports.accept::<Image>().serve::<Count>();
@@ -59,13 +82,14 @@ fn free() -> SocketAddr {
     UdpSocket::bind(address).map_or_else(|_| free(), |_| address)
 }
 
-/// All of them are given to the sender before the other node has heard of any.
+/// All of them are given to the sender before the other node has heard of any; and orders are asked beside them.
 fn images_arrive_over(medium: fn(&'static str, SocketAddr) -> Network) {
     blastema::run(async {
         let [here, there] = [free(), free()];
         let far = Node::builder("module2")
             .network(medium("net0", there).link(Link::new("module1", here)))
             .child(ChildSpec::new("screen", Screen::default).queue(4, WhenFull::Wait))
+            .child(ChildSpec::new("motor", Motor::default))
             .start()
             .await
             .expect("module2 starts");
@@ -79,8 +103,21 @@ fn images_arrive_over(medium: fn(&'static str, SocketAddr) -> Network) {
         let burst: Vec<_> =
             (0..IMAGES).map(|number| Image { number, pixels: pixels(number) }).collect();
         let images: Sender<Image> = near.sender("module2:screen").expect("a name");
-        for image in burst {
-            images.deliver(image).await.expect("it is taken");
+        let burst = async {
+            for image in burst {
+                images.deliver(image).await.expect("it is taken");
+            }
+        };
+        let orders: Sender<Order> = near.sender("module2:motor").expect("a name");
+        let orders = async {
+            for number in 0.. {
+                let asked = orders.ask_within(Order(number), PATIENCE).await;
+                assert_eq!(asked.ok(), Some(number + 1), "what is small finds room beside bulk");
+            }
+        };
+        tokio::select! {
+            () = burst => {}
+            () = orders => {}
         }
 
         let count: Sender<Count> = near.sender("module2:screen").expect("a name");

@@ -2,6 +2,7 @@
 //!
 //! These are the only tests that wait in real time: processes are not to be had in virtual time.
 
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -36,9 +37,9 @@ impl Run {
         child.wait_with_output().expect("the program can be waited for")
     }
 
-    fn signal(&self, name: &str) {
-        let status = Command::new("kill").args([name, &self.id.to_string()]).status();
-        assert!(status.is_ok_and(|status| status.success()), "kill {name} {}", self.id);
+    fn signal(&self, signal: Signal) {
+        let child = self.child.as_ref().expect("a run ends once");
+        kill_process(Pid::from_child(child), signal).expect("it is ours");
     }
 
     /// The modules that this run has started and that are still there.
@@ -50,8 +51,8 @@ impl Run {
         lines.filter(|line| line.ends_with(&parent)).collect()
     }
 
-    /// The number of the process that runs this module.
-    fn process_of(&self, module: &str) -> String {
+    /// The process that runs this module.
+    fn process_of(&self, module: &str) -> Pid {
         let parent = format!("--parent\0{}\0", self.id);
         let name = format!("--name\0{module}\0");
         let processes = fs::read_dir("/proc").expect("there is a /proc").flatten();
@@ -61,7 +62,8 @@ impl Run {
             line.ends_with(&parent) && line.contains(&name)
         });
         let found = own.next().expect("the module's process is there");
-        found.file_name().to_string_lossy().into_owned()
+        let number = found.file_name().to_string_lossy().parse().expect("a process has a number");
+        Pid::from_raw(number).expect("only the kernel has none")
     }
 
     fn await_modules(&self, count: usize) {
@@ -129,15 +131,15 @@ fn the_robot_recovers_from_every_fault_of_the_story_and_leaves_nothing_behind() 
 
 #[test]
 fn a_signal_ends_all_processes_and_says_so() {
-    for signal in ["-INT", "-TERM", "-HUP"] {
+    for signal in [Signal::INT, Signal::TERM, Signal::HUP] {
         let mut run = Run::start(&["demo"]);
         run.await_modules(3);
 
         run.signal(signal);
         let output = run.output();
 
-        assert_eq!(output.status.code(), Some(2), "{signal}");
-        assert!(String::from_utf8_lossy(&output.stderr).contains("before its time"), "{signal}");
+        assert_eq!(output.status.code(), Some(2), "{signal:?}");
+        assert!(String::from_utf8_lossy(&output.stderr).contains("before its time"), "{signal:?}");
         run.assert_nothing_is_left();
     }
 }
@@ -149,7 +151,7 @@ fn no_module_outlives_a_director_that_is_killed() {
     // From then on the socket's folder is gone.
     await_that("no folder", || names_in(run.folder.path()).is_empty());
 
-    run.signal("-KILL");
+    run.signal(Signal::KILL);
     run.output();
 
     run.assert_nothing_is_left();
@@ -160,8 +162,7 @@ fn a_module_that_is_stopped_for_good_is_begun_anew_and_the_end_says_what_the_tab
     let mut run = Run::start(&["demo", "--json"]);
     run.await_modules(3);
     let stopped = run.process_of("module2");
-    let status = Command::new("kill").args(["-STOP", &stopped]).status();
-    assert!(status.is_ok_and(|status| status.success()));
+    kill_process(stopped, Signal::STOP).expect("it is ours");
 
     let output = run.output();
 

@@ -56,13 +56,14 @@ impl<M: Contract> Inlet<M> for Roaming<M> {
         }
     }
 
-    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
-        Box::pin(async {
+    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+        let refused = refused.clone();
+        Box::pin(async move {
             let mut revision = self.names.revision();
             // Whoever has no room now need not be the one who is sent to next.
             if let Ok(sender) = self.present() {
                 tokio::select! {
-                    () = sender.0.room() => {}
+                    () = sender.0.room(&refused) => {}
                     _ = revision.changed() => {}
                 }
             }

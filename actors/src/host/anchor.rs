@@ -341,7 +341,7 @@ impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
         self.offer_at(message, posting_time::<M>())
     }
 
-    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+    fn room<'a>(&'a self, _: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(self.lane.room())
     }
 

@@ -4,7 +4,7 @@ use crate::platform;
 use blastema_core::dead_letters::{
     DeadLetter, DeadLetterCount, DeadLetterLimits, DeadLetters, DeadReason,
 };
-use blastema_core::{ObjectName, Why};
+use blastema_core::{NodeName, ObjectName, Why};
 use std::borrow::Cow;
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -29,16 +29,27 @@ impl DeadLetterOffice {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes note of one message that was not delivered.
+    /// Takes note of one message to an object of this node that was not delivered.
     pub(crate) fn take(
         &self,
         object: &ObjectName,
         contract: impl Into<Cow<'static, str>>,
         why: &Why,
     ) {
+        self.take_for(None, object, contract, why);
+    }
+
+    /// The same of one to an object of that node.
+    pub(crate) fn take_for(
+        &self,
+        node: Option<NodeName>,
+        object: &ObjectName,
+        contract: impl Into<Cow<'static, str>>,
+        why: &Why,
+    ) {
         let (object, contract) = (object.clone(), contract.into());
         let (reason, at) = (DeadReason::from(why), platform::now());
-        self.lock().handle(DeadLetter { object, contract, reason, at });
+        self.lock().handle(DeadLetter { node, object, contract, reason, at });
     }
 
     /// How many messages were not delivered.
@@ -46,12 +57,12 @@ impl DeadLetterOffice {
         self.lock().total()
     }
 
-    /// How many messages to `object` were not delivered for this reason.
+    /// How many messages to objects of this name, on whichever node, were not delivered for this reason.
     pub fn count(&self, object: &ObjectName, reason: DeadReason) -> u64 {
         self.lock().count(object, reason)
     }
 
-    /// The counts, by object, contract and reason.
+    /// The counts, by node, object, contract and reason.
     pub fn counts(&self) -> Vec<DeadLetterCount> {
         self.lock().counts().collect()
     }

@@ -2,38 +2,21 @@
 
 use super::gateway::Ship;
 use super::outcast::Outcast;
+use super::way::{Freight, Ways};
 use crate::platform;
 use crate::registry::{Asked, RemoteDoor, RemoteDoors};
 use actix::Recipient;
-use blastema_contract::session::{Credit, Lender};
+use blastema_contract::session::Credit;
+use blastema_core::net::Load;
 use blastema_core::net::segment::Stream;
 use blastema_core::net::session::PAYLOAD_MAX;
 use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, ObjectName, Parcel, Why};
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use tokio::sync::Notify;
-
-/// Messages to one peer that may be on their way to its session: what a burst sends before the network's
-/// arbiter has its turn. A session takes as many again once it has said that it is full.
-const UNDER_WAY_MAX: usize = 2048;
-/// Their bytes, likewise. One message more may be on its way, whose bytes go beyond this.
-const BYTES_UNDER_WAY_MAX: usize = 1 << 20;
-
-/// By which stream messages go that are to travel so.
-pub(super) fn stream_of(delivery: Delivery) -> Stream {
-    match delivery {
-        Delivery::Reliable | Delivery::Newest => Stream::Data,
-        Delivery::Redundant => Stream::Redundant,
-    }
-}
-
-/// Redundant messages, such as stops, have as much room again, which nothing else takes.
-fn times(stream: Stream) -> usize {
-    if stream == Stream::Redundant { 2 } else { 1 }
-}
 
 /// Makes doors, and tells those behind them how their peer is.
 pub(super) struct Doors {
@@ -52,17 +35,22 @@ pub(super) struct Gate {
     /// There was a session, or a path, at some time.
     met: AtomicBool,
     isolated: AtomicBool,
-    /// Of which streams the session holds all that it should, a bit each.
+    /// Of what the session holds all that it should: a bit for each stream and load.
     full_streams: AtomicU8,
-    /// Of what waits for bindings there. It has nothing to do with what the session holds.
-    hall_is_full: AtomicBool,
-    under_way: AtomicUsize,
-    bytes_under_way: AtomicUsize,
+    /// Of what as much waits for bindings there as should, a bit for each load. It has nothing to do with what
+    /// the session holds.
+    full_hall: AtomicU8,
+    ways: Ways,
     /// Its objects that have no room: as many as this node sends to at most.
     full: Mutex<BTreeSet<ObjectName>>,
     /// There are some; to be looked at without the lock.
     any_full: AtomicBool,
-    changed: Notify,
+    changed: Arc<Notify>,
+}
+
+/// The bit of what a stream carries of this load.
+fn bit(stream: Stream, load: Load) -> u8 {
+    1 << (2 * stream as u8 + load as u8)
 }
 
 /// How sending to a peer stands.
@@ -98,35 +86,44 @@ impl Gate {
     pub(super) fn begin(&self) {
         self.outcast.let_in();
         self.met.store(true, Relaxed);
-        self.hall_is_full.store(false, Relaxed);
+        self.full_hall.store(0, Relaxed);
         self.full_streams.store(0, Relaxed);
         self.set(Condition::Open);
     }
 
-    /// The session holds all that it should of this stream.
-    pub(super) fn stream_is_full(&self, stream: Stream) {
-        self.full_streams.fetch_or(1 << stream as u8, Relaxed);
+    /// The session holds all that it should of this stream and load.
+    pub(super) fn stream_is_full(&self, stream: Stream, load: Load) {
+        self.full_streams.fetch_or(bit(stream, load), Relaxed);
     }
 
-    pub(super) fn stream_has_room(&self, stream: Stream) {
-        self.full_streams.fetch_and(!(1 << stream as u8), Relaxed);
+    pub(super) fn stream_has_room(&self, stream: Stream, load: Load) {
+        self.full_streams.fetch_and(!bit(stream, load), Relaxed);
         self.changed.notify_waiters();
     }
 
-    /// Whether what goes in this stream has to wait. Nothing goes where the words that keep the session
-    /// together do not; of the others, one does not hold up the other.
-    fn is_held(&self, stream: Stream) -> bool {
-        let holding = 1 << Stream::Control as u8 | 1 << stream as u8;
-        self.full_streams.load(Relaxed) & holding != 0 || self.hall_is_full.load(Relaxed)
+    /// Whether this has to wait. Nothing goes where the words that keep the session together do not; of the
+    /// other streams, one does not hold up the other. Where there is no room for what is small, bulk waits too:
+    /// what is bulk here may be small to the session.
+    fn is_held(&self, Freight { delivery, load }: Freight) -> bool {
+        // Of which only the newest counts, nothing waits behind what does.
+        if delivery == Delivery::Newest {
+            return false;
+        }
+        let stream = Freight { delivery, load }.stream();
+        let all = bit(Stream::Control, Load::Small) | bit(Stream::Control, Load::Bulk);
+        let full = self.full_streams.load(Relaxed);
+        let mine = bit(stream, Load::Small) | bit(stream, load);
+        let waits = 1 << Load::Small as u8 | 1 << load as u8;
+        full & (all | mine) != 0 || self.full_hall.load(Relaxed) & waits != 0
     }
 
-    /// What waits for bindings is as much as should.
-    pub(super) fn hall_is_full(&self) {
-        self.hall_is_full.store(true, Relaxed);
+    /// What waits for bindings is as much as should, of this load.
+    pub(super) fn hall_is_full(&self, load: Load) {
+        self.full_hall.fetch_or(1 << load as u8, Relaxed);
     }
 
-    pub(super) fn hall_has_room(&self) {
-        self.hall_is_full.store(false, Relaxed);
+    pub(super) fn hall_has_room(&self, load: Load) {
+        self.full_hall.fetch_and(!(1 << load as u8), Relaxed);
         self.changed.notify_waiters();
     }
 
@@ -141,8 +138,8 @@ impl Gate {
         self.changed.notify_waiters();
     }
 
-    pub(super) fn is_open(&self, stream: Stream) -> bool {
-        self.has_session() && !self.is_held(stream) && !self.is_isolated()
+    pub(super) fn is_open(&self, freight: Freight) -> bool {
+        self.has_session() && !self.is_held(freight) && !self.is_isolated()
     }
 
     /// Nothing is sent there and nothing taken from there.
@@ -197,28 +194,12 @@ impl Gate {
         self.any_full.load(Relaxed) && self.lock_full().contains(object)
     }
 
-    /// More may be under way, up to this share of all.
-    fn has_room(&self, stream: Stream, share: usize) -> bool {
-        let times = times(stream);
-        self.under_way.load(Relaxed) < times * UNDER_WAY_MAX / share
-            && self.bytes_under_way.load(Relaxed) < times * BYTES_UNDER_WAY_MAX / share
+    /// Takes room for an event, which never waits.
+    pub(super) fn lend_to_event(&self, bytes: usize, freight: Freight) -> Option<Credit> {
+        self.ways.lend_to_event(bytes, freight)
     }
 
-    /// Takes room for an event, which never waits, and leaves half to what does.
-    pub(super) fn lend_to_event(self: &Arc<Self>, bytes: usize, stream: Stream) -> Option<Credit> {
-        if self.has_room(stream, 2) { self.lend(bytes, stream) } else { None }
-    }
-
-    fn lend(self: &Arc<Self>, bytes: usize, stream: Stream) -> Option<Credit> {
-        let messages = self.under_way.fetch_add(1, Relaxed);
-        let before = self.bytes_under_way.fetch_add(bytes, Relaxed);
-        // Many threads may have found room for one.
-        let credit = Credit::new(self.clone(), bytes);
-        let times = times(stream);
-        (messages < times * UNDER_WAY_MAX && before < times * BYTES_UNDER_WAY_MAX).then_some(credit)
-    }
-
-    fn check(&self, object: &ObjectName, stream: Stream) -> Result<(), Why> {
+    fn check(&self, object: &ObjectName, freight: Freight) -> Result<(), Why> {
         if self.is_isolated() {
             return Err(Why::Isolated);
         }
@@ -226,10 +207,25 @@ impl Gate {
             Condition::Unreachable => Err(Why::Unreachable { node: self.node.to_string() }),
             Condition::Opening => Err(self.outcast.why()),
             Condition::Left => Err(Why::Left { node: self.node.to_string() }),
-            Condition::Open if self.is_held(stream) => Err(Why::Full),
-            Condition::Open if !self.has_room(stream, 1) || self.is_full(object) => Err(Why::Full),
+            Condition::Open if self.is_full(object) => Err(Why::Full),
+            Condition::Open if self.is_held(freight) || !self.ways.have_room(freight) => {
+                Err(self.way_full(freight))
+            }
             Condition::Open => Ok(()),
         }
+    }
+
+    /// Why an event is not sent there now.
+    pub(super) fn why_not(&self, freight: Freight) -> Why {
+        match self.condition() {
+            _ if self.is_isolated() => Why::Isolated,
+            Condition::Open => self.way_full(freight),
+            _ => Why::Unreachable { node: self.node.to_string() },
+        }
+    }
+
+    fn way_full(&self, Freight { load, .. }: Freight) -> Why {
+        Why::WayFull { node: self.node.to_string(), bulk: load == Load::Bulk }
     }
 
     /// Completes when a session is open, and a path leads there.
@@ -243,26 +239,14 @@ impl Gate {
         }
     }
 
-    async fn room(&self, object: &ObjectName, stream: Stream) {
+    async fn room(&self, object: &ObjectName, freight: Freight) {
         loop {
             let changed = self.changed.notified();
-            match self.check(object, stream) {
-                Err(Why::Full | Why::Restarting) => changed.await,
+            match self.check(object, freight) {
+                Err(Why::Full | Why::WayFull { .. } | Why::Restarting) => changed.await,
                 // Whatever else stands in the way is told by the next attempt.
                 _ => return,
             }
-        }
-    }
-}
-
-impl Lender for Gate {
-    fn give_back(&self, bytes: usize) {
-        let room = || [Stream::Data, Stream::Redundant].map(|stream| self.has_room(stream, 1));
-        let had_room = room();
-        self.under_way.fetch_sub(1, Relaxed);
-        self.bytes_under_way.fetch_sub(bytes, Relaxed);
-        if had_room != room() {
-            self.changed.notify_waiters();
         }
     }
 }
@@ -302,6 +286,7 @@ impl Doors {
     pub(super) fn gate(&self, node: &NodeName) -> Arc<Gate> {
         let mut gates = self.lock();
         let gate = gates.entry(node.clone()).or_insert_with(|| {
+            let changed = Arc::new(Notify::new());
             Arc::new(Gate {
                 node: node.clone(),
                 outcast: self.outcast.clone(),
@@ -310,12 +295,11 @@ impl Doors {
                 met: AtomicBool::new(false),
                 isolated: AtomicBool::new(false),
                 full_streams: AtomicU8::new(0),
-                hall_is_full: AtomicBool::new(false),
-                under_way: AtomicUsize::new(0),
-                bytes_under_way: AtomicUsize::new(0),
+                full_hall: AtomicU8::new(0),
+                ways: Ways::new(&changed),
                 full: Mutex::default(),
                 any_full: AtomicBool::new(false),
-                changed: Notify::new(),
+                changed,
             })
         });
         gate.clone()
@@ -343,18 +327,11 @@ impl RemoteDoor for Door {
         if message.len() > PAYLOAD_MAX {
             return Err(Why::TooLargeForSession { limit: PAYLOAD_MAX });
         }
-        let object = &self.to.object;
-        let stream = stream_of(self.contract.delivery);
-        match self.gate.check(object, stream) {
-            // What waits in order keeps nobody who does not.
-            Err(Why::Full)
-                if self.contract.delivery == Delivery::Newest
-                    && self.gate.has_room(stream, 1)
-                    && !self.gate.is_full(object) => {}
-            checked => checked?,
-        }
+        let freight = Freight::of(self.contract.delivery, message.len());
+        self.gate.check(&self.to.object, freight)?;
         let gateway = self.gateway.as_ref().ok_or(Why::Stopped)?;
-        let credit = self.gate.lend(message.len(), stream).ok_or(Why::Full)?;
+        let lent = self.gate.ways.lend(message.len(), freight);
+        let credit = lent.ok_or_else(|| self.gate.way_full(freight))?;
         let sent = platform::now();
         let (id, within, reply_to) = match asked {
             None => (None, None, None),
@@ -373,59 +350,124 @@ impl RemoteDoor for Door {
         Ok(())
     }
 
-    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
-        Box::pin(self.gate.room(&self.to.object, stream_of(self.contract.delivery)))
+    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+        let load = match refused {
+            Why::WayFull { bulk: true, .. } => Load::Bulk,
+            _ => Load::Small,
+        };
+        let freight = Freight { delivery: self.contract.delivery, load };
+        Box::pin(self.gate.room(&self.to.object, freight))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use blastema_doubles::{paused, settle};
+
+    const SMALL: Freight = Freight { delivery: Delivery::Reliable, load: Load::Small };
+    const BULK: Freight = Freight { load: Load::Bulk, ..SMALL };
+    const STOP: Freight = Freight { delivery: Delivery::Redundant, ..SMALL };
+    const NEWEST: Freight = Freight { delivery: Delivery::Newest, ..SMALL };
+
+    fn gate() -> (Arc<Gate>, ObjectName) {
+        let name = |name| NodeName::new(name).unwrap();
+        let gate = Doors::new(Outcast::new(name("module1"))).gate(&name("module2"));
+        gate.begin();
+        (gate, ObjectName::new("arm").unwrap())
+    }
+
+    /// What finds room, of a small message, bulk, a stop, and a reading of which the newest counts.
+    fn room(gate: &Gate) -> [bool; 4] {
+        let object = ObjectName::new("arm").unwrap();
+        [SMALL, BULK, STOP, NEWEST].map(|freight| {
+            let checked = gate.check(&object, freight);
+            assert!(matches!(checked, Ok(()) | Err(Why::WayFull { .. })), "{checked:?}");
+            checked.is_ok()
+        })
+    }
 
     #[test]
     fn a_gate_is_open_when_neither_the_session_nor_what_waits_for_bindings_is_full() {
-        let name = |name| NodeName::new(name).unwrap();
-        let doors = Doors::new(Outcast::new(name("module1")));
-        let (gate, object) = (doors.gate(&name("module2")), ObjectName::new("arm").unwrap());
-        let check = |stream| gate.check(&object, stream);
-        gate.begin();
-        assert_eq!(check(Stream::Data), Ok(()));
+        let (gate, _) = gate();
+        assert_eq!(room(&gate), [true; 4]);
 
-        gate.stream_is_full(Stream::Data);
-        gate.hall_is_full();
-        gate.hall_has_room();
-        assert_eq!(check(Stream::Data), Err(Why::Full), "the session is");
+        gate.stream_is_full(Stream::Data, Load::Small);
+        gate.hall_is_full(Load::Small);
+        gate.hall_has_room(Load::Small);
+        assert_eq!(room(&gate), [false, false, true, true], "the session is full");
 
-        gate.hall_is_full();
-        gate.stream_has_room(Stream::Data);
-        assert_eq!(check(Stream::Data), Err(Why::Full), "what waits is as much as should");
-        assert!(!gate.is_open(Stream::Data));
+        gate.hall_is_full(Load::Small);
+        gate.stream_has_room(Stream::Data, Load::Small);
+        assert_eq!(room(&gate), [false, false, false, true], "what waits is as much as should");
+        assert!(!gate.is_open(SMALL));
 
         gate.begin();
-        assert_eq!(check(Stream::Data), Ok(()));
+        assert_eq!(room(&gate), [true; 4]);
     }
 
     #[test]
     fn what_fills_the_way_to_a_node_leaves_redundant_messages_theirs_and_the_other_way_round() {
-        let name = |name| NodeName::new(name).unwrap();
-        let doors = Doors::new(Outcast::new(name("module1")));
-        let (gate, object) = (doors.gate(&name("module2")), ObjectName::new("arm").unwrap());
-        let check = |stream| gate.check(&object, stream);
-        gate.begin();
+        let (gate, _) = gate();
+        gate.stream_is_full(Stream::Data, Load::Small);
+        assert_eq!(room(&gate), [false, false, true, true], "a stop goes");
+        gate.stream_is_full(Stream::Redundant, Load::Small);
+        gate.stream_has_room(Stream::Data, Load::Small);
+        assert_eq!(room(&gate), [true, true, false, true]);
+        gate.stream_is_full(Stream::Control, Load::Small);
+        assert_eq!(room(&gate), [false, false, false, true], "nothing could be bound");
+    }
 
-        let images: Vec<_> = (0..8).map_while(|_| gate.lend(1 << 19, Stream::Data)).collect();
-        assert_eq!((images.len(), check(Stream::Data)), (2, Err(Why::Full)));
-        assert_eq!(check(Stream::Redundant), Ok(()), "a stop goes");
-        let stops: Vec<_> = (0..9_999).map_while(|_| gate.lend(64, Stream::Redundant)).collect();
-        assert!((1_000..9_999).contains(&stops.len()), "{}", stops.len());
-        drop((images, stops));
+    #[test]
+    fn bulk_that_fills_its_room_leaves_what_is_small_its_own() {
+        let (gate, _) = gate();
+        let lent = gate.ways.lend(1 << 20, BULK);
+        assert_eq!(room(&gate), [true, false, true, true], "it is on its way to the session");
+        drop(lent);
+        assert_eq!(room(&gate), [true; 4]);
 
-        gate.stream_is_full(Stream::Data);
-        assert_eq!((check(Stream::Data), check(Stream::Redundant)), (Err(Why::Full), Ok(())));
-        gate.stream_is_full(Stream::Redundant);
-        gate.stream_has_room(Stream::Data);
-        assert_eq!((check(Stream::Data), check(Stream::Redundant)), (Ok(()), Err(Why::Full)));
-        gate.stream_is_full(Stream::Control);
-        assert_eq!(check(Stream::Data), Err(Why::Full), "nothing could be bound");
+        gate.stream_is_full(Stream::Data, Load::Bulk);
+        assert_eq!(room(&gate), [true, false, true, true], "the session holds it");
+        gate.stream_has_room(Stream::Data, Load::Bulk);
+        gate.hall_is_full(Load::Bulk);
+        assert_eq!(room(&gate), [true, false, true, true], "it waits for bindings");
+        gate.hall_has_room(Load::Bulk);
+        assert_eq!(room(&gate), [true; 4]);
+    }
+
+    #[test]
+    fn a_full_object_and_a_full_way_are_told_apart() {
+        let (gate, object) = gate();
+        gate.stream_is_full(Stream::Data, Load::Bulk);
+        let node = || "module2".to_owned();
+        let full = Why::WayFull { node: node(), bulk: true };
+        assert_eq!(gate.check(&object, BULK), Err(full));
+        gate.object_is_full(object.clone());
+        assert_eq!(gate.check(&object, BULK), Err(Why::Full));
+        gate.object_has_room(&object);
+        gate.stream_is_full(Stream::Data, Load::Small);
+        let full = Why::WayFull { node: node(), bulk: false };
+        assert_eq!(gate.check(&object, SMALL), Err(full));
+    }
+
+    #[test]
+    fn whoever_waits_with_bulk_is_not_woken_by_room_for_what_is_small() {
+        paused(async {
+            let (gate, object) = gate();
+            gate.stream_is_full(Stream::Data, Load::Small);
+            gate.stream_is_full(Stream::Data, Load::Bulk);
+            let [small, bulk] = [SMALL, BULK].map(|freight| {
+                let (gate, object) = (gate.clone(), object.clone());
+                actix_rt::spawn(async move { gate.room(&object, freight).await })
+            });
+            settle().await;
+
+            gate.stream_has_room(Stream::Data, Load::Small);
+            settle().await;
+            assert!(small.is_finished() && !bulk.is_finished());
+            gate.stream_has_room(Stream::Data, Load::Bulk);
+            settle().await;
+            assert!(bulk.is_finished());
+        });
     }
 }

@@ -2,16 +2,18 @@
 
 mod errand;
 mod inputs;
+mod losses;
 mod peer;
 mod serving;
 
 pub(super) use errand::{Notify, Ship};
 
 use super::NetEnvironment;
-use super::door::{Condition, Doors, Gate, stream_of};
+use super::door::{Condition, Doors, Gate};
 use super::notice;
 use super::own_faults::OwnFaults;
 use super::wardens::{Told, Wardens};
+use super::way::Freight;
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
@@ -24,11 +26,11 @@ use blastema_contract::recoverer::Recover;
 use blastema_contract::router::KeepOut;
 use blastema_contract::session::{BeginAnew, Credit, Leave, PeerSeen, Say, SayNewest};
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::NodeId;
 use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::isolation::Isolation;
 use blastema_core::net::naming::Naming;
 use blastema_core::net::segment::Stream;
+use blastema_core::net::{NodeId, Strand};
 use blastema_core::{
     ContractIdentity, Delivery, FaultKind, NodeName, Parcel, PeerIdentity, Place, Why,
 };
@@ -201,10 +203,10 @@ impl Gateway {
         }
     }
 
-    fn say(&mut self, peer: NodeId, stream: Stream, message: Parcel) {
+    fn say(&mut self, peer: NodeId, (stream, strand): (Stream, Strand), message: Parcel) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
         let credit = self.credit.take();
-        self.wiring.sessions.say.do_send(Say { peer, session, stream, message, credit });
+        self.wiring.sessions.say.do_send(Say { peer, session, stream, strand, message, credit });
     }
 
     fn say_newest(&mut self, peer: NodeId, channel: u32, message: Parcel) {
@@ -217,10 +219,10 @@ impl Gateway {
     fn leave(&mut self) {
         if std::mem::take(&mut self.leaving) {
             self.exchange.handle_leave();
-            while let Some(ExchangeOutput::Send { peer, stream, message }) =
+            while let Some(ExchangeOutput::Send { peer, stream, strand, message }) =
                 self.exchange.poll_output()
             {
-                self.say(peer, stream, message);
+                self.say(peer, (stream, strand), message);
             }
             self.wiring.sessions.leave.do_send(Leave);
         }
@@ -228,8 +230,8 @@ impl Gateway {
 
     fn carry_out(&mut self, output: ExchangeOutput, context: &mut Context<Self>) {
         match output {
-            ExchangeOutput::Send { peer, stream, message } => {
-                self.say(peer, stream, message);
+            ExchangeOutput::Send { peer, stream, strand, message } => {
+                self.say(peer, (stream, strand), message);
             }
             ExchangeOutput::SendNewest { peer, channel, message } => {
                 self.say_newest(peer, channel, message);
@@ -248,15 +250,13 @@ impl Gateway {
                     reply_to(result);
                 }
             }
-            ExchangeOutput::Lost { to: Some((object, contract)), why, .. } => {
-                self.wiring.dead_letters.take(&object, contract, &why);
+            ExchangeOutput::Lost { peer, to, why } => self.bury(peer, to, &why),
+            ExchangeOutput::Full { peer, load } => {
+                self.at_gate(peer, |gate| gate.hall_is_full(load))
             }
-            ExchangeOutput::Lost { peer, to: None, why } => {
-                self.lost += 1;
-                debug!(%peer, %why, "an event did not arrive");
+            ExchangeOutput::Room { peer, load } => {
+                self.at_gate(peer, |gate| gate.hall_has_room(load))
             }
-            ExchangeOutput::Full { peer } => self.at_gate(peer, |gate| gate.hall_is_full()),
-            ExchangeOutput::Room { peer } => self.at_gate(peer, |gate| gate.hall_has_room()),
             ExchangeOutput::ObjectFull { peer, object } => {
                 self.at_gate(peer, |gate| gate.object_is_full(object))
             }
@@ -321,14 +321,18 @@ impl Gateway {
         };
         let Some(known) = self.peers.get(&peer) else { return };
         let (gate, gateway) = (known.gate.clone(), context.address());
-        let stream = stream_of(by.1);
+        let (delivery, losses) = (by.1, self.losses(known, &key));
         let forward: Forward = Arc::new(move |event: &Parcel| {
+            let freight = Freight::of(delivery, event.len());
             // Publishing never waits: what a peer cannot take now is not sent.
             // Of which only the newest counts, nothing waits behind what does.
-            let open = if newest { gate.has_session() } else { gate.is_open(stream) };
-            if let (true, Some(credit)) = (open, gate.lend_to_event(event.len(), stream)) {
-                let (event, sent) = (event.clone(), platform::now());
-                gateway.do_send(Published { peer, subscription, event, sent, credit });
+            let open = if newest { gate.has_session() } else { gate.is_open(freight) };
+            match open.then(|| gate.lend_to_event(event.len(), freight)).flatten() {
+                Some(credit) => {
+                    let (event, sent) = (event.clone(), platform::now());
+                    gateway.do_send(Published { peer, subscription, event, sent, credit });
+                }
+                None => losses.take(&gate.why_not(freight)),
             }
         });
         self.end_forward((peer, subscription));
@@ -542,7 +546,7 @@ impl Supervised for Gateway {
         self.doorways.clear();
         self.notices.clear();
         self.credit = None;
-        self.exchange = self.exchange.reborn();
+        self.exchange = self.exchange.reborn(&why);
         self.naming = Naming::default();
         self.revision = None;
         self.peers.keys().for_each(|peer| self.set(*peer, Condition::Opening));

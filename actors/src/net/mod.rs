@@ -32,6 +32,7 @@ mod sessions;
 #[cfg(test)]
 mod tests;
 mod wardens;
+mod way;
 
 pub(crate) use carrier::Interface;
 pub(crate) use discovery::DiscoverySpec;

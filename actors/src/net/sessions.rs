@@ -12,8 +12,10 @@ use blastema_contract::session::{
 };
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::complaints::{Complaints, MANY};
+use blastema_core::net::segment::Stream;
 use blastema_core::net::{Crowd, NodeId, Refusals, Session, SessionConfig, SessionOutput};
 use blastema_core::{FaultKind, Incarnation, NodeName, Why};
+use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
@@ -98,8 +100,11 @@ impl Sessions {
     fn forget_one(&mut self) {
         let gone = self.peers.iter().find(|(_, peer)| peer.path.is_none()).map(|(id, _)| *id);
         if let Some(id) = gone {
+            let why = self.unreachable(id);
+            if let Some(mut session) = self.crowd.remove(id) {
+                self.give_all_back(id, session.surrender(), &why);
+            }
             self.peers.remove(&id);
-            self.crowd.remove(id);
             self.complaints.forget(&Some(id));
             self.report(SessionReported::Ended { peer: id, why: Why::Stopped });
         }
@@ -116,9 +121,17 @@ impl Sessions {
         }
     }
 
-    fn give_back(&self, peer: NodeId, refused: Result<(), (Why, bytes::Bytes)>) {
+    fn give_back(&self, peer: NodeId, refused: Result<(), (Why, Bytes)>) {
         if let Err((why, message)) = refused {
             self.report(SessionReported::Returned { peer, message, why, sent: false });
+        }
+    }
+
+    /// A session's machine goes with all that it held.
+    fn give_all_back(&self, peer: NodeId, held: Vec<(Stream, Bytes)>, why: &Why) {
+        for (_, message) in held {
+            let why = why.clone();
+            self.report(SessionReported::Returned { peer, message, why, sent: true });
         }
     }
 
@@ -181,10 +194,7 @@ impl Supervised for Sessions {
             let why = self.unreachable(id);
             // What it still holds is given back, if it can be read at all.
             let held = catch_unwind(AssertUnwindSafe(|| broken.surrender())).unwrap_or_default();
-            for (_, message) in held {
-                let why = why.clone();
-                self.report(SessionReported::Returned { peer: id, message, why, sent: true });
-            }
+            self.give_all_back(id, held, &why);
             self.report(SessionReported::Ended { peer: id, why });
             if let Some(peer) = self.peers.get_mut(&id) {
                 peer.number = peer.number.max(broken.number()).saturating_add(NUMBERS_PER_LIFE);
@@ -234,8 +244,12 @@ impl Body for Sessions {
                 info!(%peer, %incarnation, %why, "session ended");
                 self.report(SessionReported::Ended { peer, why });
             }
-            SessionOutput::Full { stream } => self.report(SessionReported::Full { peer, stream }),
-            SessionOutput::Room { stream } => self.report(SessionReported::Room { peer, stream }),
+            SessionOutput::Full { stream, load } => {
+                self.report(SessionReported::Full { peer, stream, load });
+            }
+            SessionOutput::Room { stream, load } => {
+                self.report(SessionReported::Room { peer, stream, load });
+            }
             SessionOutput::Incompatible { theirs } => {
                 error!(%peer, theirs, "the peer's sessions speak another version: update one node");
             }
@@ -322,11 +336,11 @@ impl Handler<Say> for Sessions {
     type Result = ();
 
     fn handle(&mut self, say: Say, context: &mut Context<Self>) {
-        let Say { peer, session, stream, message, credit } = say;
+        let Say { peer, session, stream, strand, message, credit } = say;
         // The session has it from here on.
         drop(credit);
         let sent = match self.present(peer, session) {
-            Some(session) => session.handle_send(stream, message, platform::now()),
+            Some(session) => session.handle_send_along((stream, strand), message, platform::now()),
             None => Err((self.unreachable(peer), message.into_bytes())),
         };
         self.give_back(peer, sent);

@@ -66,6 +66,11 @@ impl TopicKey {
     pub(crate) fn new(topic: &str, contract: &str) -> Self {
         TopicKey { topic: topic.into(), contract: contract.into() }
     }
+
+    /// What is lost of it concerns no listener in particular, so that it is counted under its own name.
+    pub(crate) fn lost_to(&self) -> Option<ObjectName> {
+        ObjectName::new(&self.topic).or_else(|_| ObjectName::new("topic")).ok()
+    }
 }
 
 /// One topic of this node.
@@ -124,11 +129,9 @@ impl<E: Event> Topic<E> {
         }
     }
 
-    /// An event that a hub lost concerns no listener in particular, so that it is counted under the
-    /// topic's name.
+    /// Counts an event that a hub lost.
     fn bury(&self, why: &Why) {
-        let name = ObjectName::new(&self.key.topic).or_else(|_| ObjectName::new("topic"));
-        if let Ok(name) = name {
+        if let Some(name) = self.key.lost_to() {
             self.dead_letters.take(&name, E::NAME, why);
         }
     }

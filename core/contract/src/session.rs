@@ -5,9 +5,9 @@
 //! ```
 
 use actix::{Message, Recipient};
-use blastema_core::net::NodeId;
 use blastema_core::net::segment::Stream;
 use blastema_core::net::session::SessionStanding;
+use blastema_core::net::{Load, NodeId, Strand};
 use blastema_core::{Incarnation, NodeName, Parcel, Why};
 use bytes::Bytes;
 use std::fmt;
@@ -57,6 +57,8 @@ pub struct Say {
     pub session: u32,
     /// In which stream.
     pub stream: Stream,
+    /// With what it stays in order there.
+    pub strand: Strand,
     /// What.
     pub message: Parcel,
     /// Room that it takes with whoever sent it.
@@ -135,6 +137,8 @@ pub enum SessionReported {
         peer: NodeId,
         /// In which stream.
         stream: Stream,
+        /// With what: bulk alone, or what is small, and then with everything.
+        load: Load,
     },
     /// Sending may go on.
     Room {
@@ -142,6 +146,8 @@ pub enum SessionReported {
         peer: NodeId,
         /// In which stream.
         stream: Stream,
+        /// With what.
+        load: Load,
     },
 }
 

@@ -14,16 +14,18 @@ mod incoming;
 mod requests;
 mod vocabulary;
 
-pub use self::vocabulary::{Call, Epoch, ExchangeOutput, Sent, TopicContract};
+pub use self::vocabulary::{Addressee, Call, Epoch, ExchangeOutput, Sent, TopicContract};
 
 use self::dealings::{Binding, Numbers, Pending, Session, Waiting, carry};
 use self::hall::Entrance;
 use self::requests::Requests;
 
+use super::load::Load;
 use super::message::{FORMS_MAX, Message};
 use super::naming::Announcement;
 use super::node_id::NodeId;
 use super::segment::Stream;
+use super::strand::Strand;
 use super::wire::Refusals;
 use crate::{ContractIdentity, Delivery, Incarnation, Instant, ObjectName, Parcel, Why};
 use bytes::Bytes;
@@ -76,9 +78,10 @@ struct Peer {
 }
 
 impl Exchange {
-    /// An exchange in the place of one that failed. No number of the old one's is used again.
-    pub fn reborn(&self) -> Self {
-        Exchange {
+    /// An exchange in the place of one that failed. No number of the old one's is used again; what waited in it
+    /// is lost for this reason, and what comes back of its sessions is known. Callers have been told.
+    pub fn reborn(&self, why: &Why) -> Self {
+        let mut next = Exchange {
             next_subscription: self.next_subscription,
             next_binding: self.next_binding,
             next_call: self.next_call,
@@ -86,7 +89,21 @@ impl Exchange {
             requests: self.requests.clone(),
             refusals: self.refusals,
             ..Exchange::default()
+        };
+        for (peer, state) in &self.peers {
+            let past = state.session.as_ref().map_or(&state.past, |session| &session.numbers);
+            next.peers.insert(*peer, Peer { past: past.clone(), ..Peer::default() });
+            let bindings = state.session.iter().flat_map(|session| &session.bindings);
+            for ((object, contract, _), binding) in bindings {
+                let told = binding.waiting.iter().flatten().filter(|told| told.pending.is_none());
+                for _ in told {
+                    let (peer, why) = (*peer, why.clone());
+                    let to = Addressee::Object(object.clone(), contract);
+                    next.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
+                }
+            }
         }
+        next
     }
 
     /// The next thing to do, in order.
@@ -141,7 +158,7 @@ impl Exchange {
                 match waiting.pending {
                     Some(pending) => give_up(state, &mut self.outputs, pending, why, Sent::Nothing),
                     None => {
-                        let to = Some((object.clone(), contract));
+                        let to = Addressee::Object(object.clone(), contract);
                         self.outputs.push_back(ExchangeOutput::Lost { peer, to, why: why.clone() });
                     }
                 }
@@ -170,16 +187,19 @@ impl Exchange {
         let key = (object, contract.name, contract.fingerprint);
         let pending = reply_as.map(|reply_as| Pending { reply_as, until, again });
         let waiting = Waiting { id, sent, payload, pending };
-        if let Some(Binding { waiting: None, number, contract }) = session.bindings.get(&key) {
-            let bound = (*number, contract.delivery);
+        if let Some(binding @ Binding { waiting: None, .. }) = session.bindings.get(&key) {
+            let bound = binding.way();
             let sent = session.send(peer, bound, waiting, &mut self.next_call);
             return self.outputs.push_back(sent);
         }
         match session.hall.enter(waiting.payload.len()) {
             Entrance::Open => {}
-            Entrance::Closing => self.outputs.push_back(ExchangeOutput::Full { peer }),
-            Entrance::Shut => {
-                let refused = refuse(peer, (key.0, key.1), reply_as, Why::Full);
+            Entrance::Closing(load) => {
+                self.outputs.push_back(ExchangeOutput::Full { peer, load });
+            }
+            Entrance::Shut(load) => {
+                let why = Why::WayFull { node: node.to_string(), bulk: load == Load::Bulk };
+                let refused = refuse(peer, (key.0, key.1), reply_as, why);
                 return self.outputs.push_back(refused);
             }
         }
@@ -191,7 +211,8 @@ impl Exchange {
                 let identity = contract.full().encode().into();
                 let object = key.0.clone();
                 session.numbers.insert(number, key.clone());
-                let binding = Binding { number, contract, waiting: Some(vec![waiting]) };
+                let strand = Strand::to(&object);
+                let binding = Binding { number, strand, contract, waiting: Some(vec![waiting]) };
                 session.bindings.insert(key, binding);
                 let bind = Message::Bind { binding: number, object, identity };
                 self.outputs.push_back(control(peer, &bind));
@@ -260,8 +281,8 @@ impl Exchange {
             true => Stream::Redundant,
             false => Stream::Data,
         };
-        let message = Message::Reply { call, result }.encode();
-        self.outputs.push_back(ExchangeOutput::Send { peer, stream, message });
+        let (strand, message) = (Strand::Call(call), Message::Reply { call, result }.encode());
+        self.outputs.push_back(ExchangeOutput::Send { peer, stream, strand, message });
     }
 
     /// Time passes: what was to be answered by now is given up.
@@ -314,7 +335,8 @@ impl Exchange {
         if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
             let stamp_us = session.stamp_us(sent);
             let message = Message::Event { subscription, stamp_us, payload };
-            self.outputs.push_back(carry(peer, subscription << 1, delivery, &message));
+            let way = (subscription << 1, delivery, Strand::Subscription(subscription));
+            self.outputs.push_back(carry(peer, way, &message));
         }
     }
 
@@ -408,11 +430,14 @@ impl Exchange {
                     let present = peer.session.as_ref().map(|session| &session.numbers);
                     present.and_then(|numbers| numbers.get(&binding)).or(peer.past.get(&binding))
                 });
-                let to = past.map(|(object, contract, _)| (object.clone(), *contract));
+                let to = past.map_or(Addressee::Forgotten, |(object, contract, _)| {
+                    Addressee::Object(object.clone(), contract)
+                });
                 self.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
             }
-            Message::Event { .. } => {
-                self.outputs.push_back(ExchangeOutput::Lost { peer, to: None, why });
+            Message::Event { subscription, .. } => {
+                let to = Addressee::Subscription(subscription);
+                self.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
             }
             // It was made, and no session carries it: whoever waits for it is told that much.
             Message::Reply { call, result: Ok(_) } => {
@@ -422,6 +447,7 @@ impl Exchange {
                     self.outputs.push_back(ExchangeOutput::Send {
                         peer,
                         stream: Stream::Data,
+                        strand: Strand::Call(call),
                         message: message.encode(),
                     });
                 }
@@ -442,7 +468,8 @@ fn give_up(
 ) {
     let Pending { reply_as, again, .. } = pending;
     // Whoever has left, or has no room, is not asked again.
-    let helps = !matches!(why, Why::Left { .. } | Why::Full | Why::TooLargeForSession { .. });
+    let helps =
+        !matches!(why, Why::Left { .. } | Why::WayFull { .. } | Why::TooLargeForSession { .. });
     match again {
         Some(call) if helps && state.again.len() < AGAIN_MAX => state.again.push(*call),
         _ => {
@@ -458,7 +485,8 @@ fn give_up(
 }
 
 fn control(peer: NodeId, message: &Message) -> ExchangeOutput {
-    ExchangeOutput::Send { peer, stream: Stream::Control, message: message.encode() }
+    let (stream, strand) = (Stream::Control, Strand::default());
+    ExchangeOutput::Send { peer, stream, strand, message: message.encode() }
 }
 
 fn subscribe(topic: &TopicContract, interest: &Interest) -> Message {
@@ -479,7 +507,7 @@ fn refuse(
 ) -> ExchangeOutput {
     match reply_as {
         Some(reply_as) => ExchangeOutput::Resolve { reply_as, result: Err(why) },
-        None => ExchangeOutput::Lost { peer, to: Some(to), why },
+        None => ExchangeOutput::Lost { peer, to: Addressee::Object(to.0, to.1), why },
     }
 }
 

@@ -7,6 +7,7 @@
 //!        bc        (or a bridge in a host of its own, which is a switch)
 //! ```
 
+use rustix::process::{Pid, Signal, kill_process};
 use std::io::{BufRead, BufReader};
 use std::process::{Child, ChildStderr, Command, Stdio};
 use std::sync::mpsc::sync_channel;
@@ -216,7 +217,7 @@ impl Bed {
     pub(crate) fn silence(&self, cable: Cable) -> Result<(), String> {
         let name = cable.name;
         if self.kind == Kind::Tap {
-            return self.signal_relay(name, "STOP");
+            return self.signal_relay(name, Signal::STOP);
         }
         for end in cable.ends {
             let nft = format!("ip netns exec {} nft", self.namespace(end));
@@ -232,7 +233,7 @@ impl Bed {
     /// It carries again.
     pub(crate) fn restore(&self, cable: Cable) -> Result<(), String> {
         if self.kind == Kind::Tap {
-            return self.signal_relay(cable.name, "CONT");
+            return self.signal_relay(cable.name, Signal::CONT);
         }
         for end in cable.ends {
             let host = self.namespace(end);
@@ -241,10 +242,11 @@ impl Bed {
         Ok(())
     }
 
-    fn signal_relay(&self, cable: &str, signal: &str) -> Result<(), String> {
+    fn signal_relay(&self, cable: &str, signal: Signal) -> Result<(), String> {
         let relay = self.relays.iter().find(|(name, _)| *name == cable);
-        let relay = relay.ok_or_else(|| format!("{cable} has no relay"))?.1.id();
-        command(&format!("kill -{signal} {relay}"))
+        let (_, relay) = relay.ok_or_else(|| format!("{cable} has no relay"))?;
+        kill_process(Pid::from_child(relay), signal)
+            .map_err(|error| format!("{signal:?} to the relay of {cable}: {error}"))
     }
 }
 

@@ -186,7 +186,7 @@ impl RemoteDoor for MirrorDoor {
         let id = asked.as_ref().and_then(|asked| asked.id);
         self.0.deliver(&message.into_bytes(), postmark(id), asked.map(|asked| asked.reply_to))
     }
-    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+    fn room<'a>(&'a self, _: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(std::future::ready(()))
     }
 }

@@ -60,11 +60,11 @@ impl Handler<SessionReported> for Gateway {
                 self.exchange.handle_returned(peer, message, why, sent);
             }
             SessionReported::Ended { peer, why } => self.session_ended(peer, why),
-            SessionReported::Full { peer, stream } => {
-                self.at_gate(peer, |gate| gate.stream_is_full(stream))
+            SessionReported::Full { peer, stream, load } => {
+                self.at_gate(peer, |gate| gate.stream_is_full(stream, load))
             }
-            SessionReported::Room { peer, stream } => {
-                self.at_gate(peer, |gate| gate.stream_has_room(stream))
+            SessionReported::Room { peer, stream, load } => {
+                self.at_gate(peer, |gate| gate.stream_has_room(stream, load))
             }
         }
         self.drive(context);

@@ -126,12 +126,12 @@ impl Gateway {
             && bound.doorway.room().is_some();
         match reply_to {
             Some(reply_to) if behind => reply_to(Err(Why::Full)),
-            None if behind => self.hold((peer, binding), payload, postmark, context),
+            None if behind => self.hold((peer, binding), (payload, postmark), &Why::Full, context),
             reply_to => {
                 let told = reply_to.is_none();
                 match bound.doorway.deliver(payload, postmark, reply_to) {
-                    Err(Why::Full | Why::Restarting) if told => {
-                        self.hold((peer, binding), payload, postmark, context);
+                    Err(why @ (Why::Full | Why::Restarting)) if told => {
+                        self.hold((peer, binding), (payload, postmark), &why, context);
                     }
                     // The object's own dead letters tell of what it did not take.
                     Err(Why::Undecodable { .. }) => self.breaks_its_word(peer),
@@ -141,18 +141,18 @@ impl Gateway {
         }
     }
 
-    /// The receiver has no room for this: it waits, if it is to.
+    /// The receiver has no room for this, for that reason: it waits, if it is to.
     fn hold(
         &mut self,
         (peer, binding): (NodeId, u32),
-        payload: &Bytes,
-        postmark: Postmark,
+        (payload, postmark): (&Bytes, Postmark),
+        why: &Why,
         context: &mut Context<Self>,
     ) {
         let Some(bound) = self.doorways.get(&(peer, binding)).cloned() else { return };
         let Bound { object, doorway, newest } = bound;
         let Some(room) = doorway.room().filter(|_| !newest) else {
-            return doorway.bury(&Why::Full);
+            return doorway.bury(why);
         };
         // A copy: what waits must not keep the whole frame that it came in.
         let payload = Bytes::copy_from_slice(payload);
@@ -165,7 +165,7 @@ impl Gateway {
                 self.watch(peer, object, room, context);
             }
             Admission::Behind => {}
-            Admission::Refused(_) => doorway.bury(&Why::Full),
+            Admission::Refused(_) => doorway.bury(why),
         }
     }
 

@@ -255,7 +255,7 @@ fn a_tell_by_another_contract_is_a_dead_letter_and_a_fault_of_the_sender() {
         advance(50 * MS).await;
 
         let acc = ObjectName::new("acc").unwrap();
-        assert_eq!(left.host.dead_letters.count(&acc, DeadReason::Refused), 1);
+        assert_eq!(left.host.dead_letters.count(&acc, DeadReason::ContractDiffers), 1);
         let declared = left.declared.expect().await;
         assert_eq!(declared.kind, FaultKind::ContractMismatch);
         assert!(declared.detail.contains("with node right"), "{}", declared.detail);

@@ -115,7 +115,7 @@ fn readings_do_not_wait_behind_what_waits_in_order() {
         let notes = left.sender::<Note>("right:acc");
         while notes.tell(Note(1)).is_ok() {}
         advance(5 * MS).await;
-        assert_eq!(notes.tell(Note(1)).unwrap_err().why, Why::Full);
+        assert!(matches!(notes.tell(Note(1)).unwrap_err().why, Why::WayFull { bulk: false, .. }));
 
         assert_eq!(readings.tell(Reading(1, vec![])), Ok(()));
 
@@ -211,5 +211,60 @@ fn a_burst_of_what_is_large_waits_for_room_and_arrives_whole() {
         tokio::join!(burst, advance(5000 * MS));
         assert_eq!(log.take(), (0..40).collect::<Vec<_>>());
         assert_eq!(left.host.dead_letters.total(), 0);
+    });
+}
+
+#[test]
+fn what_is_small_is_never_refused_beside_bulk_and_the_order_of_one_sender_is_kept() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_ear, log) = ear(&right).await;
+        let (bulk, notes) = (left.sender::<Bulk>("right:ear"), left.sender::<Note>("right:acc"));
+        let images = async {
+            for n in 0..40 {
+                // A small one of the same contract behind each.
+                bulk.deliver(Bulk(2 * n, vec![7; 1 << 20])).await.unwrap();
+                bulk.tell(Bulk(2 * n + 1, vec![])).unwrap();
+            }
+        };
+        let orders = async {
+            let mut told = 0;
+            loop {
+                assert_eq!(notes.tell(Note(told)), Ok(()));
+                told += 1;
+                tokio::time::sleep(MS).await;
+            }
+        };
+        tokio::select! {
+            () = async { tokio::join!(images, advance(5000 * MS)); } => {}
+            () = orders => {}
+        }
+
+        assert_eq!(log.take(), (0..80).collect::<Vec<_>>());
+        let told = right.log.take();
+        assert!(told.len() > 1000 && told.is_sorted(), "{}", told.len());
+        assert_eq!(left.host.dead_letters.total() + right.host.dead_letters.total(), 0);
+    });
+}
+
+#[test]
+fn who_tells_bulk_without_waiting_is_told_that_the_way_is_full_and_not_the_receiver() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_ear, log) = ear(&right).await;
+        let bulk = left.sender::<Bulk>("right:ear");
+        let mut taken = 0;
+        let error = loop {
+            match bulk.tell(Bulk(taken, vec![7; 1 << 20])) {
+                Ok(()) => taken += 1,
+                Err(error) => break error,
+            }
+        };
+
+        assert_eq!(error.why, Why::WayFull { node: "right".into(), bulk: true });
+        assert!(error.to_string().contains("the way to node right is full"), "{error}");
+        assert_eq!(bulk.tell(Bulk(taken, vec![])), Ok(()), "there is room for what is small");
+        advance(1000 * MS).await;
+        assert_eq!(log.take(), (0..=taken).collect::<Vec<_>>());
     });
 }

@@ -4,10 +4,10 @@ use super::*;
 use crate::{Event, Outcome, WhenFull};
 use blastema_contract::session::Say;
 use blastema_core::codec;
-use blastema_core::net::NodeId;
 use blastema_core::net::message::Message;
 use blastema_core::net::segment::Stream;
 use blastema_core::net::waiting_room::MESSAGES_MAX;
+use blastema_core::net::{NodeId, Strand};
 use bytes::Bytes;
 
 /// Is worked at for a while.
@@ -302,8 +302,9 @@ fn blurt(left: &Module, count: usize) {
         Message::Tell { binding: 1, stamp_us: 0, id: None, payload: payload.into() }.encode();
     let peer = NodeId::of(&NodeName::new("right").unwrap());
     for _ in 0..count {
-        let (stream, message) = (Stream::Data, message.clone());
-        left.net.sessions.do_send(Say { peer, session: 1, stream, message, credit: None });
+        let (stream, strand, message) = (Stream::Data, Strand::default(), message.clone());
+        let (session, credit) = (1, None);
+        left.net.sessions.do_send(Say { peer, session, stream, strand, message, credit });
     }
 }
 
@@ -333,5 +334,25 @@ fn a_peer_that_does_not_stop_loses_what_is_too_much_and_is_named_and_others_are_
         assert_eq!(declared[0].kind, FaultKind::CheckFailed);
         assert_eq!(declared[0].object.as_str(), "net/gateway");
         assert!(declared[0].detail.contains("left does not stop"), "{}", declared[0].detail);
+    });
+}
+
+#[test]
+fn a_reading_that_finds_its_receiver_between_two_lives_is_counted_as_that_and_not_as_full() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let (_slow, _log) = slow(&right, MS, WhenFull::Refuse).await;
+        left.sender::<Job>("right:slow").tell(Job(DEADLY)).unwrap();
+        advance(100 * MS).await;
+        let glances = left.sender::<Glance>("right:slow");
+        for n in 0..100 {
+            glances.tell(Glance(n)).unwrap();
+            advance(MS).await;
+        }
+
+        let name = ObjectName::new("slow").unwrap();
+        let count = |reason| right.host.dead_letters.count(&name, reason);
+        assert_eq!(count(DeadReason::Restarting), 100 - QUEUE as u64);
+        assert_eq!((count(DeadReason::PeerDied), count(DeadReason::Full)), (1, 0));
     });
 }

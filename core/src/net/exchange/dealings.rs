@@ -6,6 +6,7 @@ use crate::net::age::Ages;
 use crate::net::message::{Message, TICK_US};
 use crate::net::node_id::NodeId;
 use crate::net::segment::Stream;
+use crate::net::strand::Strand;
 use crate::{ContractIdentity, Delivery, Incarnation, Instant, MessageId, ObjectName, Parcel};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -41,12 +42,23 @@ pub(super) struct Session {
     pub(super) hall: Hall,
 }
 
+/// Its number, how it travels, and with what it stays in order.
+pub(super) type Way = (u32, Delivery, Strand);
+
 #[derive(Debug)]
 pub(super) struct Binding {
     pub(super) number: u32,
+    /// That of its object.
+    pub(super) strand: Strand,
     pub(super) contract: ContractIdentity,
     /// Messages that wait until the peer has agreed; `None` once it has.
     pub(super) waiting: Option<Vec<Waiting>>,
+}
+
+impl Binding {
+    pub(super) fn way(&self) -> Way {
+        (self.number, self.contract.delivery, self.strand)
+    }
 }
 
 #[derive(Debug)]
@@ -121,7 +133,7 @@ impl Session {
     pub(super) fn send(
         &mut self,
         peer: NodeId,
-        (binding, delivery): (u32, Delivery),
+        (binding, delivery, strand): Way,
         waiting: Waiting,
         next_call: &mut u64,
     ) -> ExchangeOutput {
@@ -139,13 +151,17 @@ impl Session {
                 Message::Request { binding, call, stamp, within, id, payload }
             }
         };
-        carry(peer, (binding << 1) | 1, delivery, &message)
+        carry(peer, ((binding << 1) | 1, delivery, strand), &message)
     }
 
-    /// These wait no longer. Answers whether senders that were told to stop may go on.
-    pub(super) fn let_out(&mut self, waiting: &[Waiting]) -> bool {
-        let bytes = waiting.iter().map(|waiting| waiting.payload.len()).sum();
-        self.hall.leave(waiting.len(), bytes)
+    /// These wait no longer. Answers with what is to be told to senders that were told to stop.
+    pub(super) fn let_out(
+        &mut self,
+        peer: NodeId,
+        waiting: &[Waiting],
+    ) -> impl Iterator<Item = ExchangeOutput> + use<> {
+        let again = self.hall.leave(waiting.iter().map(|waiting| waiting.payload.len()));
+        again.into_iter().map(move |load| ExchangeOutput::Room { peer, load })
     }
 
     /// The peer has agreed: what waited goes out. `None` if nothing was asked.
@@ -157,13 +173,11 @@ impl Session {
     ) -> Option<Vec<ExchangeOutput>> {
         let key = self.numbers.get(&number)?;
         let binding = self.bindings.get_mut(key)?;
-        let (waiting, delivery) = (binding.waiting.take()?, binding.contract.delivery);
-        let room = self.let_out(&waiting).then_some(ExchangeOutput::Room { peer });
-        let sent = waiting
-            .into_iter()
-            .map(|waiting| self.send(peer, (number, delivery), waiting, next_call));
+        let (waiting, way) = (binding.waiting.take()?, binding.way());
+        let rooms = self.let_out(peer, &waiting);
+        let sent = waiting.into_iter().map(|waiting| self.send(peer, way, waiting, next_call));
         // Room first: the session may find itself full, and must have the last word.
-        Some(room.into_iter().chain(sent).collect())
+        Some(rooms.chain(sent).collect())
     }
 }
 
@@ -175,14 +189,15 @@ fn ticks(span: Duration) -> u64 {
 /// bindings odd.
 pub(super) fn carry(
     peer: NodeId,
-    channel: u32,
-    delivery: Delivery,
+    (channel, delivery, strand): Way,
     message: &Message,
 ) -> ExchangeOutput {
     let message = message.encode();
     match delivery {
-        Delivery::Reliable => ExchangeOutput::Send { peer, stream: Stream::Data, message },
-        Delivery::Redundant => ExchangeOutput::Send { peer, stream: Stream::Redundant, message },
+        Delivery::Reliable => ExchangeOutput::Send { peer, stream: Stream::Data, strand, message },
+        Delivery::Redundant => {
+            ExchangeOutput::Send { peer, stream: Stream::Redundant, strand, message }
+        }
         Delivery::Newest => ExchangeOutput::SendNewest { peer, channel, message },
     }
 }

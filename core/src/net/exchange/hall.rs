@@ -1,15 +1,24 @@
 //! How much waits for bindings that a peer has not agreed to yet.
 
+use crate::net::load::Load;
+
 /// The messages that should wait: one round trip's worth of a fast sender. Beyond, senders are told to stop.
 pub(super) const MESSAGES: usize = 1024;
-/// Their bytes, likewise: with what is on its way here meanwhile, a session takes all of it at once.
-pub(super) const BYTES: usize = 1 << 20;
-/// So many times as much waits at most, whatever senders were told.
+/// The bytes of small ones, likewise; of bulk half as many, beside them.
+const BYTES: usize = 1 << 20;
+/// So many times as much of either waits at most, whatever senders were told: what should, and what is on its
+/// way here meanwhile.
 const TIMES: usize = 4;
 
 /// The count of what waits for all bindings to one peer.
 #[derive(Debug, Default)]
 pub(super) struct Hall {
+    /// Of what is small, and of bulk.
+    halves: [Half; 2],
+}
+
+#[derive(Debug, Default)]
+struct Half {
     messages: usize,
     bytes: usize,
     is_full: bool,
@@ -20,34 +29,54 @@ pub(super) struct Hall {
 pub(super) enum Entrance {
     /// It may.
     Open,
-    /// It may, and was the last that should: senders are to be told to stop.
-    Closing,
+    /// It may, and was the last of its load that should: senders are to be told to stop.
+    Closing(Load),
     /// There is no room.
-    Shut,
+    Shut(Load),
 }
 
 impl Hall {
     /// Counts one in, unless there is no room.
     pub(super) fn enter(&mut self, bytes: usize) -> Entrance {
-        let (messages, bytes) = (self.messages + 1, self.bytes + bytes);
+        let load = Load::of(bytes);
+        let half = &mut self.halves[load as usize];
+        let (messages, bytes) = (half.messages + 1, half.bytes + bytes);
         if messages > TIMES * MESSAGES || bytes > TIMES * BYTES {
-            return Entrance::Shut;
+            return Entrance::Shut(load);
         }
-        (self.messages, self.bytes) = (messages, bytes);
-        if self.is_full || messages < MESSAGES && bytes < BYTES {
+        (half.messages, half.bytes) = (messages, bytes);
+        if half.is_full || half.has_room(load) {
             return Entrance::Open;
         }
-        self.is_full = true;
-        Entrance::Closing
+        half.is_full = true;
+        Entrance::Closing(load)
     }
 
-    /// Counts out so many. Answers whether senders that were told to stop may go on.
-    pub(super) fn leave(&mut self, messages: usize, bytes: usize) -> bool {
-        self.messages -= messages;
-        self.bytes -= bytes;
-        let again = self.is_full && self.messages < MESSAGES && self.bytes < BYTES;
-        self.is_full &= !again;
+    /// Counts out messages of so many bytes each. Answers with what senders that were told to stop may go on.
+    pub(super) fn leave(&mut self, all: impl Iterator<Item = usize>) -> Vec<Load> {
+        for bytes in all {
+            let half = &mut self.halves[Load::of(bytes) as usize];
+            half.messages -= 1;
+            half.bytes -= bytes;
+        }
+        let mut again = Load::ALL.to_vec();
+        again.retain(|load| {
+            let half = &mut self.halves[*load as usize];
+            let again = half.is_full && half.has_room(*load);
+            half.is_full &= !again;
+            again
+        });
         again
+    }
+}
+
+impl Half {
+    fn has_room(&self, load: Load) -> bool {
+        let bytes = match load {
+            Load::Small => BYTES,
+            Load::Bulk => BYTES / 2,
+        };
+        self.messages < MESSAGES && self.bytes < bytes
     }
 }
 
@@ -57,20 +86,39 @@ mod tests {
 
     #[test]
     fn few_large_messages_close_it_as_many_small_ones_do_and_it_opens_when_they_have_gone() {
-        for (messages, each) in [(MESSAGES, 8), (4, BYTES / 4), (1, BYTES)] {
+        let (small, bulk) = (Load::Small, Load::Bulk);
+        for (load, messages, each) in [
+            (small, MESSAGES, 8),
+            (small, 64, BYTES / 64),
+            (bulk, 4, BYTES / 8),
+            (bulk, 2, BYTES / 4),
+        ] {
             let mut hall = Hall::default();
             for _ in 1..messages {
                 assert_eq!(hall.enter(each), Entrance::Open);
             }
-            assert_eq!(hall.enter(each), Entrance::Closing);
+            assert_eq!(hall.enter(each), Entrance::Closing(load));
             for _ in 0..3 * messages {
                 assert_eq!(hall.enter(each), Entrance::Open, "it was on its way");
             }
-            assert_eq!(hall.enter(each), Entrance::Shut);
 
-            assert!(!hall.leave(2 * messages, 2 * messages * each), "half has gone");
-            assert!(hall.leave(2 * messages, 2 * messages * each));
-            assert!(!hall.leave(0, 0), "it is told once");
+            let half = || std::iter::repeat_n(each, 2 * messages);
+            assert_eq!(hall.leave(half()), [], "half has gone");
+            assert_eq!(hall.leave(half()), [load]);
+            assert_eq!(hall.leave(std::iter::empty()), [], "it is told once");
         }
+    }
+
+    #[test]
+    fn what_is_small_enters_however_much_bulk_waits_and_the_other_way_round() {
+        let mut hall = Hall::default();
+        let fill = |hall: &mut Hall, each| while !matches!(hall.enter(each), Entrance::Shut(_)) {};
+        fill(&mut hall, BYTES);
+        assert_eq!(hall.enter(20), Entrance::Open);
+
+        fill(&mut hall, Load::SMALL_MAX);
+        assert_eq!(hall.enter(BYTES), Entrance::Shut(Load::Bulk));
+        assert_eq!(hall.leave([BYTES; 4].into_iter()), [Load::Bulk]);
+        assert_eq!(hall.enter(BYTES), Entrance::Closing(Load::Bulk));
     }
 }

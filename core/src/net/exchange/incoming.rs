@@ -216,9 +216,8 @@ impl Exchange {
             self.outputs.push_back(ExchangeOutput::Differs { peer, difference });
         }
         let waiting = waiting.unwrap_or_default();
-        if session.let_out(&waiting) {
-            self.outputs.push_back(ExchangeOutput::Room { peer });
-        }
+        let rooms = session.let_out(peer, &waiting);
+        self.outputs.extend(rooms);
         for Waiting { pending, .. } in waiting {
             let (to, reply_as) = ((object.clone(), name), pending.map(|pending| pending.reply_as));
             self.outputs.push_back(refuse(peer, to, reply_as, why.clone()));

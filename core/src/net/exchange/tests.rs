@@ -230,7 +230,7 @@ fn without_a_session_a_call_is_refused_with_the_reason() {
     pair.call(count(), Some(10));
     assert_eq!(pair.take(0), [resolved(Why::Restarting)]);
     pair.call(count(), None);
-    let (peer, to) = (pair.ids[1], Some((arm(), "count")));
+    let (peer, to) = (pair.ids[1], Addressee::Object(arm(), "count"));
     assert_eq!(pair.take(0), [ExchangeOutput::Lost { peer, to, why: Why::Restarting }]);
 }
 
@@ -247,12 +247,13 @@ fn too_many_messages_for_one_binding_are_told_and_then_refused() {
     }
     pair.run();
     let peer = pair.ids[1];
-    let lost = ExchangeOutput::Lost { peer, to: Some((arm(), "count")), why: Why::Full };
-    assert_eq!(pair.take(0), [ExchangeOutput::Full { peer }, lost]);
+    let (load, why) = (Load::Small, Why::WayFull { node: "right".into(), bulk: false });
+    let lost = ExchangeOutput::Lost { peer, to: Addressee::Object(arm(), "count"), why };
+    assert_eq!(pair.take(0), [ExchangeOutput::Full { peer, load }, lost]);
 
     pair.agree();
 
-    assert_eq!(pair.take(0), [ExchangeOutput::Room { peer }]);
+    assert_eq!(pair.take(0), [ExchangeOutput::Room { peer, load }]);
     assert_eq!(pair.take(1).len(), 4 * hall::MESSAGES);
 }
 
@@ -319,19 +320,20 @@ fn a_returned_message_resolves_its_request() {
         payload: payload().into(),
         reply_as,
     };
+    let full = Why::WayFull { node: "right".into(), bulk: false };
     let mut told = vec![];
     for reply_as in [Some(10), None] {
         pair.ends[0].handle_call(call(reply_as));
         let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
             panic!("it is sent");
         };
-        pair.ends[0].handle_returned(peer, message.into_bytes(), Why::Full, Sent::Nothing);
+        pair.ends[0].handle_returned(peer, message.into_bytes(), full.clone(), Sent::Nothing);
         told.extend(pair.ends[0].poll_output());
     }
 
-    let (peer, to) = (pair.ids[1], Some((arm(), "count")));
-    let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(Why::Full) };
-    let lost = ExchangeOutput::Lost { peer, to, why: Why::Full };
+    let (peer, to) = (pair.ids[1], Addressee::Object(arm(), "count"));
+    let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(full.clone()) };
+    let lost = ExchangeOutput::Lost { peer, to, why: full };
     assert_eq!(told, [resolved, lost]);
 }
 
@@ -424,4 +426,43 @@ fn a_reply_that_no_session_carries_is_told_to_have_been_made() {
 
     let result = Err(Why::ReplyTooLarge { limit: 5 });
     assert_eq!(pair.take(0), [ExchangeOutput::Resolve { reply_as: 10, result }]);
+}
+
+#[test]
+fn what_waited_in_a_machine_that_failed_is_told_as_lost_and_what_comes_back_of_it_is_known() {
+    let mut pair = Pair::open();
+    pair.call(count(), None);
+    pair.agree();
+    let sent = pair.take(1);
+    assert_eq!(sent.len(), 1, "it is bound");
+    let call = |contract: ContractIdentity| Call {
+        node: node("right"),
+        object: arm(),
+        contract,
+        id: None,
+        sent: at(0),
+        until: None,
+        payload: payload().into(),
+        reply_as: None,
+    };
+    pair.ends[0].handle_call(call(count()));
+    let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
+        panic!("it is sent");
+    };
+    let other = ContractIdentity { name: "other", ..count() };
+    pair.ends[0].handle_call(call(other));
+    while pair.ends[0].poll_output().is_some() {}
+
+    let why = Why::OutcomeUnknown { reason: "it failed".into() };
+    let mut reborn = pair.ends[0].reborn(&why);
+    let lost = |contract, why| {
+        let to = Addressee::Object(arm(), contract);
+        Some(ExchangeOutput::Lost { peer, to, why })
+    };
+    assert_eq!(reborn.poll_output(), lost("other", why));
+    assert_eq!(reborn.poll_output(), None);
+
+    let died = Why::PeerDied { incarnation: Incarnation(1) };
+    reborn.handle_returned(peer, message.into_bytes(), died.clone(), Sent::Perhaps);
+    assert_eq!(reborn.poll_output(), lost("count", died));
 }

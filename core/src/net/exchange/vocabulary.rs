@@ -1,8 +1,10 @@
 //! What an exchange is told, and wants done.
 
+use crate::net::load::Load;
 use crate::net::naming::Announcement;
 use crate::net::node_id::NodeId;
 use crate::net::segment::Stream;
+use crate::net::strand::Strand;
 use crate::{
     ContractIdentity, Instant, MessageId, NodeName, ObjectName, Parcel, PeerIdentity, Why,
 };
@@ -52,6 +54,17 @@ pub enum Sent {
     Perhaps,
 }
 
+/// Whom a message was for that was lost.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Addressee {
+    /// This object, by the contract of this name.
+    Object(ObjectName, &'static str),
+    /// Those who listen by the subscription of this number.
+    Subscription(u32),
+    /// Nobody knows any more: its session is long over.
+    Forgotten,
+}
+
 /// What an exchange wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ExchangeOutput {
@@ -61,6 +74,8 @@ pub enum ExchangeOutput {
         peer: NodeId,
         /// In which stream.
         stream: Stream,
+        /// With what it stays in order there.
+        strand: Strand,
         /// What.
         message: Parcel,
     },
@@ -117,8 +132,8 @@ pub enum ExchangeOutput {
     Lost {
         /// For which node.
         peer: NodeId,
-        /// For which object there, and by which contract; `None` for an event.
-        to: Option<(ObjectName, &'static str)>,
+        /// For whom there.
+        to: Addressee,
         /// Why.
         why: Why,
     },
@@ -126,11 +141,15 @@ pub enum ExchangeOutput {
     Full {
         /// Whom.
         peer: NodeId,
+        /// What there is no room for: bulk alone, or what is small, and then nothing goes.
+        load: Load,
     },
     /// They may go on.
     Room {
         /// Whom.
         peer: NodeId,
+        /// With what.
+        load: Load,
     },
     /// The peer's object has no room: senders should stop, for this object.
     ObjectFull {

@@ -6,7 +6,7 @@ use std::time::Duration;
 /// A mebibyte of the application's, and what says whose it is.
 const MESSAGE_MAX: usize = (1 << 20) + 4096;
 /// What an exchange puts before a message at most: its kind, four numbers and an identity.
-const HEADER_MAX: usize = 64;
+pub(super) const HEADER_MAX: usize = 64;
 
 /// The most bytes of a message of the application's that a session carries.
 pub const PAYLOAD_MAX: usize = MESSAGE_MAX - HEADER_MAX;
@@ -29,8 +29,9 @@ pub struct SessionConfig {
     pub patience: Duration,
     /// The most bytes of one message. Bounds what a peer can make us collect.
     pub message_max: usize,
-    /// The bytes that should wait or be unacknowledged in one stream at most. Beyond, senders are
-    /// told to stop; at twice as many, messages are refused.
+    /// The bytes of small messages that should wait or be unacknowledged in one stream at most; of bulk half
+    /// as many beside them. Beyond, senders are told to stop; at twice as many, of either, messages are
+    /// refused.
     pub buffer_bytes: usize,
     /// The number of messages, likewise.
     pub buffer_messages: usize,

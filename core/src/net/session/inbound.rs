@@ -113,14 +113,15 @@ impl Inbound {
     fn put_together(&mut self, part: Part, deliver: &mut Vec<Bytes>) -> Result<(), WireError> {
         let mut reader = Reader::new(part.payload);
         if part.first {
-            if self.partial.is_some() {
-                return Err(WireError::Malformed { what: "a message that begins within another" });
-            }
+            // Whole ones may come between the parts of a large one.
             if part.last {
                 while !reader.is_empty() {
                     deliver.push(reader.sized(self.message_max, "a message")?);
                 }
                 return Ok(());
+            }
+            if self.partial.is_some() {
+                return Err(WireError::Malformed { what: "a message that begins within another" });
             }
             let length = reader.varint()?;
             let length = usize::try_from(length).unwrap_or(usize::MAX);

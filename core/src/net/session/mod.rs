@@ -12,7 +12,8 @@
 //! * A peer's session is known by its incarnation and a number that rises within it. A greater number
 //!   ends the old session; a smaller one is refused. Which incarnation is the present one, the router
 //!   says. Tags keep apart what belongs to which.
-//! * Within a session each message of the ordered streams is delivered exactly once and in order.
+//! * Within a session each message of the ordered streams is delivered exactly once and in order. What is small
+//!   enters between the parts of what is large and of another strand, that is for somebody else.
 //!   When a session ends, every message that was not acknowledged is handed back with the reason: it
 //!   was delivered at most once, perhaps not at all.
 //! * What claims to come from the peer is held against what the router knows of its life, and a newer
@@ -43,11 +44,13 @@ pub use self::standing::{SessionStanding, SessionState};
 use self::assembly::Assembly;
 use self::best_effort::BestEffort;
 use self::inbound::Inbound;
-use self::outbound::Outbound;
+use self::outbound::{Outbound, load_of};
 use self::replicas::Replicas;
 use self::round_trip::RoundTrip;
+use super::load::Load;
 use super::packet::{Class, Undelivered};
 use super::segment::{Data, Datagram, Segment, Stream};
+use super::strand::Strand;
 use super::wire::Refusals;
 use crate::{Incarnation, Instant, Machine, Parcel, Why};
 use bytes::Bytes;
@@ -120,8 +123,8 @@ struct Peer {
 struct StreamState {
     outbound: Outbound,
     inbound: Inbound,
-    /// Its senders have been told to stop.
-    is_full: bool,
+    /// Its senders have been told to stop: with everything, and with bulk.
+    full: [bool; 2],
 }
 
 /// In the order of their places.
@@ -191,33 +194,50 @@ impl Session {
         self.number
     }
 
-    /// Sends a message, exactly once and in the order of its stream.
+    /// Sends a message, exactly once and in the order of its stream: all that is sent so is one strand.
     ///
     /// # Errors
-    /// [`Why::Full`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`] tells when the
-    /// stream takes more. [`Why::TooLargeForSession`], [`Why::Unreachable`], [`Why::Stopped`] after
-    /// [`handle_close`](Session::handle_close). The message comes back.
+    /// As [`handle_send_along`](Session::handle_send_along).
     pub fn handle_send(
         &mut self,
         stream: Stream,
         message: impl Into<Parcel>,
         now: Instant,
     ) -> Result<(), Refused> {
+        self.handle_send_along((stream, Strand::default()), message, now)
+    }
+
+    /// Sends a message, exactly once and in the order of its strand.
+    ///
+    /// # Errors
+    /// [`Why::WayFull`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`] tells when the
+    /// stream takes more. [`Why::TooLargeForSession`], [`Why::Unreachable`], [`Why::Stopped`] after
+    /// [`handle_close`](Session::handle_close). The message comes back.
+    pub fn handle_send_along(
+        &mut self,
+        (stream, strand): (Stream, Strand),
+        message: impl Into<Parcel>,
+        now: Instant,
+    ) -> Result<(), Refused> {
         self.now = now;
         let message = self.check(message.into())?;
-        let SessionConfig { buffer_bytes, buffer_messages, .. } = self.config;
+        let load = load_of(&message);
+        let buffer_messages = self.config.buffer_messages;
+        let buffer_bytes = self.buffer_bytes(load);
         let state = &mut self.streams[stream as usize];
-        let outbound = &mut state.outbound;
-        let (messages, bytes) = (outbound.messages() + 1, outbound.bytes() + message.len());
-        let full = |times| messages > times * buffer_messages || bytes > times * buffer_bytes;
-        if full(1) && !state.is_full {
-            state.is_full = true;
-            self.outputs.push_back(SessionOutput::Full { stream });
+        let messages = state.outbound.messages() + 1;
+        let bytes = state.outbound.bytes(load) + message.len();
+        if (messages > buffer_messages || bytes > buffer_bytes) && !state.full[load as usize] {
+            state.full[load as usize] = true;
+            self.outputs.push_back(SessionOutput::Full { stream, load });
         }
-        if full(2) {
-            return Err((Why::Full, message.into_bytes()));
+        // What is on its way here when senders are told to stop, or waits for bindings, has room all the same.
+        if messages > 2 * buffer_messages || bytes > 2 * self.config.buffer_bytes {
+            let node = self.config.peer.to_string();
+            let why = Why::WayFull { node, bulk: load == Load::Bulk };
+            return Err((why, message.into_bytes()));
         }
-        outbound.push(message);
+        state.outbound.push(strand, message);
         self.owed_since.get_or_insert(now);
         Ok(())
     }
@@ -434,8 +454,8 @@ impl Session {
                 let why = why.clone();
                 self.outputs.push_back(SessionOutput::Returned { stream, message, why, sent });
             }
-            if state.is_full {
-                self.outputs.push_back(SessionOutput::Room { stream });
+            for load in Load::ALL.into_iter().filter(|load| state.full[*load as usize]) {
+                self.outputs.push_back(SessionOutput::Room { stream, load });
             }
             *state = StreamState::new(&self.config);
         }
@@ -491,7 +511,7 @@ impl StreamState {
         StreamState {
             outbound: Outbound::new(config.window),
             inbound: Inbound::new(config.window, config.message_max),
-            is_full: false,
+            full: [false; 2],
         }
     }
 }

@@ -1,6 +1,9 @@
 //! The sending half of an ordered stream.
 
+use super::config::HEADER_MAX;
+use crate::net::load::Load;
 use crate::net::segment::Ack;
+use crate::net::strand::Strand;
 use crate::net::wire::{WireError, Write, varint_length};
 use crate::{Instant, Parcel};
 use bytes::{Bytes, BytesMut};
@@ -16,7 +19,10 @@ pub(crate) struct Outbound {
     cut: usize,
     /// How many bytes of the next one have been cut.
     cut_bytes: usize,
-    bytes: usize,
+    /// The part before the next one overtook it.
+    overtook: bool,
+    /// Of what is small, and of bulk.
+    bytes: [usize; 2],
     /// Parts on their way, by sequence number.
     flight: BTreeMap<u64, Part>,
     /// The bytes of those that are not known to be lost.
@@ -31,6 +37,7 @@ pub(crate) struct Outbound {
 
 #[derive(Debug)]
 struct Held {
+    strand: Strand,
     message: Parcel,
     /// The part that it ends in.
     last: Option<u64>,
@@ -67,6 +74,11 @@ pub(crate) struct Progress {
     pub(crate) order: Option<u64>,
 }
 
+/// What is small to whoever sent it is so with what an exchange has put before it.
+pub(crate) fn load_of(message: &Parcel) -> Load {
+    Load::of(message.len().saturating_sub(HEADER_MAX))
+}
+
 /// The length that stands before a message.
 fn length_of(message: usize) -> BytesMut {
     let mut bytes = BytesMut::with_capacity(64);
@@ -75,12 +87,16 @@ fn length_of(message: usize) -> BytesMut {
 }
 
 impl Outbound {
+    /// So many messages behind a large one are looked at: those that may overtake it do so, a part at a time.
+    const LOOK: usize = 32;
+
     pub(crate) fn new(window: u32) -> Self {
         Outbound {
             messages: VecDeque::new(),
             cut: 0,
             cut_bytes: 0,
-            bytes: 0,
+            overtook: false,
+            bytes: [0; 2],
             flight: BTreeMap::new(),
             flying_bytes: 0,
             lost: 0,
@@ -90,8 +106,9 @@ impl Outbound {
         }
     }
 
-    pub(crate) fn bytes(&self) -> usize {
-        self.bytes
+    /// The bytes of all messages of this load.
+    pub(crate) fn bytes(&self, load: Load) -> usize {
+        self.bytes[load as usize]
     }
 
     pub(crate) fn messages(&self) -> usize {
@@ -118,9 +135,9 @@ impl Outbound {
         self.flight.len() - self.lost
     }
 
-    pub(crate) fn push(&mut self, message: Parcel) {
-        self.bytes += message.len();
-        self.messages.push_back(Held { message, last: None });
+    pub(crate) fn push(&mut self, strand: Strand, message: Parcel) {
+        self.bytes[load_of(&message) as usize] += message.len();
+        self.messages.push_back(Held { strand, message, last: None });
     }
 
     /// All messages that are not acknowledged, in order, and whether some of it was sent; nothing is
@@ -151,12 +168,44 @@ impl Outbound {
             return None;
         }
         let sequence = self.next;
-        let (first, last, payload) = self.cut_part(room, sequence);
+        let (first, last, payload) = match self.cut_overtaking(room, sequence) {
+            Some(payload) => (true, true, payload),
+            None => self.cut_part(room, sequence),
+        };
         let part = Part { first, last, payload, sent: now, order, again: false, lost: false };
         self.next += 1;
         self.flying_bytes += part.payload.len();
         self.flight.insert(sequence, part.clone());
         Some((sequence, part))
+    }
+
+    /// After each part of what is large, one of whole messages that need not wait for the rest of it: nothing
+    /// of their strands does. The large one goes on after them.
+    fn cut_overtaking(&mut self, room: usize, sequence: u64) -> Option<Parcel> {
+        if self.cut_bytes == 0 || std::mem::take(&mut self.overtook) {
+            return None;
+        }
+        let mut payload = BytesMut::new();
+        let mut before = vec![self.messages[self.cut].strand];
+        for at in self.cut + 1..self.messages.len().min(self.cut + 1 + Self::LOOK) {
+            let Held { strand, ref message, .. } = self.messages[at];
+            let length = message.len();
+            if before.contains(&strand) {
+                continue;
+            }
+            if payload.len() + varint_length(length as u64) + length > room {
+                before.push(strand);
+                continue;
+            }
+            payload.varint(length as u64);
+            message.put(0..length, &mut payload);
+            let mut held = self.messages.remove(at).expect("it was just read");
+            held.last = Some(sequence);
+            self.messages.insert(self.cut, held);
+            self.cut += 1;
+        }
+        self.overtook = !payload.is_empty();
+        self.overtook.then(|| payload.freeze().into())
     }
 
     /// As many whole messages as fit, or as much of a large one.
@@ -217,7 +266,7 @@ impl Outbound {
         }
         while self.messages.front().is_some_and(|held| held.last.is_some_and(|n| n < ack.next)) {
             let held = self.messages.pop_front().expect("there is a front");
-            self.bytes -= held.message.len();
+            self.bytes[load_of(&held.message) as usize] -= held.message.len();
             self.cut -= 1;
         }
         Ok(progress)

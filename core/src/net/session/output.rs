@@ -1,5 +1,6 @@
 //! What a session wants done, and what it did.
 
+use crate::net::load::Load;
 use crate::net::packet::{Class, Undelivered};
 use crate::net::segment::Stream;
 use crate::{Incarnation, Parcel, Why};
@@ -58,11 +59,15 @@ pub enum SessionOutput {
     Full {
         /// Which.
         stream: Stream,
+        /// What there is no room for: bulk alone, or what is small, and then nothing goes.
+        load: Load,
     },
     /// A stream that was full takes messages again.
     Room {
         /// Which.
         stream: Stream,
+        /// What there is room for.
+        load: Load,
     },
     /// The peer speaks another version; the two cannot talk until one is updated.
     Incompatible {

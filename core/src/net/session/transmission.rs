@@ -2,8 +2,9 @@
 
 use super::assembly::pieces_of;
 use super::outbound::Part;
-use super::{STREAMS, Session, SessionConfig, SessionOutput, State, lane};
+use super::{STREAMS, Session, SessionOutput, State, lane};
 use crate::net::is_narrow;
+use crate::net::load::Load;
 use crate::net::packet::{Class, Undelivered, WAY_MAX};
 use crate::net::segment::{Ack, Data, PIECE_HEADER, Segment, Stream, data_header};
 use crate::{Instant, Why};
@@ -219,15 +220,31 @@ impl Session {
     }
 
     pub(super) fn make_room(&mut self, stream: Stream) {
-        let SessionConfig { buffer_bytes, buffer_messages, .. } = self.config;
+        let state = &self.streams[stream as usize];
+        let few = state.outbound.messages() <= self.config.buffer_messages / 2;
+        let rooms = Load::ALL.map(|load| {
+            let (holds, should) = (state.outbound.bytes(load), self.buffer_bytes(load));
+            few && match load {
+                // Half empty, so that whoever waits can send more than one message.
+                Load::Small => holds <= should / 2,
+                // One is worth the word, and the next is to be here before the last has gone.
+                Load::Bulk => holds <= should,
+            }
+        });
         let state = &mut self.streams[stream as usize];
-        let outbound = &state.outbound;
-        // Half empty, so that whoever waits can send more than one message.
-        let half =
-            outbound.bytes() <= buffer_bytes / 2 && outbound.messages() <= buffer_messages / 2;
-        if state.is_full && half {
-            state.is_full = false;
-            self.outputs.push_back(SessionOutput::Room { stream });
+        for load in Load::ALL {
+            if rooms[load as usize] && std::mem::take(&mut state.full[load as usize]) {
+                self.outputs.push_back(SessionOutput::Room { stream, load });
+            }
+        }
+    }
+
+    /// The bytes of this load that should wait in a stream at most.
+    pub(super) fn buffer_bytes(&self, load: Load) -> usize {
+        match load {
+            Load::Small => self.config.buffer_bytes,
+            // What is small waits behind no more of it.
+            Load::Bulk => self.config.buffer_bytes / 2,
         }
     }
 

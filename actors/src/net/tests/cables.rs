@@ -1,0 +1,156 @@
+//! Cables and media that fail, are slow, or were never there.
+
+use super::*;
+
+#[test]
+fn a_cut_cable_loses_and_doubles_nothing_while_there_is_another() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let sender = left.sender::<Note>("right:acc");
+
+        for n in 0..300 {
+            match n {
+                100 => robot.cut("ethernet/left"),
+                200 => robot.restore("ethernet/left"),
+                _ => {}
+            }
+            sender.tell(Note(n)).unwrap();
+            advance(5 * MS).await;
+        }
+        advance(500 * MS).await;
+
+        assert_eq!(right.log.take(), (0..300).collect::<Vec<_>>());
+        let down = left
+            .links
+            .drain()
+            .into_iter()
+            .filter(|report| matches!(report.condition, LinkCondition::Down { .. }));
+        let down: Vec<_> = down.map(|report| report.link.to_string()).collect();
+        assert_eq!(down, ["ethernet-left"]);
+        assert!(
+            !left
+                .nodes
+                .drain()
+                .iter()
+                .any(|report| { matches!(report.condition, NodeCondition::Lost { .. }) })
+        );
+    });
+}
+
+#[test]
+fn a_network_whose_interface_lost_its_carrier_is_given_up_at_once_and_proves_itself_again() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let up = |rows: &[LinkRow]| rows.iter().map(|row| row.state).collect::<Vec<_>>();
+        left.sender::<Note>("right:acc").tell(Note(0)).unwrap();
+        advance(5 * MS).await;
+        assert_eq!(right.log.take(), [0]);
+        left.links.drain();
+
+        robot.cut("ethernet/left");
+        left.net.networks[0].1.do_send(CarrierChanged { present: false });
+        left.sender::<Note>("right:acc").tell(Note(1)).unwrap();
+        advance(5 * MS).await;
+
+        assert_eq!(right.log.take(), [1], "a hello is not even late");
+        let told = left.links.expect().await;
+        let LinkCondition::Down { reason } = told.condition else { panic!("{told:?}") };
+        assert!(reason.contains("carrier"), "{reason}");
+        robot.restore("ethernet/left");
+        left.net.networks[0].1.do_send(CarrierChanged { present: true });
+        advance(5 * MS).await;
+        assert_eq!(up(&left.net.read_links().await), [LinkState::Down, LinkState::Up]);
+        advance(1000 * MS).await;
+        assert_eq!(up(&left.net.read_links().await), [LinkState::Up; 2]);
+    });
+}
+
+#[test]
+fn a_slow_medium_is_dearer_and_is_spared_hellos() {
+    paused(async {
+        let (_robot, left, _right) = pair().await;
+
+        left.net.networks[0].1.do_send(TransportReport::Rate { bytes_per_second: 11_520 });
+        advance(1000 * MS).await;
+
+        let rows = left.net.read_links().await;
+        assert_eq!([rows[0].cost, rows[1].cost], [868, 10]);
+        assert!(rows[0].hello_interval > 80 * MS, "{:?}", rows[0].hello_interval);
+        assert_eq!(rows[1].hello_interval, 50 * MS);
+        assert!(rows.iter().all(|row| row.state == LinkState::Up && row.phi < 1.0), "{rows:?}");
+        assert_eq!(left.net.read_routes().await.routes[0].next, LinkNumber(1));
+    });
+}
+
+#[test]
+fn a_node_between_two_others_passes_their_messages_on() {
+    paused(async {
+        let mut robot = Robot::default();
+        let middle: [(&str, &[&str]); 2] = [("ethernet", &["left"]), ("ieee1394", &["right"])];
+        let _middle = robot.module("middle", 1, &middle).await;
+        let left = robot.module("left", 1, &[("ethernet", &["middle"])]).await;
+        let _right = robot.module("right", 1, &[("ieee1394", &["middle"])]).await;
+        advance(1000 * MS).await;
+
+        assert_eq!(left.sender::<Add>("right:acc").ask(Add(3)).await.unwrap(), 3);
+
+        let routes = left.net.read_routes().await.routes;
+        let costs: Vec<_> = routes.iter().map(|route| (route.node.as_str(), route.cost)).collect();
+        assert_eq!(costs, [("middle", 10), ("right", 20)]);
+    });
+}
+
+#[test]
+fn a_medium_that_cannot_be_opened_is_told_as_its_links_being_down() {
+    paused(async {
+        let (mut robot, left, _right) = pair().await;
+        left.links.drain();
+
+        // Its end of the medium is taken.
+        let usurper = robot.module("left", 2, &[("ethernet", &["right"])]).await;
+        advance(10 * MS).await;
+
+        let told = usurper.links.expect().await;
+        let LinkCondition::Down { reason } = told.condition else { panic!("{told:?}") };
+        assert!(reason.contains("ethernet/left"), "{reason}");
+        assert_eq!(left.links.drain(), []);
+    });
+}
+
+#[test]
+fn two_links_of_one_name_are_refused_before_anything_starts() {
+    paused(async {
+        let robot = Robot::default();
+        let host = HostEnvironment::new(Arbiters::here(), Reports::default());
+        let exits = Probe::start();
+        let memory = Memory::new(MemoryConfig::new(&robot.medium, "x")).start();
+        let link = |to: &str| LinkSpec::new("same", MediumAddress::Memory(to.into()));
+        let spec = NetworkSpec {
+            name: "ethernet".into(),
+            transport: Transport::from(memory),
+            interface: None,
+            links: vec![link("left"), link("right")],
+            discovery: None,
+        };
+        let environment = NetEnvironment {
+            node: NodeName::new("left").unwrap(),
+            incarnation: Incarnation(1),
+            guardian: Guardian::reporting_to(exits.recipient()),
+            arbiter: None,
+            registry: host.registry.clone(),
+            topics: host.topics.clone(),
+            dead_letters: host.dead_letters.clone(),
+            recoverer: None,
+            links: None,
+            nodes: None,
+            faults: None,
+            mended: None,
+            judges: Judges::Majority,
+            envoys: Vec::new(),
+        };
+
+        let refused = start(environment, vec![spec]).err().unwrap();
+
+        assert!(refused.to_string().contains("two links are called same"));
+    });
+}

@@ -1,0 +1,129 @@
+//! What is counted, and where, when messages to another node do not arrive.
+
+use super::*;
+use blastema_contract::router::PathReported;
+
+/// What this module has counted of messages to `right`: object or topic, contract, reason, how many.
+fn counted(module: &Module) -> Vec<(String, String, DeadReason, u64)> {
+    let right = NodeName::new("right").unwrap();
+    let counts = module.host.dead_letters.counts().into_iter();
+    let counts = counts.filter(|count| count.node.as_ref() == Some(&right));
+    let row = |count: blastema_core::dead_letters::DeadLetterCount| {
+        (count.object.to_string(), count.contract.to_string(), count.reason, count.count)
+    };
+    counts.map(row).collect()
+}
+
+fn row(
+    to: &str,
+    contract: &str,
+    reason: DeadReason,
+    count: u64,
+) -> (String, String, DeadReason, u64) {
+    (to.into(), contract.into(), reason, count)
+}
+
+/// Ten notes that are bound already, a message that waits for its binding, and five events.
+async fn deliver_all(left: &Module) {
+    let notes = left.sender::<Note>("right:acc");
+    for n in 1..=10 {
+        notes.deliver(Note(n)).await.unwrap();
+    }
+    left.sender::<Fresh>("right:acc").deliver(Fresh(1)).await.unwrap();
+    for n in 0..5 {
+        left.publisher().publish(Note(n)).unwrap();
+    }
+    advance(20 * MS).await;
+}
+
+#[test]
+fn what_a_node_had_not_acknowledged_when_it_was_killed_is_counted_at_its_sender() {
+    paused(async {
+        for returns in [true, false] {
+            let mut robot = Robot::default();
+            let left = robot.module("left", 1, &[("ethernet", &["right"])]).await;
+            let right = robot.module("right", 1, &[("ethernet", &["left"])]).await;
+            advance(500 * MS).await;
+            left.sender::<Note>("right:acc").deliver(Note(0)).await.unwrap();
+            advance(10 * MS).await;
+            assert_eq!(right.log.take(), [0]);
+
+            robot.kill("ethernet/right");
+            drop(right);
+            deliver_all(&left).await;
+            let next = if returns {
+                Some(robot.module("right", 2, &[("ethernet", &["left"])]).await)
+            } else {
+                None
+            };
+            advance(3000 * MS).await;
+
+            let why = if returns { DeadReason::PeerDied } else { DeadReason::Unreachable };
+            let all = [
+                row("Note", "Note", why, 5),
+                row("acc", "Fresh", why, 1),
+                row("acc", "Note", why, 10),
+            ];
+            assert_eq!(counted(&left), all, "it returns: {returns}");
+            assert!(next.is_none_or(|next| next.log.take().is_empty()));
+        }
+    });
+}
+
+#[test]
+fn what_was_under_way_when_the_gateway_panicked_is_counted() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        left.sender::<Note>("right:acc").deliver(Note(0)).await.unwrap();
+        advance(10 * MS).await;
+        ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
+        deliver_all(&left).await;
+
+        left.net.victims()[2].do_send(PanicOnPurpose);
+        advance(100 * MS).await;
+
+        let all = [
+            row("acc", "Fresh", DeadReason::Unreachable, 1),
+            row("acc", "Note", DeadReason::Unreachable, 10),
+        ];
+        assert_eq!(counted(&left), all);
+        assert_eq!(right.log.take(), [0]);
+    });
+}
+
+#[test]
+fn what_a_session_held_that_makes_room_for_other_peers_is_counted() {
+    paused(async {
+        let (robot, left, _right) = pair().await;
+        left.sender::<Note>("right:acc").deliver(Note(0)).await.unwrap();
+        advance(10 * MS).await;
+        ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
+        deliver_all(&left).await;
+        advance(300 * MS).await;
+
+        for n in 0..512 {
+            let node = NodeName::new(&format!("node{n}")).unwrap();
+            let (incarnation, mtu) = (Incarnation(1), 1389);
+            left.net.sessions.do_send(PathReported::Reachable { node, incarnation, mtu });
+        }
+        advance(MS).await;
+
+        let why = DeadReason::Unreachable;
+        assert!(counted(&left).contains(&row("acc", "Note", why, 10)), "{:?}", counted(&left));
+    });
+}
+
+#[test]
+fn events_for_which_there_is_no_room_on_the_way_are_counted_under_their_topic() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let publisher = left.publisher();
+
+        (0..3000).for_each(|n| publisher.publish(Note(n)).unwrap());
+        advance(100 * MS).await;
+
+        let arrived = right.log.take().len() as u64;
+        assert!(arrived > 0);
+        assert_eq!(counted(&left), [row("Note", "Note", DeadReason::WayFull, 3000 - arrived)]);
+    });
+}

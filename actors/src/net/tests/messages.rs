@@ -1,0 +1,148 @@
+//! Messages, requests and events between two nodes.
+
+use super::*;
+
+#[test]
+fn a_remote_object_is_asked_and_told_with_the_code_for_a_local_one() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+
+        assert_eq!(left.sender::<Add>("right:acc").ask(Add(3)).await.unwrap(), 3);
+        assert_eq!(right.sender::<Add>("acc").ask(Add(4)).await.unwrap(), 7);
+        left.sender::<Note>("right:acc").tell(Note(5)).unwrap();
+        advance(10 * MS).await;
+
+        assert_eq!(right.log.take(), [5]);
+        assert_eq!(left.log.take(), [0; 0]);
+    });
+}
+
+#[test]
+fn events_reach_listeners_on_every_node_once() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+
+        for n in 0..100 {
+            left.publisher().publish(Note(n)).unwrap();
+            advance(MS).await;
+        }
+        advance(50 * MS).await;
+
+        let all: Vec<_> = (0..100).collect();
+        assert_eq!(left.log.take(), all);
+        assert_eq!(right.log.take(), all);
+    });
+}
+
+#[test]
+fn a_message_larger_than_any_frame_arrives_whole() {
+    paused(async {
+        let (_robot, left, _right) = pair().await;
+        let picture: Vec<u8> = (0..500_000u32).map(|n| n as u8).collect();
+
+        let mirrored = left.sender("right:acc").ask(Mirror(picture.clone())).await.unwrap();
+
+        assert!(mirrored == picture);
+    });
+}
+
+#[test]
+fn a_contract_that_differs_is_refused_and_the_difference_shown() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let sender = left.host.registry.sender::<other::Add>("right:acc").unwrap();
+
+        let error = sender.ask(other::Add { summand: 1.0 }).await.unwrap_err();
+
+        let Why::ContractDiffers { difference } = error.why else { panic!("{error:?}") };
+        assert!(difference.contains("here") && difference.contains("there"), "{difference}");
+        let declared = right.declared.expect().await;
+        assert_eq!(declared.kind, FaultKind::ContractMismatch);
+        assert_eq!(declared.object.as_str(), "acc");
+    });
+}
+
+#[test]
+fn an_unknown_object_and_an_unknown_node_are_told_apart() {
+    paused(async {
+        let (_robot, left, _right) = pair().await;
+
+        let nobody = left.sender::<Add>("right:nobody").ask(Add(1)).await.unwrap_err();
+        assert!(matches!(nobody.why, Why::Unknown { .. }), "{nobody:?}");
+        let nowhere = left.sender::<Add>("nowhere:acc").ask(Add(1)).await.unwrap_err();
+        assert_eq!(nowhere.why, Why::Unreachable { node: "nowhere".into() });
+    });
+}
+
+#[test]
+fn a_request_that_kills_the_remote_object_is_resolved_with_its_death() {
+    paused(async {
+        let (_robot, left, _right) = pair().await;
+
+        let error = left.sender::<Boom>("right:acc").ask(Boom).await.unwrap_err();
+
+        assert_eq!(error.why, Why::PeerDied { incarnation: Incarnation(1) });
+    });
+}
+
+#[test]
+fn a_flood_is_refused_when_full_and_nothing_accepted_is_lost() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let sender = left.sender::<Note>("right:acc");
+        robot.cut("ethernet/left");
+        robot.cut("ieee1394/left");
+
+        let mut accepted = 0;
+        for n in 0..20_000 {
+            match sender.tell(Note(n)) {
+                Ok(()) => accepted += 1,
+                Err(error) => {
+                    assert_eq!(error.why, Why::WayFull { node: "right".into(), bulk: false });
+                    break;
+                }
+            }
+            if n % 100 == 0 {
+                settle().await;
+            }
+        }
+        assert!((1000..20_000).contains(&accepted), "it has a bound: {accepted}");
+        robot.restore("ethernet/left");
+        robot.restore("ieee1394/left");
+        sender.deliver(Note(accepted)).await.unwrap();
+        advance(3000 * MS).await;
+
+        assert_eq!(right.log.take(), (0..=accepted).collect::<Vec<_>>());
+    });
+}
+
+#[test]
+fn what_grew_old_on_the_way_is_not_delivered_but_counted() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let publisher = left.host.topics.publisher::<Fresh>(Fresh::NAME).unwrap();
+        let sender = left.sender::<Fresh>("right:acc");
+        publisher.publish(Fresh(1)).unwrap();
+        sender.tell(Fresh(2)).unwrap();
+        advance(10 * MS).await;
+        assert_eq!(right.log.take(), [1, 2]);
+
+        for end in ["ethernet/left", "ieee1394/left"] {
+            robot.cut(end);
+        }
+        publisher.publish(Fresh(3)).unwrap();
+        sender.tell(Fresh(4)).unwrap();
+        left.sender::<Note>("right:acc").tell(Note(5)).unwrap();
+        advance(500 * MS).await;
+        for end in ["ethernet/left", "ieee1394/left"] {
+            robot.restore(end);
+        }
+        advance(1000 * MS).await;
+        publisher.publish(Fresh(6)).unwrap();
+        advance(10 * MS).await;
+
+        assert_eq!(right.log.take(), [5, 6]);
+        let acc = ObjectName::new("acc").unwrap();
+        assert_eq!(right.host.dead_letters.count(&acc, DeadReason::Expired), 2);
+    });
+}

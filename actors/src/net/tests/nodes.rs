@@ -1,0 +1,117 @@
+//! Nodes that die, stay away, leave, and tell of themselves.
+
+use super::*;
+
+#[test]
+fn a_node_that_dies_and_returns_is_a_new_life_and_what_it_owed_is_resolved() {
+    paused(async {
+        let mut robot = Robot::default();
+        let left = robot.module("left", 1, &[("ethernet", &["right"])]).await;
+        let right = robot.module("right", 1, &[("ethernet", &["left"])]).await;
+        advance(500 * MS).await;
+        let sender = left.sender::<Add>("right:acc");
+        assert_eq!(sender.ask(Add(3)).await.unwrap(), 3);
+
+        robot.kill("ethernet/right");
+        drop(right);
+        let asked = actix_rt::spawn(async move { sender.ask_within(Add(1), 60_000 * MS).await });
+        advance(20 * MS).await;
+        let right = robot.module("right", 2, &[("ethernet", &["left"])]).await;
+        advance(1000 * MS).await;
+
+        let error = asked.await.unwrap().unwrap_err();
+        assert_eq!(error.why, Why::PeerDied { incarnation: Incarnation(1) });
+        assert_eq!(left.sender::<Add>("right:acc").ask(Add(5)).await.unwrap(), 5);
+        left.publisher().publish(Note(7)).unwrap();
+        advance(10 * MS).await;
+        assert_eq!(right.log.take(), [7]);
+        let reports = left.nodes.drain();
+        assert!(reports.iter().any(|report| report.incarnation == Incarnation(2)));
+    });
+}
+
+#[test]
+fn a_node_that_stays_away_is_lost_and_what_it_owed_is_resolved() {
+    paused(async {
+        let (robot, left, _right) = pair().await;
+        let sender = left.sender::<Add>("right:acc");
+        assert_eq!(sender.ask(Add(3)).await.unwrap(), 3);
+
+        robot.kill("ethernet/right");
+        robot.kill("ieee1394/right");
+        let error = sender.ask_within(Add(1), 60_000 * MS).await.unwrap_err();
+
+        assert!(matches!(error.why, Why::OutcomeUnknown { .. }), "{}", error.why);
+        let refused = left.sender::<Note>("right:acc").tell(Note(1)).unwrap_err();
+        assert_eq!(refused.why, Why::Unreachable { node: "right".into() });
+        let conditions: Vec<_> =
+            left.nodes.drain().into_iter().map(|report| report.condition).collect();
+        assert!(
+            matches!(conditions[..], [NodeCondition::Reachable, NodeCondition::Lost { .. }]),
+            "{conditions:?}"
+        );
+    });
+}
+
+#[test]
+fn a_fault_is_told_to_another_nodes_recoverer_and_confirmed() {
+    paused(async {
+        let (robot, left, right) = pair().await;
+        let port = left.net.recoverer_of(&NodeName::new("right").unwrap());
+        let fault = Fault {
+            id: FaultId(1),
+            kind: FaultKind::Panic,
+            severity: Severity::Error,
+            place: Place::Object("left:acc".parse().unwrap()),
+            incarnation: Incarnation(1),
+            detail: "boom".into(),
+            found_at: platform::now(),
+            symptom_of: None,
+            count: 1,
+        };
+
+        port.send(Recover { fault: fault.clone() }).await.unwrap();
+        assert_eq!(right.faults.expect().await.fault.place, fault.place);
+
+        robot.cut("ethernet/left");
+        robot.cut("ieee1394/left");
+        let unconfirmed = port.send(Recover { fault }).await;
+        assert!(unconfirmed.is_err(), "the notifier has to know");
+    });
+}
+
+#[test]
+fn every_node_knows_the_objects_of_the_others() {
+    paused(async {
+        let (_robot, left, _right) = pair().await;
+
+        let rows = left.net.read_names().await;
+
+        let objects: Vec<_> =
+            rows.iter().flat_map(|row| &row.objects).map(|o| o.to_string()).collect();
+        assert_eq!(objects, ["right:acc"]);
+        let links = left.net.read_links().await;
+        assert!(links.iter().all(|row| row.quality.round_trip.is_some()));
+        assert_eq!(left.net.read_sessions().await.len(), 1);
+    });
+}
+
+#[test]
+fn a_node_that_leaves_in_order_delivers_first() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+
+        for n in 0..10 {
+            left.sender::<Note>("right:acc").tell(Note(n)).unwrap();
+        }
+        left.net.leave();
+        advance(100 * MS).await;
+
+        assert_eq!(right.log.take(), (0..10).collect::<Vec<_>>());
+        let why = right.sender::<Add>("left:acc").ask(Add(1)).await.unwrap_err().why;
+        assert_eq!(why, Why::Left { node: "left".into() });
+        let told = right.nodes.drain().into_iter().map(|report| report.condition);
+        let told: Vec<_> = told.collect();
+        assert_eq!(told, [NodeCondition::Reachable, NodeCondition::Left]);
+    });
+}

@@ -1,0 +1,88 @@
+//! Panics of the network's own actors.
+
+use super::*;
+
+#[test]
+fn a_panic_in_the_router_loses_nothing() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let sender = left.sender::<Note>("right:acc");
+
+        for n in 0..100 {
+            if n % 20 == 10 {
+                left.net.router().do_send(PanicOnPurpose);
+            }
+            sender.tell(Note(n)).unwrap();
+            advance(5 * MS).await;
+        }
+        advance(500 * MS).await;
+
+        assert_eq!(right.log.take(), (0..100).collect::<Vec<_>>());
+        let exits = left.exits.drain();
+        assert_eq!(exits.len(), 5);
+        assert!(exits.iter().all(|exit| {
+            exit.object == ObjectName::new("net/router").unwrap() && exit.restarted_as.is_some()
+        }));
+        let lost = left.nodes.drain().into_iter().chain(right.nodes.drain());
+        assert!(lost.into_iter().all(|report| report.condition == NodeCondition::Reachable));
+    });
+}
+
+#[test]
+fn a_panic_in_any_actor_of_the_network_is_survived_and_every_promise_resolved() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let count = left.net.victims().len();
+        assert_eq!(count, 5);
+        for victim in 0..count {
+            for module in [&left, &right] {
+                let asked: Vec<_> = (0..10)
+                    .map(|_| {
+                        let sender = left.sender::<Add>("right:acc");
+                        actix_rt::spawn(async move { sender.ask_within(Add(1), 60_000 * MS).await })
+                    })
+                    .collect();
+                module.net.victims()[victim].do_send(PanicOnPurpose);
+                let told = platform::now();
+                for asked in asked {
+                    // The reply, or why there is none: never nothing.
+                    let _ = asked.await.unwrap();
+                }
+                assert!(platform::now() - told < 3000 * MS, "{victim}");
+                advance(2000 * MS).await;
+
+                let reply = left.sender::<Add>("right:acc").ask(Add(0)).await;
+                assert!(reply.is_ok(), "{victim}: {reply:?}");
+                right.log.take();
+                left.publisher().publish(Note(7)).unwrap();
+                advance(50 * MS).await;
+                assert_eq!(right.log.take(), [7], "{victim}");
+            }
+        }
+        assert_eq!(left.exits.drain().len(), count);
+        let lost = left.nodes.drain().into_iter().chain(right.nodes.drain());
+        let lost = lost.filter(|report| matches!(report.condition, NodeCondition::Lost { .. }));
+        assert_eq!(lost.count(), 0);
+    });
+}
+
+#[test]
+fn a_panic_in_the_sessions_gives_back_only_what_that_session_held() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let sender = left.sender::<Note>("right:acc");
+        sender.tell(Note(0)).unwrap();
+        advance(10 * MS).await;
+
+        for n in 1..50 {
+            sender.tell(Note(n)).unwrap();
+        }
+        left.net.victims()[1].do_send(PanicOnPurpose);
+        advance(1000 * MS).await;
+
+        let arrived = right.log.take();
+        let buried = left.host.dead_letters.total();
+        assert!(arrived.is_sorted());
+        assert!(arrived.len() as u64 + buried >= 50, "{} arrived, {buried} told", arrived.len());
+    });
+}

@@ -1,0 +1,343 @@
+//! What is sent arrives once and in order, and how much may wait.
+
+use super::*;
+use crate::ObjectName;
+
+#[test]
+fn a_message_sent_while_the_session_opens_is_delivered_once_it_is_open() {
+    let mut pair = Pair::new();
+    pair.ends[0].handle_path(1389, at(0));
+    pair.send(0, text("early"));
+    pair.ends[1].handle_path(1389, at(0));
+
+    pair.run(20);
+
+    assert_eq!(pair.take(1), [opened(1), message(text("early"))]);
+}
+
+#[test]
+fn without_a_path_nothing_is_accepted() {
+    let mut session = Session::new(config("left", 1, "right"), at(0));
+    let refused = session.handle_send(Stream::Data, text("x"), at(0));
+    assert_eq!(refused, Err((unreachable("right"), text("x"))));
+    let refused = session.handle_send_newest(1, text("x"), at(0));
+    assert_eq!(refused, Err((unreachable("right"), text("x"))));
+}
+
+#[test]
+fn a_lost_part_is_sent_again_and_nothing_is_delivered_before_it() {
+    let mut pair = Pair::open();
+    let mut first = true;
+    pair.lose = Box::new(move |_, segment| {
+        matches!(segment, Segment::Data(_)) && std::mem::take(&mut first)
+    });
+
+    for n in ["a", "b", "c"] {
+        pair.send(0, text(n));
+        pair.run(0);
+    }
+    pair.run(60);
+
+    assert_eq!(pair.take(1), ["a", "b", "c"].map(|n| message(text(n))));
+    assert_eq!(pair.ends[0].counters().repeated, 1);
+}
+
+#[test]
+fn a_lost_acknowledgement_costs_a_repetition_and_no_second_delivery() {
+    let mut pair = Pair::open();
+    let mut first = true;
+    pair.lose = Box::new(move |end, segment| {
+        let lost = end == 1 && matches!(segment, Segment::Acknowledge { .. });
+        lost && std::mem::take(&mut first)
+    });
+
+    pair.send(0, text("a"));
+    pair.run(300);
+
+    assert_eq!(pair.take(1), [message(text("a"))]);
+    assert_eq!(pair.ends[1].counters().doubled, 1);
+    assert!(pair.ends[0].poll_timeout().is_none(), "nothing is owed any more");
+}
+
+#[test]
+fn waiting_messages_travel_together_and_large_ones_in_parts() {
+    let mut pair = Pair::open();
+    let before = pair.parts(0);
+    for _ in 0..100 {
+        pair.send(0, text("ten bytes."));
+    }
+    pair.run(10);
+    assert_eq!(pair.parts(0) - before, 1);
+    assert_eq!(pair.take(1).len(), 100);
+
+    let large = Bytes::from(vec![7; 100_000]);
+    pair.send(0, large.clone());
+    pair.run(50);
+
+    assert_eq!(pair.take(1), [message(large)]);
+}
+
+#[test]
+fn control_overtakes_data_that_waits() {
+    let mut pair = Pair::open();
+    pair.send(0, Bytes::from(vec![7; 500_000]));
+    pair.ends[0].handle_send(Stream::Control, text("stop"), at(pair.now)).unwrap();
+
+    pair.run(200);
+
+    let told = pair.take(1);
+    assert!(matches!(told[0], SessionOutput::Message { stream: Stream::Control, .. }));
+    assert_eq!(told.len(), 2);
+}
+
+#[test]
+fn a_full_stream_says_so_then_refuses_then_has_room_again() {
+    let small = SessionConfig { buffer_messages: 4, ..config("left", 1, "right") };
+    let mut pair = Pair::of(small, config("right", 1, "left"));
+    pair.connect();
+    pair.take(0);
+    pair.lose = Box::new(|_, _| true);
+    for _ in 0..8 {
+        pair.send(0, text("x"));
+    }
+    let refused = pair.ends[0].handle_send(Stream::Data, text("x"), at(pair.now));
+    let full = Why::WayFull { node: "right".into(), bulk: false };
+    assert_eq!(refused, Err((full, text("x"))));
+    pair.run(1);
+    let (stream, load) = (Stream::Data, Load::Small);
+    assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
+
+    pair.lose = Box::new(|_, _| false);
+    pair.run(200);
+
+    assert_eq!(pair.take(0), [SessionOutput::Room { stream, load }]);
+    assert_eq!(pair.take(1).len(), 9, "opened, and eight messages");
+}
+
+#[test]
+fn bulk_that_fills_its_room_leaves_what_is_small_its_own_and_all_arrive_in_order() {
+    let mut pair = Pair::open();
+    pair.lose = Box::new(|_, _| true);
+    let (image, now) = (Bytes::from(vec![7; 1 << 20]), at(pair.now));
+    let sent = (0..100).map(|_| pair.ends[0].handle_send(Stream::Data, image.clone(), now));
+    let images = sent.take_while(Result::is_ok).count();
+    let order = Bytes::from(vec![8; Load::SMALL_MAX]);
+    for _ in 0..200 {
+        pair.send(0, order.clone());
+    }
+    pair.drain();
+    let (stream, load) = (Stream::Data, Load::Bulk);
+    assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
+    assert_eq!(images, 8, "what is on its way when it is said has room as well");
+
+    pair.lose = Box::new(|_, _| false);
+    pair.run(5000);
+
+    assert_eq!(pair.take(0), [SessionOutput::Room { stream, load }]);
+    let all = [vec![message(image); 8], vec![message(order); 200]].concat();
+    assert!(pair.take(1) == all, "in the order in which they were sent");
+}
+
+#[test]
+fn bulk_has_room_again_while_two_of_the_largest_still_wait() {
+    let mut pair = Pair::open();
+    let image = Bytes::from(vec![7; 1 << 20]);
+    for _ in 0..3 {
+        pair.send(0, image.clone());
+    }
+    let (stream, load) = (Stream::Data, Load::Bulk);
+    pair.drain();
+    assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
+
+    let told = (0..1000).map(|_| {
+        pair.run(0);
+        (pair.take(0), pair.ends[0].standing().unacknowledged)
+    });
+    let told: Vec<_> = told.filter(|(told, _)| !told.is_empty()).collect();
+
+    assert_eq!(told, [(vec![SessionOutput::Room { stream, load }], 2)]);
+}
+
+#[test]
+fn a_message_larger_than_the_limit_is_refused_before_it_is_sent() {
+    let mut pair = Pair::open();
+    let limit = pair.ends[0].config.message_max;
+    let huge = Bytes::from(vec![0; limit + 1]);
+    let refused = pair.ends[0].handle_send(Stream::Data, huge, at(pair.now)).unwrap_err();
+    assert_eq!(refused.0, Why::TooLargeForSession { limit });
+}
+
+#[test]
+fn one_small_message_there_and_back_takes_three_segments() {
+    let mut pair = Pair::open();
+    let before = pair.sent.len();
+
+    pair.send(0, text("request"));
+    pair.run(1);
+    pair.send(1, text("reply"));
+    pair.run(20);
+
+    // The reply carries the request's acknowledgement.
+    assert_eq!(pair.sent.len() - before, 3);
+    // A millisecond each way, and one in which the callee thinks.
+    assert_eq!(pair.ends[0].round_trip(), Some(3 * MS));
+}
+
+#[test]
+fn a_session_at_rest_is_silent() {
+    let mut pair = Pair::open();
+    pair.send(0, text("a"));
+    pair.run(100);
+    let before = pair.sent.len();
+
+    pair.run(10_000);
+
+    assert_eq!(pair.sent.len(), before);
+}
+
+#[test]
+fn control_goes_before_data_that_waits_and_before_data_that_nobody_acknowledges() {
+    let mut pair = Pair::open();
+    for _ in 0..2000 {
+        pair.send(0, Bytes::from(vec![7; 1000]));
+    }
+    pair.ends[0].handle_send(Stream::Control, text("now"), at(pair.now)).unwrap();
+    pair.run(3);
+
+    let told = pair.take(1);
+    let place = told.iter().position(|output| {
+        matches!(output, SessionOutput::Message { stream: Stream::Control, .. })
+    });
+    assert_eq!(place, Some(0), "of {}", told.len());
+
+    // A full window of data is lost; control does not wait until that is noticed.
+    pair.lose = Box::new(|end, segment| {
+        end == 0 && matches!(segment, Segment::Data(data) if data.stream == Stream::Data)
+    });
+    pair.run(1);
+    pair.ends[0].handle_send(Stream::Control, text("again"), at(pair.now)).unwrap();
+    pair.run(3);
+    let told = pair.take(1);
+    let control = SessionOutput::Message { stream: Stream::Control, message: text("again") };
+    assert!(told.contains(&control), "{told:?}");
+}
+
+#[test]
+fn what_goes_every_way_does_not_wait_for_data_and_is_acknowledged_by_itself() {
+    let mut pair = Pair::open();
+    pair.lose = Box::new(|_, segment| match segment {
+        Segment::Data(data) => data.stream == Stream::Data,
+        Segment::Acknowledge { redundant, .. } => redundant.is_none(),
+        _ => false,
+    });
+    for _ in 0..200 {
+        pair.send(0, Bytes::from(vec![7; 1000]));
+    }
+    pair.run(5);
+
+    for _ in 0..100 {
+        pair.ends[0].handle_send(Stream::Redundant, text("x"), at(pair.now)).unwrap();
+        pair.run(1);
+        assert_eq!(pair.take(1).len(), 1, "at {}", pair.now);
+    }
+
+    pair.run(5);
+    let again = pair.sent.iter().filter(|(_, segment)| {
+        matches!(segment, Segment::Data(data) if data.stream == Stream::Redundant && data.again)
+    });
+    assert_eq!(again.count(), 0);
+    assert_eq!(pair.ends[0].streams[Stream::Redundant as usize].outbound.flying(), 0);
+}
+
+#[test]
+fn a_peer_that_promises_an_absurd_window_is_sent_no_more_than_ours() {
+    let mut pair = Pair::open();
+    pair.lose = Box::new(|end, _| end == 1);
+    for _ in 0..600 {
+        pair.ends[0].handle_send(Stream::Redundant, text("x"), at(pair.now)).unwrap();
+        pair.drain();
+    }
+    let tag = pair.ends[0].tag;
+    let ack = Ack { next: 1, window: u32::MAX, ranges: vec![] };
+    let greedy = Segment::Acknowledge { tag, control: None, data: None, redundant: Some(ack) };
+    pair.ends[0].handle_segment(greedy.encode(), at(pair.now));
+    pair.drain();
+
+    let flying = pair.ends[0].streams[Stream::Redundant as usize].outbound.flying();
+    assert_eq!(flying, 256);
+}
+
+fn strand(object: &str) -> Strand {
+    Strand::to(&ObjectName::new(object).unwrap())
+}
+
+fn send_to(pair: &mut Pair, object: &str, message: Bytes) {
+    let along = (Stream::Data, strand(object));
+    pair.ends[0].handle_send_along(along, message, at(pair.now)).unwrap();
+}
+
+#[test]
+fn what_is_small_and_for_another_object_enters_between_the_parts_of_what_is_large() {
+    let mut pair = Pair::open();
+    let image = Bytes::from(vec![7; 500_000]);
+    send_to(&mut pair, "camera", image.clone());
+    send_to(&mut pair, "camera", text("shutter"));
+    send_to(&mut pair, "motor", text("a"));
+    send_to(&mut pair, "motor", text("b"));
+
+    pair.run(500);
+
+    let all = [text("a"), text("b"), image, text("shutter")].map(message);
+    assert!(pair.take(1) == all, "of one object nothing is overtaken");
+    assert_eq!(pair.ends[0].standing().unacknowledged, 0);
+}
+
+#[test]
+fn what_is_large_has_every_second_part_however_much_is_small() {
+    let mut pair = Pair::open();
+    let image = Bytes::from(vec![7; 100_000]);
+    send_to(&mut pair, "camera", image.clone());
+    for _ in 0..1000 {
+        send_to(&mut pair, "motor", Bytes::from(vec![8; 1000]));
+    }
+
+    pair.run(500);
+
+    let told = pair.take(1);
+    let place = told.iter().position(|told| *told == message(image.clone())).unwrap();
+    assert_eq!(told.len(), 1001);
+    assert!((70..80).contains(&place), "a part for each small one: {place}");
+}
+
+#[test]
+fn whatever_is_lost_each_object_gets_everything_once_and_in_order() {
+    let mut pair = Pair::open();
+    let mut count = 0;
+    pair.lose = Box::new(move |_, segment| {
+        count += u32::from(matches!(segment, Segment::Data(_)));
+        count % 5 == 0
+    });
+    for n in 0..90_u8 {
+        let object = ["camera", "motor", "map"][usize::from(n) % 3];
+        let length = [10, 3000, 40_000][usize::from(n / 3) % 3];
+        send_to(&mut pair, object, Bytes::from(vec![n; length]));
+    }
+
+    pair.run(20_000);
+
+    let told: Vec<_> = pair
+        .take(1)
+        .into_iter()
+        .map(|told| match told {
+            SessionOutput::Message { message, .. } => message[0],
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert_eq!(told.len(), 90);
+    for object in 0..3 {
+        let of_it = || told.iter().filter(|n| **n % 3 == object);
+        assert!(of_it().is_sorted() && of_it().count() == 30, "{object}: {told:?}");
+    }
+    assert!(!told.is_sorted(), "some were quicker");
+    assert_eq!(pair.ends[0].standing().unacknowledged, 0);
+}
