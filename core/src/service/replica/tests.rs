@@ -15,6 +15,8 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 const HELLO: Duration = Duration::from_millis(10);
+/// Whatever is to be done is done on the next of these.
+const STEP: Duration = Duration::from_micros(100);
 
 fn node(index: usize) -> NodeName {
     NodeName::new(&format!("module{index}")).unwrap()
@@ -22,6 +24,12 @@ fn node(index: usize) -> NodeName {
 
 fn index(node: &NodeName) -> usize {
     node.as_str()["module".len()..].parse().unwrap()
+}
+
+/// The first step that is not before this.
+fn on_step(at: Instant) -> Instant {
+    let step = u64::try_from(STEP.as_nanos()).unwrap();
+    Instant::from_nanos(at.as_nanos().div_ceil(step) * step)
 }
 
 fn request(caller: u64, id: MessageId) -> ServiceRequest {
@@ -293,14 +301,16 @@ impl Robot {
         }
     }
 
+    /// In steps of a tenth of a millisecond; those in which nothing is to be done are left out.
     fn advance(&mut self, span: Duration) {
         let end = self.now + span;
+        // Who was cut off, and from whom, changes between two calls only.
+        for (from, to, message) in self.dammed.as_mut().map(std::mem::take).unwrap_or_default() {
+            self.carry(from, to, message);
+        }
         while self.now < end {
-            self.now = self.now + Duration::from_micros(100);
-            for (from, to, message) in self.dammed.as_mut().map(std::mem::take).unwrap_or_default()
-            {
-                self.carry(from, to, message);
-            }
+            let next = self.next_event().map_or(end, |event| event.min(end));
+            self.now = on_step(next.max(self.now + STEP));
             while let Some(entry) = self.wire.first_entry()
                 && entry.key().0 <= self.now
             {
@@ -332,6 +342,25 @@ impl Robot {
             self.repeat();
             self.overlaps += u64::from(self.primaries().len() > 1);
         }
+    }
+
+    /// When there is something to do next.
+    fn next_event(&self) -> Option<Instant> {
+        let wire = self.wire.keys().map(|(at, _)| *at).next();
+        let waiting = self.callers.iter().filter(|caller| caller.answer.is_none());
+        let asking = waiting.map(|caller| caller.again).min();
+        let running = self.members.iter().zip(&self.stopped).filter(|(_, stopped)| !**stopped);
+        let members = running.filter_map(|(member, _)| {
+            let member = member.as_ref()?;
+            let timeout = member.replica.poll_timeout().map(|due| {
+                // The first moment at which this node's clock has come so far.
+                Instant::from_nanos(due.as_nanos().div_ceil(1000 + member.drift) * 1000)
+            });
+            let done = member.busy.as_ref().map(|(at, _)| *at);
+            let served = self.served_ms.filter(|_| member.inquires).map(Instant::from_millis);
+            [timeout, done, served].into_iter().flatten().min()
+        });
+        members.chain(wire).chain(asking).min()
     }
 
     fn advance_ms(&mut self, millis: u64) {
