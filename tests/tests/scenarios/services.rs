@@ -2,13 +2,14 @@
 
 use blastema::prelude::*;
 use blastema::{
-    Direction, Link, MemoryMedium, Network, NodeBuilder, NodeState, OnPartition, Role, ServiceSpec,
-    StandbyKind, StartError, Stateful,
+    Direction, Fault, FaultKind, Link, MemoryMedium, Network, NodeBuilder, NodeState, OnPartition,
+    Role, ServiceSpec, StandbyKind, StartError, Stateful,
 };
 use blastema_testkit::{TestNode, now};
 use std::time::Duration;
 
 mod exposure;
+mod outage;
 mod terms;
 
 const MS: Duration = Duration::from_millis(1);
@@ -115,6 +116,13 @@ impl Robot {
     fn mend(&self, member: usize) {
         self.members[member].cable("ethernet").expect("a cable").restore();
     }
+}
+
+/// A fault of this kind that stands in this node's record.
+async fn standing(node: &TestNode, kind: &FaultKind) -> Option<Fault> {
+    let record = node.faults().await;
+    let standing = record.entries.into_iter().filter(|entry| entry.ended.is_none());
+    standing.map(|entry| entry.fault).find(|fault| fault.kind == *kind)
 }
 
 #[blastema_testkit::test]

@@ -76,6 +76,19 @@ pub(super) enum Opinion {
     Differs { text: String, terms: u64 },
 }
 
+/// Who is there of a service.
+#[derive(Default)]
+pub(super) struct Roll<'a> {
+    /// So many members, this one included, who were told the same as far as is known.
+    pub(super) there: usize,
+    /// Members who are not.
+    pub(super) unheard: Vec<&'a str>,
+    /// Members who do not carry it.
+    pub(super) without: Vec<&'a str>,
+    /// Those who were told otherwise.
+    pub(super) differing: Vec<&'a str>,
+}
+
 impl Accord {
     pub(super) fn new(config: &ReplicaConfig) -> Self {
         let terms = Terms::of(config);
@@ -164,6 +177,29 @@ impl Accord {
                 some_of(&absent, ", ")
             )
         })
+    }
+
+    /// Who of the members is there, and who was told otherwise, member or not.
+    pub(super) fn roll(&self, config: &ReplicaConfig) -> Roll<'_> {
+        let mut roll = Roll::default();
+        for (node, known) in &self.known {
+            if let Opinion::Differs { .. } = known.opinion {
+                roll.differing.push(node.as_str());
+            }
+        }
+        for member in self.terms.members() {
+            let known = self.known.get(member);
+            match known.map(|known| (&known.opinion, known.seen)) {
+                _ if *member == config.own => roll.there += 1,
+                Some((Opinion::Differs { .. }, _)) => {}
+                Some((opinion @ Opinion::Absent { .. }, _)) if self.is_wrong(member, opinion) => {
+                    roll.without.push(member.as_str());
+                }
+                Some((_, true)) => roll.there += 1,
+                Some((_, false)) | None => roll.unheard.push(member.as_str()),
+            }
+        }
+        roll
     }
 
     /// Nobody of these terms serves until others say the same, or have gone.
@@ -303,6 +339,8 @@ impl Replica {
         next.answered = self.answered;
         next.faults = self.faults.clone();
         next.end_faults();
+        // If it still stands, it is found again.
+        next.set_fault(FaultKind::NotServed, None);
         next.accord.told = None;
         next.settle_dispute(now);
         next

@@ -248,6 +248,11 @@ impl Replica {
             return self.tell_role();
         }
         standby.inquiring = false;
+        if let Some(before) = &standby.claiming {
+            let others = self.config.members.iter().filter(|member| **member != self.config.own);
+            let unwilling = others.filter(|member| !before.votes.contains_key(*member));
+            self.outage.note_vote(unwilling.cloned().collect());
+        }
         self.tell_role();
         let epoch = self.epoch.max(self.claimed).saturating_add(1);
         self.claimed = epoch;

@@ -6,6 +6,7 @@ mod component;
 mod election;
 mod exposure;
 mod lists;
+mod outage;
 mod requests;
 mod rivals;
 

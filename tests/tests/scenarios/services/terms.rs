@@ -1,7 +1,6 @@
 //! Nodes that were told different things of one service.
 
 use super::*;
-use blastema::FaultKind;
 
 const LOOK: Duration = Duration::from_millis(1200);
 
