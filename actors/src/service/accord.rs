@@ -26,6 +26,7 @@ impl ReplicaBody {
         context.spawn(wrap_future::<_, Self>(found).map(|found, body, context| {
             body.machine.handle_carriers(&found, platform::now());
             body.drive(context);
+            body.show();
             context.run_later(LOOK_AROUND, Self::look_around);
         }));
     }

@@ -18,11 +18,12 @@ mod replica;
 mod roster;
 mod words;
 
-pub use blastema_core::service::{OnPartition, Role, StandbyKind};
+pub use blastema_core::service::{OnPartition, Role, ServiceState, StandbyKind};
 
 pub use caller::ServiceRef;
 pub(crate) use replica::{Carried, ReplicaBody};
 pub(crate) use roster::Roster;
+pub use roster::ServiceRow;
 
 use crate::component::{Component, Failure, Handle};
 use crate::context::Context;

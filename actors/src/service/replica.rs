@@ -276,6 +276,11 @@ impl ReplicaBody {
         }
     }
 
+    /// Shows people what is known of the service now.
+    pub(super) fn show(&self) {
+        self.roster.show(&self.carried.name, self.machine.view(), platform::now());
+    }
+
     /// Answers at once where somebody serves, or nobody may, else as soon as anybody does.
     fn tell_who_serves(&mut self, Wondered(question, answer): Wondered) {
         let config = &self.carried.config;
@@ -349,6 +354,17 @@ impl Body for ReplicaBody {
     }
 
     fn carry_out(&mut self, output: ReplicaOutput, context: &mut Context<Self>) {
+        let shows = matches!(
+            output,
+            ReplicaOutput::Became(_)
+                | ReplicaOutput::Fault { .. }
+                | ReplicaOutput::Mended { .. }
+                | ReplicaOutput::Disputed { .. }
+                | ReplicaOutput::Agreed
+        );
+        if shows {
+            self.show();
+        }
         match output {
             ReplicaOutput::Send { to, message } => self.tell(&to, message),
             ReplicaOutput::Became(role) => self.became(&role, context),
@@ -391,6 +407,7 @@ impl Actor for ReplicaBody {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
+        self.show();
         self.look_around(context);
         self.drive(context);
     }

@@ -34,14 +34,17 @@ mod message;
 mod replica;
 mod table;
 mod terms;
+mod view;
 mod vocabulary;
 
 pub use replica::{MESSAGE_MAX, QUEUE_MAX, Replica, STATE_MAX};
 pub use table::TABLE_MAX;
+pub use view::{ServiceState, ServiceView};
 pub use vocabulary::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
 
 use crate::NodeName;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 use std::time::Duration;
 
 /// What standbys do while they stand by.
@@ -55,6 +58,16 @@ pub enum StandbyKind {
     Warm,
     /// They execute every request as the primary did: they take over at once.
     Hot,
+}
+
+impl fmt::Display for StandbyKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            StandbyKind::Cold => "cold",
+            StandbyKind::Warm => "warm",
+            StandbyKind::Hot => "hot",
+        })
+    }
 }
 
 /// What happens where less than a majority of the declared nodes see each other.

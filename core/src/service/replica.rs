@@ -9,6 +9,7 @@ mod rivals;
 mod standby;
 #[cfg(test)]
 mod tests;
+mod view;
 
 use super::change::Change;
 use super::message::{After, Message, Position, Served, Standing};

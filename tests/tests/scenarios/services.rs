@@ -2,14 +2,15 @@
 
 use blastema::prelude::*;
 use blastema::{
-    Direction, Fault, FaultKind, Link, MemoryMedium, Network, NodeBuilder, NodeState, OnPartition,
-    Role, ServiceSpec, StandbyKind, StartError, Stateful,
+    Direction, Fault, Link, MemoryMedium, Network, NodeBuilder, NodeState, OnPartition, Role,
+    ServiceSpec, StandbyKind, StartError, Stateful,
 };
 use blastema_testkit::{TestNode, now};
 use std::time::Duration;
 
 mod exposure;
 mod outage;
+mod shown;
 mod terms;
 
 const MS: Duration = Duration::from_millis(1);

@@ -75,6 +75,11 @@ impl Standby {
         Role::Standby { in_step: knows && primary.is_some(), primary }
     }
 
+    /// Whoever serves was told another list.
+    pub(super) fn learns(&self) -> bool {
+        self.primary.is_some() && self.list.is_some()
+    }
+
     /// Whom we promised to vote for, serves no more.
     pub(super) fn release_promise(&mut self, now: Instant) {
         self.promised_until = self.promised_until.min(now);
