@@ -6,6 +6,7 @@ use super::tree::Harvest;
 use crate::service::Carried;
 use blastema_core::NodeName;
 use blastema_core::dependencies::{Dependencies, DependencyError, circle};
+use blastema_core::service::{HELLO_MAX, HELLO_MIN, MEMBERS_MAX};
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -19,7 +20,7 @@ pub(super) fn dependencies(node: &NodeName, harvest: &Harvest) -> Dependencies {
     objects
 }
 
-/// The nodes of a service are others than each other, and this is one of them.
+/// The nodes of a service are others than each other, not too many, and this is one of them; and its hello can be said.
 pub(super) fn check_service(carried: &Carried) -> Result<(), StartError> {
     let Carried { name, config, .. } = carried;
     let different: BTreeSet<_> = config.members.iter().collect();
@@ -27,6 +28,17 @@ pub(super) fn check_service(carried: &Carried) -> Result<(), StartError> {
         format!("{} is none of its nodes: add it, or leave the service out here", config.own)
     } else if different.len() < config.members.len() {
         "a node stands twice among its nodes: name each once".to_owned()
+    } else if config.members.len() > MEMBERS_MAX {
+        let listed = config.members.len();
+        format!(
+            "{listed} nodes cannot carry it, {MEMBERS_MAX} at most: three or five outlive the failure of one or two"
+        )
+    } else if !(HELLO_MIN..=HELLO_MAX).contains(&config.hello_interval) {
+        format!(
+            "its primary cannot say hello every {:?}: give .hello_every(..) from {HELLO_MIN:?} to {HELLO_MAX:?}, such \
+             as 50 ms",
+            config.hello_interval
+        )
     } else {
         return Ok(());
     };

@@ -81,6 +81,8 @@ pub enum OnPartition {
     Continue,
 }
 
+/// The most nodes that carry one service: as many as one network has. Each hello is one message to each.
+pub const MEMBERS_MAX: usize = 256;
 /// The shortest interval of hellos: shorter, timers and turns of a computer are longer than what they tell.
 pub const HELLO_MIN: Duration = Duration::from_millis(1);
 /// And the longest: whoever waits three of them for a service does not want standbys.
@@ -91,7 +93,7 @@ pub const HELLO_MAX: Duration = Duration::from_secs(60 * 60);
 pub struct ReplicaConfig {
     /// Which of the members we are.
     pub own: NodeName,
-    /// All nodes that carry the service, the one that should begin first.
+    /// All nodes that carry the service, at most [`MEMBERS_MAX`]; the one that should begin first.
     pub members: Vec<NodeName>,
     /// What standbys do.
     pub kind: StandbyKind,
