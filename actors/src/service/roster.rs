@@ -2,7 +2,7 @@
 
 use crate::platform;
 use actix::Recipient;
-use blastema_contract::naming::FindObject;
+use blastema_contract::naming::{FindObject, FoundObject};
 use blastema_core::service::{ReplicaConfig, Role, ServiceState, ServiceView, StandbyKind};
 use blastema_core::{Instant, NodeName, ObjectName};
 use std::collections::BTreeMap;
@@ -133,14 +133,13 @@ impl Roster {
     pub(crate) async fn members(&self, name: &ObjectName) -> Vec<NodeName> {
         let mut members =
             self.lock().get(name).map_or_else(Vec::new, |entry| entry.members.clone());
-        members.extend(self.carriers(name).await);
+        members.extend(self.carriers(name).await.into_iter().map(|found| found.address.node));
         members
     }
 
     /// The other nodes that have an object of the service's name, whatever was declared.
-    pub(crate) async fn carriers(&self, name: &ObjectName) -> Vec<NodeName> {
+    pub(crate) async fn carriers(&self, name: &ObjectName) -> Vec<FoundObject> {
         let Some(finder) = self.finder.get() else { return Vec::new() };
-        let found = finder.send(FindObject { object: name.clone() }).await.unwrap_or_default();
-        found.into_iter().map(|address| address.node).collect()
+        finder.send(FindObject { object: name.clone() }).await.unwrap_or_default()
     }
 }

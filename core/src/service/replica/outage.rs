@@ -110,8 +110,10 @@ impl Replica {
         }
         let (members, majority) = (self.config.members.len(), self.config.majority());
         if self.config.on_partition == OnPartition::Stop && roll.there < majority {
-            let of =
-                format!("of its {members} nodes {majority} must be there, and {} are", roll.there);
+            let needs = format!(
+                "there is no majority: it needs {majority} of its {members} nodes, and has {}",
+                roll.there
+            );
             let missing = [
                 ("not heard", roll.unheard, "start them, or mend the way there"),
                 (
@@ -121,10 +123,9 @@ impl Replica {
                 ),
             ];
             let missing = missing.into_iter().filter(|(_, nodes, _)| !nodes.is_empty());
-            let missing: Vec<_> = missing
-                .map(|(what, nodes, help)| format!("{what}: {} ({help})", some_of(&nodes, ", ")))
-                .collect();
-            causes.push(format!("there is no majority: {of}; {}", missing.join("; ")));
+            let missing = missing
+                .map(|(what, nodes, help)| format!("{what}: {} ({help})", some_of(&nodes, ", ")));
+            causes.extend(std::iter::once(needs).chain(missing));
         }
         if causes.is_empty() {
             causes.push(self.describe_election(standby, now));

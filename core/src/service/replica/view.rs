@@ -11,8 +11,7 @@ impl Replica {
             Acting::Standby(standby) => standby.primary.clone(),
         };
         let unheard = |member: &&NodeName| {
-            **member != self.config.own
-                && !self.accord.known.get(*member).is_some_and(|known| known.seen)
+            **member != self.config.own && !self.accord.reached.contains(*member)
         };
         ServiceView {
             state: self.state_shown(),
