@@ -195,7 +195,7 @@ impl ReplicaBody {
             match loaded {
                 Ok(true) => Done::Loaded,
                 Ok(false) => Done::NotLoaded,
-                Err(Why::Stopped | Why::Isolated) => Done::Gone,
+                Err(why) if takes_nothing(&why) => Done::Gone,
                 Err(_) => Done::LoadAgain { state },
             }
         };
@@ -401,6 +401,11 @@ impl Body for ReplicaBody {
     }
 }
 
+/// The component was stopped, isolated or removed, and not only restarted.
+fn takes_nothing(why: &Why) -> bool {
+    matches!(why, Why::Stopped | Why::Isolated | Why::Unknown { .. })
+}
+
 answers_the_monitor!(ReplicaBody);
 
 impl Actor for ReplicaBody {
@@ -562,7 +567,7 @@ impl Handler<Done> for ReplicaBody {
                 return;
             }
             Done::Told(Ok(())) => self.machine.handle_component_back(now),
-            Done::Told(Err(Why::Stopped | Why::Isolated)) => {
+            Done::Told(Err(why)) if takes_nothing(&why) => {
                 self.machine.handle_component_gone(now);
                 self.look_again(context);
             }
