@@ -188,6 +188,7 @@ impl Assembly {
             if let Some(networks) = &mut self.networks {
                 networks.described.extend(carried.config.members.iter().cloned());
             }
+            roster.enter(carried.name.clone(), &carried.config);
             let place = self.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
             let place = place.or(self.parts.chain.arbiter.as_ref());
             let body = ReplicaBody::start(carried, &self.environment, &self.parts.guardian, place);

@@ -195,7 +195,7 @@ impl ReplicaBody {
             match loaded {
                 Ok(true) => Done::Loaded,
                 Ok(false) => Done::NotLoaded,
-                Err(Why::Stopped | Why::Isolated) => Done::Gone,
+                Err(why) if takes_nothing(&why) => Done::Gone,
                 Err(_) => Done::LoadAgain { state },
             }
         };
@@ -276,6 +276,11 @@ impl ReplicaBody {
         }
     }
 
+    /// Shows people what is known of the service now.
+    pub(super) fn show(&self) {
+        self.roster.show(&self.carried.name, self.machine.view(), platform::now());
+    }
+
     /// Answers at once where somebody serves, or nobody may, else as soon as anybody does.
     fn tell_who_serves(&mut self, Wondered(question, answer): Wondered) {
         let config = &self.carried.config;
@@ -349,6 +354,17 @@ impl Body for ReplicaBody {
     }
 
     fn carry_out(&mut self, output: ReplicaOutput, context: &mut Context<Self>) {
+        let shows = matches!(
+            output,
+            ReplicaOutput::Became(_)
+                | ReplicaOutput::Fault { .. }
+                | ReplicaOutput::Mended { .. }
+                | ReplicaOutput::Disputed { .. }
+                | ReplicaOutput::Agreed
+        );
+        if shows {
+            self.show();
+        }
         match output {
             ReplicaOutput::Send { to, message } => self.tell(&to, message),
             ReplicaOutput::Became(role) => self.became(&role, context),
@@ -385,12 +401,18 @@ impl Body for ReplicaBody {
     }
 }
 
+/// The component was stopped, isolated or removed, and not only restarted.
+fn takes_nothing(why: &Why) -> bool {
+    matches!(why, Why::Stopped | Why::Isolated | Why::Unknown { .. })
+}
+
 answers_the_monitor!(ReplicaBody);
 
 impl Actor for ReplicaBody {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
+        self.show();
         self.look_around(context);
         self.drive(context);
     }
@@ -545,7 +567,7 @@ impl Handler<Done> for ReplicaBody {
                 return;
             }
             Done::Told(Ok(())) => self.machine.handle_component_back(now),
-            Done::Told(Err(Why::Stopped | Why::Isolated)) => {
+            Done::Told(Err(why)) if takes_nothing(&why) => {
                 self.machine.handle_component_gone(now);
                 self.look_again(context);
             }

@@ -237,6 +237,6 @@ describe! {
         Panic, UnexpectedExit, Hang, Silence, ErrorState, InitializationFailed, Fatal, CheckFailed,
         Overload, ContractMismatch, LinkDown, LinkDegraded, NodeLost, RestartStorm,
         NodeFaulty, NameTaken, CommanderGone, NodeAtRest, Unprotected,
-        StateLost, Custom(Arc<str>),
+        StateLost, NotServed, Custom(Arc<str>),
     }
 }
