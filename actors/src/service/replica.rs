@@ -24,7 +24,7 @@ use blastema_core::service::{
     StandbyKind,
 };
 use blastema_core::{
-    Contract, FaultKind, MessageId, NodeName, ObjectName, PeerIdentity, Why, codec,
+    Contract, FaultKind, MessageId, NodeName, ObjectName, Parcel, PeerIdentity, Why, codec,
 };
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
@@ -146,7 +146,8 @@ impl ReplicaBody {
         context: &mut Context<Self>,
     ) {
         let body = context.address();
-        let reply_to: ReplyTo = Box::new(move |result| body.do_send(then(result)));
+        let reply_to: ReplyTo =
+            Box::new(move |result| body.do_send(then(result.map(Parcel::into_bytes))));
         match self.registry.doorway(&self.carried.component, contract) {
             // What came of it is told to the closure in every case.
             Ok((_, doorway)) => {
