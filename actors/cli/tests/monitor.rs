@@ -1,8 +1,8 @@
 //! The program looks at a real node through its window.
 
 use blastema::prelude::*;
-use rustix::process::{Pid, Signal, kill_process};
 use blastema::{ServiceSpec, Stateful};
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;

@@ -184,7 +184,6 @@ impl Assembly {
         for carried in services {
             let name = carried.body.clone();
             let roster = &self.environment.services;
-            roster.enter(carried.name.clone(), carried.config.members.clone());
             if let Some(networks) = &mut self.networks {
                 networks.described.extend(carried.config.members.iter().cloned());
             }

@@ -7,11 +7,10 @@ use crate::registry::NameTaken;
 use crate::service::Carried;
 use blastema_core::dependencies::{Dependencies, DependencyError, circle};
 use blastema_core::net::advertisement::NEIGHBOURS_MAX;
+use blastema_core::service::{HELLO_MAX, HELLO_MIN, MEMBERS_MAX};
 use blastema_core::{NodeName, ObjectName};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
-use blastema_core::service::{HELLO_MAX, HELLO_MIN, MEMBERS_MAX};
-use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::Duration;
 

@@ -242,7 +242,7 @@ impl RemoteDoor for Narrow {
         *self.taken.lock().unwrap() = Some(message);
         Ok(())
     }
-    fn room(&self) -> Pin<Box<dyn Future<Output = ()> + Send + '_>> {
+    fn room<'a>(&'a self, _: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(std::future::ready(()))
     }
 }
