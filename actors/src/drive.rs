@@ -30,11 +30,12 @@ pub(crate) trait Body: Actor<Context = Context<Self>> {
     /// Drives soon: after the inputs that wait already, or after a batch of them. What they lead to
     /// goes out together.
     fn drive_soon(&mut self, context: &mut Self::Context) {
-        self.wake().fed += 1;
-        if self.wake().fed == 1 {
-            context.spawn(Soon);
-        } else if self.wake().fed >= BATCH {
+        let wake = self.wake();
+        wake.fed += 1;
+        if wake.fed >= BATCH {
             self.drive(context);
+        } else if !std::mem::replace(&mut wake.has_soon, true) {
+            context.spawn(Soon);
         }
     }
 
@@ -72,14 +73,17 @@ pub(crate) trait Body: Actor<Context = Context<Self>> {
 pub(crate) struct Wake {
     armed: Option<Instant>,
     handle: Option<SpawnHandle>,
-    /// Inputs since the machine was driven last, while a [`Soon`] waits.
+    /// Inputs that are to be driven by [`Soon`].
     fed: usize,
+    /// There is one.
+    has_soon: bool,
 }
 
 /// So many inputs may wait for [`Body::drive_soon`]: an actor whose mailbox never empties is driven too.
 const BATCH: usize = 64;
 
-/// Drives once, when the mailbox is empty.
+/// Drives when the mailbox is empty, if there were inputs. actix polls it after each batch of messages; one that
+/// is spawned for each costs as much as the message, since the actor's other futures are polled again with it.
 struct Soon;
 
 impl<B: Body> ActorFuture<B> for Soon {
@@ -91,8 +95,94 @@ impl<B: Body> ActorFuture<B> for Soon {
         context: &mut Context<B>,
         _: &mut task::Context<'_>,
     ) -> Poll<()> {
-        body.drive(context);
-        body.wake().fed = 0;
-        Poll::Ready(())
+        if body.wake().fed > 0 {
+            body.drive(context);
+            body.wake().fed = 0;
+        }
+        Poll::Pending
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_doubles::{paused, settle};
+    use std::sync::{Arc, Mutex};
+
+    /// Outputs what it was fed, in one list.
+    #[derive(Default)]
+    struct List(Vec<u32>);
+
+    impl Machine for List {
+        type Output = Vec<u32>;
+
+        fn poll_output(&mut self) -> Option<Vec<u32>> {
+            (!self.0.is_empty()).then(|| std::mem::take(&mut self.0))
+        }
+
+        fn poll_timeout(&self) -> Option<Instant> {
+            None
+        }
+
+        fn handle_timeout(&mut self, _: Instant) {}
+    }
+
+    #[derive(Default)]
+    struct Lister {
+        list: List,
+        wake: Wake,
+        said: Arc<Mutex<Vec<Vec<u32>>>>,
+    }
+
+    impl Actor for Lister {
+        type Context = Context<Self>;
+    }
+
+    impl Body for Lister {
+        type Machine = List;
+
+        fn machine(&mut self) -> &mut List {
+            &mut self.list
+        }
+
+        fn wake(&mut self) -> &mut Wake {
+            &mut self.wake
+        }
+
+        fn carry_out(&mut self, output: Vec<u32>, _: &mut Context<Self>) {
+            self.said.lock().unwrap().push(output);
+        }
+    }
+
+    #[derive(Message)]
+    #[rtype(result = "()")]
+    struct Feed(u32);
+
+    impl Handler<Feed> for Lister {
+        type Result = ();
+
+        fn handle(&mut self, Feed(number): Feed, context: &mut Context<Self>) {
+            self.list.0.push(number);
+            self.drive_soon(context);
+        }
+    }
+
+    #[test]
+    fn inputs_that_wait_together_are_driven_together_however_often_that_is() {
+        paused(async {
+            let lister = Lister::default();
+            let said = lister.said.clone();
+            let lister = lister.start();
+            let many: Vec<u32> = (10..10 + BATCH as u32 + 2).collect();
+
+            for batch in [&[1, 2, 3][..], &[4], &[5, 6], &many] {
+                batch.iter().for_each(|number| lister.do_send(Feed(*number)));
+                settle().await;
+            }
+
+            let said = said.lock().unwrap();
+            assert_eq!(said[..3], [vec![1, 2, 3], vec![4], vec![5, 6]]);
+            assert_eq!((said[3].len(), said[3..].concat()), (BATCH, many));
+        });
     }
 }
