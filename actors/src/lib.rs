@@ -140,7 +140,9 @@ pub use host::office::DeadLetterOffice;
 pub use lease::{ActuatorRow, ActuatorSpec, Commander};
 pub use reference::ActorRef;
 pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
-pub use service::{OnPartition, Role, ServiceRef, ServiceSpec, StandbyKind, Stateful};
+pub use service::{
+    OnPartition, Role, ServiceRef, ServiceRow, ServiceSpec, ServiceState, StandbyKind, Stateful,
+};
 pub use topic::Publisher;
 pub use variable::{
     Decision, Reading, RestorePolicy, Transaction, ValueState, VariableRef, VariableSpec,

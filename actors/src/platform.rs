@@ -5,7 +5,7 @@ use blastema_core::{Incarnation, Instant};
 use std::hash::{BuildHasher, RandomState};
 use std::sync::OnceLock;
 use std::time::{Duration, SystemTime};
-use std::{io, thread};
+use std::{hint, io, thread};
 
 /// The point at which both clocks were read together.
 struct Origin {
@@ -67,6 +67,17 @@ fn before(at: Instant, span: Duration) -> Instant {
 pub(crate) fn node_incarnation() -> Incarnation {
     let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     Incarnation(u64::try_from(since.as_millis()).unwrap_or(u64::MAX))
+}
+
+/// Has the allocator keep the memory of large messages for the next ones: from a kernel that hands out
+/// each page of four kibibytes by itself, fresh memory costs as much as all else that is done with them.
+///
+/// What glibc has once mapped and freed, it takes from its heaps from then on, and gives their ends back
+/// when they are twice as large (mallopt(3), `M_MMAP_THRESHOLD`). Other allocators see a block come and go.
+pub(crate) fn keep_freed_memory() {
+    /// What is on its way between a sender and its peer, 5 MiB, and some of other sizes.
+    const KEPT: usize = 8 << 20;
+    drop(hint::black_box(Vec::<u8>::with_capacity(KEPT)));
 }
 
 /// A seed that differs from run to run.

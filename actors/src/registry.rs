@@ -30,7 +30,7 @@ use std::time::Duration;
 pub(crate) const ANY_NODE: &str = "*";
 
 /// Gets the encoded reply, or the reason why there is none. Called once, on any thread.
-pub(crate) type ReplyTo = Box<dyn FnOnce(Result<Bytes, Why>) + Send>;
+pub(crate) type ReplyTo = Box<dyn FnOnce(Result<Parcel, Why>) + Send>;
 
 /// What is known of a message that comes from outside, beside its contents.
 #[derive(Clone, Copy, Debug, Default)]
@@ -199,17 +199,15 @@ impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
 pub(crate) fn encoded_reply<M: Contract>(
     reply: M::Reply,
     former: Option<&Former<M>>,
-) -> Result<Bytes, Why> {
-    let mut bytes = Vec::new();
+) -> Result<Parcel, Why> {
     let encoded = match former {
-        None => codec::encode_reply::<M>(&reply, &mut bytes),
-        Some(former) => former.answer(reply, &mut bytes),
+        None => codec::encode_parcel_reply::<M>(reply),
+        Some(former) => former.answer(reply),
     };
     encoded.map_err(|error| match encoding(error, M::MAX_SIZE) {
         Why::TooLarge { limit } => Why::ReplyTooLarge { limit },
         other => other,
-    })?;
-    Ok(bytes.into())
+    })
 }
 
 fn encoding(error: codec::EncodeError, limit: usize) -> Why {
@@ -283,12 +281,18 @@ struct Outlet<M: Contract> {
 }
 
 impl<M: Contract> Outlet<M> {
-    fn send(&self, message: &M, asked: Option<Asked>) -> Result<(), Why> {
+    /// The message is as it was where it is refused.
+    fn send(&self, message: &mut M, asked: Option<Asked>) -> Result<(), Why> {
         if let Some(why) = crate::host::pulse::forbidden() {
             return Err(why);
         }
-        let parcel = codec::encode_parcel(message).map_err(|error| encoding(error, M::MAX_SIZE))?;
-        self.door.send(parcel, asked)
+        let encoded = codec::encode_out_of(message);
+        let (parcel, taken) = encoded.map_err(|error| encoding(error, M::MAX_SIZE))?;
+        let sent = self.door.send(parcel, asked);
+        if sent.is_err() {
+            taken.put_back(message);
+        }
+        sent
     }
 }
 
@@ -297,8 +301,8 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
         self.offer(message)
     }
 
-    fn offer(&self, message: M) -> Result<(), SendError<M>> {
-        self.send(&message, None).map_err(|why| SendError { why, message })
+    fn offer(&self, mut message: M) -> Result<(), SendError<M>> {
+        self.send(&mut message, None).map_err(|why| SendError { why, message })
     }
 
     fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
@@ -307,16 +311,16 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
 
     fn ask(
         &self,
-        message: M,
+        mut message: M,
         id: Option<MessageId>,
         within: Option<Duration>,
     ) -> Result<Reply<M>, RequestError<M>> {
         let (answer, reply) = Answer::awaited();
         // Only what may come twice needs to be known again.
         let id = id.or_else(|| M::IDEMPOTENT.then(crate::sender::next_id));
-        let reply_to = move |result: Result<Bytes, Why>| {
-            let decoded = result.and_then(|bytes| {
-                codec::decode_shared_reply::<M>(&bytes)
+        let reply_to = move |result: Result<Parcel, Why>| {
+            let decoded = result.and_then(|reply| {
+                codec::decode_shared_reply::<M>(&reply.into_bytes())
                     .map_err(|error| Why::Undecodable { reason: error.to_string() })
             });
             match decoded {
@@ -325,7 +329,7 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
             }
         };
         let asked = Asked { id, within, reply_to: Box::new(reply_to) };
-        match self.send(&message, Some(asked)) {
+        match self.send(&mut message, Some(asked)) {
             Ok(()) => Ok(reply),
             Err(why) => Err(RequestError { why, message: Some(message) }),
         }

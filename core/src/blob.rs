@@ -13,8 +13,8 @@ use std::ops::Deref;
 ///
 /// In a message between nodes, and in a contract's structure, it is what a `Vec<u8>` is: one node may declare
 /// the one, another the other. (On one node a contract is one Rust type.) A clone costs a counter. A large one
-/// that is the last thing in a message or an event goes to the network as it lies; in a reply, or before other
-/// things, it is copied once. What comes from another node is a part of the message as it arrived, which stays
+/// that is the last thing in a message, an event or a reply goes to the network as it lies; before other things it
+/// is copied once. What comes from another node is a part of the message as it arrived, which stays
 /// in memory as long as any of its blobs: whoever keeps a few bytes of a large message copies them.
 ///
 /// ```

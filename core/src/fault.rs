@@ -52,6 +52,8 @@ pub enum FaultKind {
     /// A service went on without a part of its state that somebody had been answered for: nobody who held it
     /// was left.
     StateLost,
+    /// A service has no primary, as far as a node knows that carries it, for longer than a takeover takes.
+    NotServed,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -69,7 +71,7 @@ pub enum Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 20] = [
+    pub const BUILT_IN: [FaultKind; 21] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -90,9 +92,10 @@ impl FaultKind {
         FaultKind::NodeAtRest,
         FaultKind::Unprotected,
         FaultKind::StateLost,
+        FaultKind::NotServed,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B20`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B21`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -116,6 +119,7 @@ impl FaultKind {
             FaultKind::NodeAtRest => "B18",
             FaultKind::Unprotected => "B19",
             FaultKind::StateLost => "B20",
+            FaultKind::NotServed => "B21",
             FaultKind::Custom(code) => code,
         }
     }
@@ -143,6 +147,7 @@ impl FaultKind {
             FaultKind::NodeAtRest => "node at rest",
             FaultKind::Unprotected => "service unprotected",
             FaultKind::StateLost => "state lost",
+            FaultKind::NotServed => "service not served",
             FaultKind::Custom(code) => code,
         }
     }

@@ -9,13 +9,12 @@
 //! is declared is a chain, each version naming the one before; all of it is understood.
 
 use crate::codec::{self, DecodeError, EncodeError};
-use crate::{Contract, ContractIdentity};
+use crate::{Contract, ContractIdentity, Parcel};
 use bytes::Bytes;
 use std::fmt;
 
 type Read<M> = Box<dyn Fn(&Bytes) -> Result<M, DecodeError> + Send + Sync>;
-type Answer<M> =
-    Box<dyn Fn(<M as Contract>::Reply, &mut Vec<u8>) -> Result<(), EncodeError> + Send + Sync>;
+type Answer<M> = Box<dyn Fn(<M as Contract>::Reply) -> Result<Parcel, EncodeError> + Send + Sync>;
 
 /// An earlier version of the contract `M`, and how it is read and answered.
 pub struct Former<M: Contract> {
@@ -45,13 +44,13 @@ impl<M: Contract> Former<M> {
         let before = Former::<M> {
             identity: ContractIdentity::of::<P>(),
             read: Box::new(|bytes| codec::decode_shared::<P>(bytes).map(M::from)),
-            answer: Box::new(|reply, to| codec::encode_reply::<P>(&P::Reply::from(reply), to)),
+            answer: Box::new(|reply| codec::encode_parcel_reply::<P>(P::Reply::from(reply))),
         };
         let earlier =
             P::former().into_iter().map(|Former { identity, read, answer }| Former::<M> {
                 identity,
                 read: Box::new(move |bytes| read(bytes).map(M::from)),
-                answer: Box::new(move |reply, to| answer(P::Reply::from(reply), to)),
+                answer: Box::new(move |reply| answer(P::Reply::from(reply))),
             });
         std::iter::once(before).chain(earlier).collect()
     }
@@ -69,12 +68,12 @@ impl<M: Contract> Former<M> {
         (self.read)(bytes)
     }
 
-    /// Encodes a reply as that version has it, at the end of `buffer`.
+    /// Encodes a reply as that version has it, to be sent.
     ///
     /// # Errors
-    /// [`EncodeError`]; the buffer is then as it was.
-    pub fn answer(&self, reply: M::Reply, buffer: &mut Vec<u8>) -> Result<(), EncodeError> {
-        (self.answer)(reply, buffer)
+    /// [`EncodeError`].
+    pub fn answer(&self, reply: M::Reply) -> Result<Parcel, EncodeError> {
+        (self.answer)(reply)
     }
 }
 

@@ -82,7 +82,7 @@ fn a_small_message_has_the_overhead_that_the_documentation_states() {
         id: None,
         payload: payload.clone().into(),
     };
-    let reply = |call| Message::Reply { call, result: Ok(payload.clone()) };
+    let reply = |call| Message::Reply { call, result: Ok(payload.clone().into()) };
 
     let [fresh, late] = TIMES.map(|(count, us)| {
         [

@@ -6,6 +6,7 @@ use blastema::core::detection::{DetectorLimits, MonitorLimits, NotifierLimits};
 use blastema::core::net::{RouterConfig, SessionConfig};
 use blastema::core::quarantine::QuarantineConfig;
 use blastema::core::recovery::{RecovererLimits, Step, SupervisorRules};
+use blastema::core::service::MEMBERS_MAX;
 use blastema::prelude::*;
 use blastema::{DEFAULT_DEADLINE, Incarnation, NodeName, Place};
 use blastema_testkit::TestNode;
@@ -83,6 +84,7 @@ fn the_limits_are_those_of_the_code() {
     check(&page, "dead letters", says);
     check(&page, "nodes in one network; links of a node", router.nodes_max.to_string());
     check(&page, "hops", router.hops.to_string());
+    check(&page, "nodes that carry one service", MEMBERS_MAX.to_string());
     let says = format!("{}, or {}", session.buffer_messages, mebibytes(session.buffer_bytes));
     check(&page, "messages that wait for one peer", says);
 }

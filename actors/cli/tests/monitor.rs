@@ -1,6 +1,7 @@
 //! The program looks at a real node through its window.
 
 use blastema::prelude::*;
+use blastema::{ServiceSpec, Stateful};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use std::fs::Permissions;
@@ -17,6 +18,15 @@ const PATIENCE: Duration = Duration::from_secs(30);
 
 struct Lamp;
 impl Component for Lamp {}
+impl Stateful for Lamp {
+    fn save(&self) -> Vec<u8> {
+        Vec::new()
+    }
+
+    fn load(&mut self, _: &[u8]) -> Result<(), Failure> {
+        Ok(())
+    }
+}
 
 /// Looks from a process of its own, while the node goes on here.
 async fn monitor(arguments: &[&str]) -> Output {
@@ -36,6 +46,7 @@ fn a_running_node_is_shown_as_tables_and_as_json_and_no_more_once_it_has_stopped
         let builder = Node::builder("module1")
             .work_threads(1)
             .child(ChildSpec::new("lamp", || Lamp))
+            .service(ServiceSpec::new("light/room", ["module1", "module2"], || Lamp))
             .shown_at(&window);
         let node = builder.start().await.expect("the node starts");
         let _claim = node.claim_for("light", "lamp", blastema::ClaimPolicy::Refuse).await;
@@ -51,12 +62,17 @@ fn a_running_node_is_shown_as_tables_and_as_json_and_no_more_once_it_has_stopped
         assert_eq!(row("table", "place", "module1:lamp")["state"], "active", "{picture}");
         let thread = row("threads", "kind", "shared");
         assert_eq!(thread["state"], "alive", "{picture}");
-        assert_eq!(thread["components"], serde_json::json!(["lamp"]));
+        assert_eq!(thread["components"], serde_json::json!(["lamp", "light/room/replica"]));
+        let service = row("services", "name", "light/room");
+        assert_eq!(service["state"], "candidate", "{picture}");
+        assert_eq!(service["unheard"], serde_json::json!(["module2"]));
         assert_eq!(row("claims", "name", "light")["object"], "lamp");
 
         let tables = monitor(&[text(&window)]).await;
         let shown = String::from_utf8(tables.stdout).expect("text");
-        for part in ["module1 running", "objects", "module1:lamp", "threads", "claimed names"] {
+        for part in
+            ["module1 running", "objects", "module1:lamp", "threads", "claimed names", "services"]
+        {
             assert!(shown.contains(part), "{part} is missing in\n{shown}");
         }
 

@@ -14,7 +14,8 @@ use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
 use blastema_core::lease::{CommanderId, Lease, LeaseEnd, LeaseOutput, LeaseStanding};
 use blastema_core::{
-    ContractIdentity, FaultKind, Incarnation, Instant, Machine, ObjectName, PeerIdentity, Why,
+    ContractIdentity, FaultKind, Incarnation, Instant, Machine, ObjectName, Parcel, PeerIdentity,
+    Why,
 };
 use bytes::Bytes;
 use std::collections::BTreeMap;
@@ -278,7 +279,7 @@ impl Yard {
                 actuator.cut_off();
             }
             let (yard, applied_at) = (self.clone(), actuator.clone());
-            let applied: ReplyTo = Box::new(move |result: Result<Bytes, Why>| {
+            let applied: ReplyTo = Box::new(move |result: Result<Parcel, Why>| {
                 lock(&applied_at.lease).handle_applied(result.is_ok(), platform::now());
                 yard.look();
             });
@@ -307,10 +308,10 @@ impl Actuator {
             return answer.give(Ordered::refused(&Why::Full));
         }
         let busy = self.busy.clone();
-        let reply_to: ReplyTo = Box::new(move |result: Result<Bytes, Why>| {
+        let reply_to: ReplyTo = Box::new(move |result: Result<Parcel, Why>| {
             busy.store(false, Relaxed);
             answer.give(match result {
-                Ok(reply) => Ordered::Done(reply.into()),
+                Ok(reply) => Ordered::Done(reply.into_bytes().into()),
                 Err(why) => Ordered::refused(&why),
             });
         });

@@ -247,7 +247,7 @@ impl Gateway {
             }
             ExchangeOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
-                    reply_to(result);
+                    reply_to(result.map(Parcel::from));
                 }
             }
             ExchangeOutput::Lost { peer, to, why } => self.bury(peer, to, &why),

@@ -40,6 +40,7 @@ pub(crate) use discovery::DiscoverySpec;
 use self::own_faults::OwnFaults;
 use crate::guardian::Guardian;
 use crate::host::office::DeadLetterOffice;
+use crate::platform;
 use crate::registry::{Registry, RemoteDoors};
 use crate::topic::Topics;
 use actix::prelude::*;
@@ -191,6 +192,7 @@ pub(crate) fn start(
     networks: Vec<NetworkSpec>,
 ) -> Result<NetHandle, NetError> {
     check(&networks)?;
+    platform::keep_freed_memory();
     let mut environment = environment;
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
     let (life, place) = ((node.clone(), incarnation), arbiter.as_ref());

@@ -184,10 +184,10 @@ impl Assembly {
         for carried in services {
             let name = carried.body.clone();
             let roster = &self.environment.services;
-            roster.enter(carried.name.clone(), carried.config.members.clone());
             if let Some(networks) = &mut self.networks {
                 networks.described.extend(carried.config.members.iter().cloned());
             }
+            roster.enter(carried.name.clone(), &carried.config);
             let place = self.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
             let place = place.or(self.parts.chain.arbiter.as_ref());
             let body = ReplicaBody::start(carried, &self.environment, &self.parts.guardian, place);

@@ -7,6 +7,7 @@ use crate::registry::NameTaken;
 use crate::service::Carried;
 use blastema_core::dependencies::{Dependencies, DependencyError, circle};
 use blastema_core::net::advertisement::NEIGHBOURS_MAX;
+use blastema_core::service::{HELLO_MAX, HELLO_MIN, MEMBERS_MAX};
 use blastema_core::{NodeName, ObjectName};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
@@ -23,7 +24,7 @@ pub(super) fn dependencies(node: &NodeName, harvest: &Harvest) -> Dependencies {
     objects
 }
 
-/// The nodes of a service are others than each other, and this is one of them.
+/// The nodes of a service are others than each other, not too many, and this is one of them; and its hello can be said.
 pub(super) fn check_service(carried: &Carried) -> Result<(), StartError> {
     let Carried { name, config, .. } = carried;
     let different: BTreeSet<_> = config.members.iter().collect();
@@ -31,6 +32,17 @@ pub(super) fn check_service(carried: &Carried) -> Result<(), StartError> {
         format!("{} is none of its nodes: add it, or leave the service out here", config.own)
     } else if different.len() < config.members.len() {
         "a node stands twice among its nodes: name each once".to_owned()
+    } else if config.members.len() > MEMBERS_MAX {
+        let listed = config.members.len();
+        format!(
+            "{listed} nodes cannot carry it, {MEMBERS_MAX} at most: three or five outlive the failure of one or two"
+        )
+    } else if !(HELLO_MIN..=HELLO_MAX).contains(&config.hello_interval) {
+        format!(
+            "its primary cannot say hello every {:?}: give .hello_every(..) from {HELLO_MIN:?} to {HELLO_MAX:?}, such \
+             as 50 ms",
+            config.hello_interval
+        )
     } else {
         return Ok(());
     };

@@ -42,7 +42,7 @@ use crate::host::threads::{self, ThreadRow};
 use crate::lease::{self, ActuatorRow, Commander};
 use crate::reference::ActorRef;
 use crate::sender::Sender;
-use crate::service::{Role, ServiceRef};
+use crate::service::{Role, ServiceRef, ServiceRow};
 use crate::topic::Publisher;
 use crate::variable::{self, VariableRef};
 use actix::Recipient;
@@ -238,6 +238,11 @@ impl Node {
     /// Whether this node serves, or stands by for, a service that it carries.
     pub fn service_role(&self, name: &str) -> Option<Role> {
         self.0.environment.services.role(&ObjectName::new(name).ok()?)
+    }
+
+    /// The services that this node carries, as it sees them: what it is to each, who serves, who is not there.
+    pub fn services(&self) -> Vec<ServiceRow> {
+        self.0.environment.services.rows()
     }
 
     /// The actuators of this node, and who commands each.

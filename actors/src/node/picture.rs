@@ -5,6 +5,7 @@ use crate::claim::ClaimRow;
 use crate::host::threads::{ThreadRow, ThreadState};
 use crate::lease::ActuatorRow;
 use crate::platform;
+use crate::service::ServiceRow;
 use blastema_contract::link::LinkRow;
 use blastema_contract::session::SessionRow;
 use blastema_core::detection::{End, Entry, ObjectKind, Record, Row};
@@ -41,6 +42,8 @@ pub struct Picture {
     pub sessions: Option<Vec<SessionRow>>,
     /// The names of the whole robot that are held, as far as this node knows.
     pub claims: Vec<ClaimRow>,
+    /// The services that the node carries, and who serves each.
+    pub services: Vec<ServiceRow>,
     /// The node's actuators, and who commands each.
     pub actuators: Vec<ActuatorRow>,
     /// The record of faults.
@@ -65,6 +68,7 @@ impl Picture {
             links,
             sessions,
             claims: node.claims(),
+            services: node.services(),
             actuators: node.actuators(),
             faults,
             seen_at: platform::now(),
@@ -92,6 +96,7 @@ impl Picture {
             "links": self.links.as_deref().map(|rows| rows_of(rows, link)),
             "sessions": self.sessions.as_deref().map(|rows| rows_of(rows, session)),
             "claims": rows_of(&self.claims, claim),
+            "services": rows_of(&self.services, service),
             "actuators": rows_of(&self.actuators, actuator),
             "faults": faults.map(|record| rows_of(&record.entries, entry)),
             "faults_dropped": faults.map(|record| record.dropped),
@@ -203,6 +208,22 @@ fn claim(row: &ClaimRow) -> Value {
     })
 }
 
+fn service(row: &ServiceRow) -> Value {
+    let names = |nodes: &[NodeName]| rows_of(nodes, |node| node.as_str().into());
+    json!({
+        "name": row.name.as_str(),
+        "state": row.state.to_string(),
+        "since_ms": millis(row.since),
+        "kind": row.kind.to_string(),
+        "epoch": row.epoch,
+        "primary": row.primary.as_ref().map(NodeName::as_str),
+        "members": names(&row.members),
+        "unheard": names(&row.unheard),
+        "unprotected": row.unprotected,
+        "seen_ms": millis(row.age),
+    })
+}
+
 fn actuator(row: &ActuatorRow) -> Value {
     let (state, commander, lease) = match &row.standing {
         LeaseStanding::Free => ("free", None, None),
@@ -271,6 +292,7 @@ mod tests {
                 links: in_time(future::ready(Vec::new())).await,
                 sessions: in_time(future::pending()).await,
                 claims: Vec::new(),
+                services: Vec::new(),
                 actuators: Vec::new(),
                 faults: in_time(future::pending()).await,
             };

@@ -24,8 +24,15 @@ impl ReplicaBody {
         let (roster, name) = (self.roster.clone(), self.carried.name.clone());
         let found = async move { roster.carriers(&name).await };
         context.spawn(wrap_future::<_, Self>(found).map(|found, body, context| {
-            body.machine.handle_carriers(&found, platform::now());
+            let nodes = |all: bool| {
+                let found = found.iter().filter(|found| all || found.reachable);
+                found.map(|found| found.address.node.clone()).collect::<Vec<_>>()
+            };
+            let now = platform::now();
+            body.machine.handle_reached(&nodes(false));
+            body.machine.handle_carriers(&nodes(true), now);
             body.drive(context);
+            body.show();
             context.run_later(LOOK_AROUND, Self::look_around);
         }));
     }

@@ -1,6 +1,6 @@
 //! Whoever asks a service, and follows it from node to node.
 
-use super::finder::{Finder, Found, Missing, PROBE};
+use super::finder::{Finder, Found, PROBE};
 use super::read_why;
 use super::roster::Roster;
 use super::words::{Answered, AskService, Task};
@@ -64,17 +64,29 @@ impl Drop for Open {
     }
 }
 
-/// Why a service that its nodes were told different things of does not serve.
-fn disputed(difference: String, begun: Begun) -> Why {
-    match begun {
-        Begun::Perhaps => Why::OutcomeUnknown { reason: difference },
-        Begun::No => Why::ContractDiffers { difference },
+/// How far a request has come that has no answer yet.
+#[derive(Default)]
+struct Pursuit {
+    begun: Begun,
+    /// What the nodes of the service were told differently, if that was the last that was heard of it.
+    difference: Option<String>,
+}
+
+impl Pursuit {
+    /// Why there was no answer by the deadline.
+    fn why(self) -> Why {
+        match (self.difference, self.begun) {
+            (Some(reason), Begun::Perhaps) => Why::OutcomeUnknown { reason },
+            (Some(difference), Begun::No) => Why::ContractDiffers { difference },
+            (None, _) => Why::DeadlinePassed,
+        }
     }
 }
 
 /// Whether anybody may have begun what was asked for.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 enum Begun {
+    #[default]
     No,
     /// One was asked, and does not say.
     Perhaps,
@@ -114,7 +126,12 @@ impl<M: Request> ServiceRef<M> {
     /// # Errors
     /// [`Why::OutcomeUnknown`] where the primary of a service with cold standbys failed while it served,
     /// unless the contract is declared `idempotent`; [`Why::DeadlinePassed`] where nobody served in time;
-    /// what the component's failure was, where it failed.
+    /// what the component's failure was, where it failed; [`Why::ContractDiffers`] where the service means
+    /// another contract by that name.
+    ///
+    /// Where nobody serves because the service's nodes were told different things of it, that may end, as
+    /// while a list is changed: it is asked on. At the deadline it is [`Why::ContractDiffers`] with what
+    /// differs, or [`Why::OutcomeUnknown`] with that where somebody may have begun.
     pub async fn ask_within(
         &self,
         message: M,
@@ -149,8 +166,10 @@ impl<M: Request> ServiceRef<M> {
                 settled,
                 task: task.clone(),
             };
-            let pursued = tokio::time::timeout(until - platform::now(), self.pursue(ask, until));
-            let why = match pursued.await.unwrap_or(Err(Why::DeadlinePassed)) {
+            let mut pursuit = Pursuit::default();
+            let pursued = self.pursue(ask, until, &mut pursuit);
+            let pursued = tokio::time::timeout(until - platform::now(), pursued).await;
+            let why = match pursued.unwrap_or_else(|_| Err(pursuit.why())) {
                 Ok(reply) => {
                     return codec::decode_reply::<M>(&reply)
                         .map_err(|error| failed(Why::Undecodable { reason: error.to_string() }));
@@ -167,11 +186,18 @@ impl<M: Request> ServiceRef<M> {
     }
 
     /// Follows the service from node to node until it has answered.
-    async fn pursue(&self, ask: AskService, until: Instant) -> Result<Vec<u8>, Why> {
+    ///
+    /// Where its nodes are at odds, it is asked on under the same identity, as after any other change of
+    /// the primary: whoever serves next has the table of those that it follows, or none of their effects.
+    async fn pursue(
+        &self,
+        ask: AskService,
+        until: Instant,
+        pursuit: &mut Pursuit,
+    ) -> Result<Vec<u8>, Why> {
         let mut primary = self.primary();
         // Who has not answered, and what became of the request there if that is not known.
         let (mut failed, mut uncertain) = (None, None);
-        let mut begun = Begun::No;
         loop {
             let node = match primary.take() {
                 Some(node) => node,
@@ -179,10 +205,14 @@ impl<M: Request> ServiceRef<M> {
                     Ok(Found { keeps: false, .. }) if uncertain.is_some() && !M::IDEMPOTENT => {
                         return Err(Why::OutcomeUnknown { reason: uncertain.unwrap_or_default() });
                     }
-                    Ok(Found { primary, .. }) => primary,
-                    Err(Missing::Disputed(difference)) => return Err(disputed(difference, begun)),
-                    Err(Missing::Nobody) => {
-                        tokio::time::sleep(PROBE).await;
+                    Ok(Found { primary, .. }) => {
+                        pursuit.difference = None;
+                        primary
+                    }
+                    Err(missing) => {
+                        let pause = missing.pause();
+                        pursuit.difference = missing.difference();
+                        tokio::time::sleep(pause).await;
                         continue;
                     }
                 },
@@ -198,11 +228,15 @@ impl<M: Request> ServiceRef<M> {
                         primary = Some(node);
                         tokio::time::sleep(PROBE).await;
                     }
-                    Why::ContractDiffers { difference } => return Err(disputed(difference, begun)),
+                    // Its component means the same: it is the nodes that were told different things.
+                    Why::ContractDiffers { difference } => {
+                        pursuit.difference = Some(difference);
+                        failed = Some(node);
+                    }
                     why => return Err(why),
                 },
                 Turn::Answered(Answered::Elsewhere { primary: told }) => {
-                    begun = Begun::Perhaps;
+                    pursuit.begun = Begun::Perhaps;
                     primary = told.and_then(|told| NodeName::new(&told).ok());
                     if primary.is_none() || primary.as_ref() == Some(&node) {
                         tokio::time::sleep(PROBE).await;
@@ -213,9 +247,11 @@ impl<M: Request> ServiceRef<M> {
                     let reason = "the primary has changed, and its standbys are cold".into();
                     return Err(Why::OutcomeUnknown { reason });
                 }
-                Turn::Moved(found) => (primary, begun) = (Some(found.primary), Begun::Perhaps),
+                Turn::Moved(found) => {
+                    (primary, pursuit.begun) = (Some(found.primary), Begun::Perhaps);
+                }
                 Turn::Failed(why) => {
-                    begun = Begun::Perhaps;
+                    pursuit.begun = Begun::Perhaps;
                     // It was taken there, perhaps; those that follow may not know.
                     if matches!(why, Why::PeerDied { .. } | Why::OutcomeUnknown { .. }) {
                         uncertain = Some(why.to_string());

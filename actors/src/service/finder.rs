@@ -22,17 +22,25 @@ const STRANGE: Duration = Duration::from_secs(10);
 pub(super) enum Missing {
     /// Nobody does now.
     Nobody,
-    /// Nobody will until this is mended.
+    /// Nobody does before this is mended.
     Disputed(String),
 }
 
 impl Missing {
     /// How long to wait before all are asked again.
-    fn pause(&self) -> Duration {
+    pub(super) fn pause(&self) -> Duration {
         match self {
             Missing::Nobody => PROBE,
             // That is answered at once, and not held back until somebody serves.
             Missing::Disputed(_) => HELD,
+        }
+    }
+
+    /// In what the nodes of the service were told different things.
+    pub(super) fn difference(self) -> Option<String> {
+        match self {
+            Missing::Nobody => None,
+            Missing::Disputed(difference) => Some(difference),
         }
     }
 }

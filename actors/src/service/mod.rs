@@ -18,11 +18,12 @@ mod replica;
 mod roster;
 mod words;
 
-pub use blastema_core::service::{OnPartition, Role, StandbyKind};
+pub use blastema_core::service::{OnPartition, Role, ServiceState, StandbyKind};
 
 pub use caller::ServiceRef;
 pub(crate) use replica::{Carried, ReplicaBody};
 pub(crate) use roster::Roster;
+pub use roster::ServiceRow;
 
 use crate::component::{Component, Failure, Handle};
 use crate::context::Context;
@@ -30,7 +31,7 @@ use crate::host::spec::ChildSpec;
 use crate::node::StartError;
 use crate::ports::OpenPort;
 use crate::registry::Port;
-use blastema_core::service::{HELLO_MAX, HELLO_MIN, ReplicaConfig};
+use blastema_core::service::ReplicaConfig;
 use blastema_core::{NameError, NodeName, ObjectName, Why, codec};
 use std::fmt;
 use std::sync::Arc;
@@ -119,8 +120,8 @@ impl<C: Stateful> fmt::Debug for ServiceSpec<C> {
 }
 
 impl<C: Stateful> ServiceSpec<C> {
-    /// A service on these nodes, of which those that stand first have their turn first. Its standbys are warm; where less than
-    /// a majority of the nodes see each other, there is no service.
+    /// A service on these nodes, 256 at most, of which those that stand first have their turn first. Its standbys are
+    /// warm; where less than a majority of the nodes see each other, there is no service.
     pub fn new<'a>(
         name: &str,
         members: impl IntoIterator<Item = &'a str>,
@@ -149,10 +150,11 @@ impl<C: Stateful> ServiceSpec<C> {
         self
     }
 
-    /// How often the primary says hello; 50 ms unless this says otherwise, and from 1 ms to one hour. A standby takes
-    /// over 3.3 of them after the last one; a process that gets no time for so long loses the service.
+    /// How often the primary says hello; 50 ms unless this says otherwise, and from 1 ms to one hour: any other
+    /// is refused at start. A standby takes over 3.3 of them after the last one; a process that gets no time for so
+    /// long loses the service.
     pub fn hello_every(mut self, interval: Duration) -> Self {
-        self.hello_interval = interval.clamp(HELLO_MIN, HELLO_MAX);
+        self.hello_interval = interval;
         self
     }
 

@@ -24,7 +24,7 @@ use blastema_core::service::{
     StandbyKind,
 };
 use blastema_core::{
-    Contract, FaultKind, MessageId, NodeName, ObjectName, PeerIdentity, Why, codec,
+    Contract, FaultKind, MessageId, NodeName, ObjectName, Parcel, PeerIdentity, Why, codec,
 };
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
@@ -146,7 +146,8 @@ impl ReplicaBody {
         context: &mut Context<Self>,
     ) {
         let body = context.address();
-        let reply_to: ReplyTo = Box::new(move |result| body.do_send(then(result)));
+        let reply_to: ReplyTo =
+            Box::new(move |result| body.do_send(then(result.map(Parcel::into_bytes))));
         match self.registry.doorway(&self.carried.component, contract) {
             // What came of it is told to the closure in every case.
             Ok((_, doorway)) => {
@@ -195,7 +196,7 @@ impl ReplicaBody {
             match loaded {
                 Ok(true) => Done::Loaded,
                 Ok(false) => Done::NotLoaded,
-                Err(Why::Stopped | Why::Isolated) => Done::Gone,
+                Err(why) if takes_nothing(&why) => Done::Gone,
                 Err(_) => Done::LoadAgain { state },
             }
         };
@@ -276,6 +277,11 @@ impl ReplicaBody {
         }
     }
 
+    /// Shows people what is known of the service now.
+    pub(super) fn show(&self) {
+        self.roster.show(&self.carried.name, self.machine.view(), platform::now());
+    }
+
     /// Answers at once where somebody serves, or nobody may, else as soon as anybody does.
     fn tell_who_serves(&mut self, Wondered(question, answer): Wondered) {
         let config = &self.carried.config;
@@ -349,6 +355,17 @@ impl Body for ReplicaBody {
     }
 
     fn carry_out(&mut self, output: ReplicaOutput, context: &mut Context<Self>) {
+        let shows = matches!(
+            output,
+            ReplicaOutput::Became(_)
+                | ReplicaOutput::Fault { .. }
+                | ReplicaOutput::Mended { .. }
+                | ReplicaOutput::Disputed { .. }
+                | ReplicaOutput::Agreed
+        );
+        if shows {
+            self.show();
+        }
         match output {
             ReplicaOutput::Send { to, message } => self.tell(&to, message),
             ReplicaOutput::Became(role) => self.became(&role, context),
@@ -385,12 +402,18 @@ impl Body for ReplicaBody {
     }
 }
 
+/// The component was stopped, isolated or removed, and not only restarted.
+fn takes_nothing(why: &Why) -> bool {
+    matches!(why, Why::Stopped | Why::Isolated | Why::Unknown { .. })
+}
+
 answers_the_monitor!(ReplicaBody);
 
 impl Actor for ReplicaBody {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
+        self.show();
         self.look_around(context);
         self.drive(context);
     }
@@ -545,7 +568,7 @@ impl Handler<Done> for ReplicaBody {
                 return;
             }
             Done::Told(Ok(())) => self.machine.handle_component_back(now),
-            Done::Told(Err(Why::Stopped | Why::Isolated)) => {
+            Done::Told(Err(why)) if takes_nothing(&why) => {
                 self.machine.handle_component_gone(now);
                 self.look_again(context);
             }

@@ -1,16 +1,54 @@
 //! Which services this node carries, and who serves them.
 
+use crate::platform;
 use actix::Recipient;
-use blastema_contract::naming::FindObject;
-use blastema_core::service::Role;
-use blastema_core::{NodeName, ObjectName};
+use blastema_contract::naming::{FindObject, FoundObject};
+use blastema_core::service::{ReplicaConfig, Role, ServiceState, ServiceView, StandbyKind};
+use blastema_core::{Instant, NodeName, ObjectName};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
 
 /// What is known of one service.
 struct Entry {
     members: Vec<NodeName>,
+    kind: StandbyKind,
     role: Role,
+    shown: Option<Shown>,
+}
+
+/// What its replica has shown of itself last.
+struct Shown {
+    view: ServiceView,
+    at: Instant,
+    /// Since when it is in that state.
+    since: Instant,
+}
+
+/// A service as a node that carries it sees it, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct ServiceRow {
+    /// The service.
+    pub name: ObjectName,
+    /// What this node is to it.
+    pub state: ServiceState,
+    /// For how long it has been that.
+    pub since: Duration,
+    /// What its standbys do.
+    pub kind: StandbyKind,
+    /// The greatest epoch in which somebody served, or was voted for, as far as this node knows; 0 for none.
+    pub epoch: u64,
+    /// Who serves, where this node knows of anybody.
+    pub primary: Option<NodeName>,
+    /// All nodes that carry it, as this one was told.
+    pub members: Vec<NodeName>,
+    /// Those of them that are not there with this service, as far as this node sees.
+    pub unheard: Vec<NodeName>,
+    /// This node serves, and too few others hold the state: the fault *service unprotected* says whom to look after.
+    pub unprotected: bool,
+    /// How long ago the replica has said so: it does each time that something changes, and twice a second.
+    pub age: Duration,
 }
 
 /// The services of a node. Clones share them.
@@ -33,9 +71,41 @@ impl Roster {
     }
 
     /// This node carries a service.
-    pub(crate) fn enter(&self, name: ObjectName, members: Vec<NodeName>) {
+    pub(crate) fn enter(&self, name: ObjectName, config: &ReplicaConfig) {
         let role = Role::Standby { primary: None, in_step: false };
-        self.lock().insert(name, Entry { members, role });
+        let (members, kind) = (config.members.clone(), config.kind);
+        self.lock().insert(name, Entry { members, kind, role, shown: None });
+    }
+
+    /// This node's replica shows itself.
+    pub(crate) fn show(&self, name: &ObjectName, view: ServiceView, at: Instant) {
+        if let Some(entry) = self.lock().get_mut(name) {
+            let before = entry.shown.as_ref().filter(|shown| shown.view.state == view.state);
+            let since = before.map_or(at, |shown| shown.since);
+            entry.shown = Some(Shown { view, at, since });
+        }
+    }
+
+    /// The services of this node, as their replicas have shown themselves.
+    pub(crate) fn rows(&self) -> Vec<ServiceRow> {
+        let now = platform::now();
+        let services = self.lock();
+        let rows = services.iter().filter_map(|(name, entry)| {
+            let Shown { view, at, since } = entry.shown.as_ref()?;
+            Some(ServiceRow {
+                name: name.clone(),
+                state: view.state,
+                since: now - *since,
+                kind: entry.kind,
+                epoch: view.epoch,
+                primary: view.primary.clone(),
+                members: entry.members.clone(),
+                unheard: view.unheard.clone(),
+                unprotected: view.unprotected,
+                age: now - *at,
+            })
+        });
+        rows.collect()
     }
 
     /// The role of this node's replica has changed.
@@ -63,14 +133,13 @@ impl Roster {
     pub(crate) async fn members(&self, name: &ObjectName) -> Vec<NodeName> {
         let mut members =
             self.lock().get(name).map_or_else(Vec::new, |entry| entry.members.clone());
-        members.extend(self.carriers(name).await);
+        members.extend(self.carriers(name).await.into_iter().map(|found| found.address.node));
         members
     }
 
     /// The other nodes that have an object of the service's name, whatever was declared.
-    pub(crate) async fn carriers(&self, name: &ObjectName) -> Vec<NodeName> {
+    pub(crate) async fn carriers(&self, name: &ObjectName) -> Vec<FoundObject> {
         let Some(finder) = self.finder.get() else { return Vec::new() };
-        let found = finder.send(FindObject { object: name.clone() }).await.unwrap_or_default();
-        found.into_iter().map(|address| address.node).collect()
+        finder.send(FindObject { object: name.clone() }).await.unwrap_or_default()
     }
 }

@@ -6,10 +6,19 @@ use std::collections::BTreeMap;
 
 /// Where are objects of this name?
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "Vec<ObjectAddress>")]
+#[rtype(result = "Vec<FoundObject>")]
 pub struct FindObject {
     /// The name.
     pub object: ObjectName,
+}
+
+/// An object on a node that a session is open with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FoundObject {
+    /// Where it is.
+    pub address: ObjectAddress,
+    /// A path leads there now: a session outlives its paths.
+    pub reachable: bool,
 }
 
 /// Asks for every node that a session is open with, and its objects.

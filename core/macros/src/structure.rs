@@ -49,14 +49,15 @@ fn layout(input: &DeriveInput, attributes: &TypeAttributes) -> Result<TokenStrea
     let name = ident.unraw().to_string();
     let generics = described_generics(input, attributes);
     let (impl_generics, type_generics, where_clause) = generics.split_for_impl();
-    let (shape, empty) = match &input.data {
+    let (shape, empty, last) = match &input.data {
         Data::Struct(data) => {
             let fields = fields(&data.fields, facade)?;
             let shape = quote! {
                 #facade::core::layout::Shape::Struct(::std::borrow::Cow::Borrowed(#name), #fields)
             };
             let fields = data.fields.iter().map(|field| described(&field.ty, facade));
-            (shape, quote!(true #(&& #fields::EMPTY)*))
+            let empty = quote!(true #(&& #fields::EMPTY)*);
+            (shape, empty, last_bytes(&data.fields, facade))
         }
         Data::Enum(data) => {
             let variants = data.variants.iter().map(|variant| {
@@ -77,7 +78,7 @@ fn layout(input: &DeriveInput, attributes: &TypeAttributes) -> Result<TokenStrea
                     ::std::borrow::Cow::Borrowed(const { &[#(#variants),*] }),
                 )
             };
-            (shape, quote!(false))
+            (shape, quote!(false), None)
         }
         Data::Union(_) => unreachable!("unions were refused"),
     };
@@ -94,6 +95,25 @@ fn layout(input: &DeriveInput, attributes: &TypeAttributes) -> Result<TokenStrea
                     }
                 }
             }
+
+            #last
+        }
+    })
+}
+
+/// What finds the bytes that the last field ends with. An array's elements are not looked into.
+fn last_bytes(fields: &Fields, facade: &syn::Path) -> Option<TokenStream> {
+    let (member, last) = fields.members().zip(fields).last()?;
+    let of = &last.ty;
+    let described = match of {
+        Type::Array(_) => return None,
+        _ => described(of, facade),
+    };
+    Some(quote! {
+        fn last_bytes(&mut self) -> ::std::option::Option<&mut ::std::vec::Vec<u8>> {
+            let find: fn(&mut #of) -> ::std::option::Option<&mut ::std::vec::Vec<u8>> =
+                #described::last_bytes;
+            find(&mut self.#member)
         }
     })
 }

@@ -146,6 +146,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::NodeLost
         | FaultKind::NodeFaulty
         | FaultKind::NodeAtRest
+        | FaultKind::NotServed
         | FaultKind::RestartStorm => true,
         FaultKind::CheckFailed
         | FaultKind::Overload

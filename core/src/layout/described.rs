@@ -12,17 +12,24 @@ use std::sync::Arc;
 use std::time::Duration;
 
 macro_rules! leaves {
-    ($($type:ty => $leaf:ident),* $(,)?) => {$(
+    ($($type:ty => $leaf:ident $({ $($more:tt)* })?),* $(,)?) => {$(
         impl Described for $type {
             fn layout() -> &'static Layout {
                 const { &Layout { id: TypeId::of::<$type>, shape: Shape::Leaf(Leaf::$leaf) } }
             }
+
+            $($($more)*)?
         }
     )*};
 }
 
 leaves! {
-    bool => Bool, u8 => U8, u16 => U16, u32 => U32, u64 => U64, u128 => U128,
+    u8 => U8 {
+        fn bytes_in(vector: &mut Vec<u8>) -> Option<&mut Vec<u8>> {
+            Some(vector)
+        }
+    },
+    bool => Bool, u16 => U16, u32 => U32, u64 => U64, u128 => U128,
     i8 => I8, i16 => I16, i32 => I32, i64 => I64, i128 => I128, f32 => F32, f64 => F64,
     char => Char, String => Text, Box<str> => Text, Arc<str> => Text, Duration => Duration,
 }
@@ -57,7 +64,7 @@ impl<T: Described> Described for Option<T> {
 }
 
 macro_rules! sequences {
-    ($($type:ty => $shape:ident $(, $bound:ident)*;)*) => {$(
+    ($($type:ty => $shape:ident $(, $bound:ident)* $({ $($more:tt)* })?;)*) => {$(
         impl<T: Described $(+ $bound)*> Described for $type {
             fn layout() -> &'static Layout {
                 const {
@@ -68,12 +75,18 @@ macro_rules! sequences {
                     &Layout { id: TypeId::of::<Self>, shape: Shape::$shape(T::layout) }
                 }
             }
+
+            $($($more)*)?
         }
     )*};
 }
 
 sequences! {
-    Vec<T> => Sequence;
+    Vec<T> => Sequence {
+        fn last_bytes(&mut self) -> Option<&mut Vec<u8>> {
+            T::bytes_in(self)
+        }
+    };
     VecDeque<T> => Sequence;
     Box<[T]> => Sequence;
     Arc<[T]> => Sequence;
@@ -237,6 +250,6 @@ describe! {
         Panic, UnexpectedExit, Hang, Silence, ErrorState, InitializationFailed, Fatal, CheckFailed,
         Overload, ContractMismatch, LinkDown, LinkDegraded, NodeLost, RestartStorm,
         NodeFaulty, NameTaken, CommanderGone, NodeAtRest, Unprotected,
-        StateLost, Custom(Arc<str>),
+        StateLost, NotServed, Custom(Arc<str>),
     }
 }

@@ -265,17 +265,21 @@ impl Exchange {
         peer: NodeId,
         epoch: Epoch,
         call: u64,
-        result: Result<Bytes, Why>,
+        result: Result<Parcel, Why>,
         now: Instant,
     ) {
-        for (peer, epoch, call) in
-            self.requests.resolve((peer, epoch, call), result.as_ref().ok(), now)
-        {
+        let mut askers =
+            self.requests.resolve((peer, epoch, call), result.as_ref().ok(), now).into_iter();
+        let last = askers.next_back();
+        for (peer, epoch, call) in askers {
             self.answer(peer, epoch, call, result.clone());
+        }
+        if let Some((peer, epoch, call)) = last {
+            self.answer(peer, epoch, call, result);
         }
     }
 
-    fn answer(&mut self, peer: NodeId, epoch: Epoch, call: u64, result: Result<Bytes, Why>) {
+    fn answer(&mut self, peer: NodeId, epoch: Epoch, call: u64, result: Result<Parcel, Why>) {
         let Some(session) = self.session(peer, epoch) else { return };
         let stream = match session.redundant_calls.remove(&call) {
             true => Stream::Redundant,

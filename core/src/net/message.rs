@@ -82,7 +82,7 @@ pub enum Message {
         /// To which request.
         call: u64,
         /// The encoded reply, or why there is none.
-        result: Result<Bytes, Why>,
+        result: Result<Parcel, Why>,
     },
     /// A message that wants no reply.
     Tell {
@@ -186,20 +186,23 @@ const ROOM: u8 = 16;
 impl Message {
     /// The message's bytes. A large payload is not copied.
     pub fn encode(&self) -> Parcel {
-        let payload = self.payload().unwrap_or_default();
-        let mut bytes = BytesMut::with_capacity(24 + payload.copied());
+        let payload = self.payload();
+        let mut bytes = BytesMut::with_capacity(24 + payload.map_or(0, Parcel::copied));
         self.put_head(&mut bytes);
-        payload.behind(bytes)
+        match payload {
+            Some(payload) => payload.behind(bytes),
+            None => bytes.freeze().into(),
+        }
     }
 
     /// What it ends with, as it is.
-    fn payload(&self) -> Option<Parcel> {
+    fn payload(&self) -> Option<&Parcel> {
         match self {
             Message::Request { payload, .. }
             | Message::Tell { payload, .. }
             | Message::Event { payload, .. }
-            | Message::Notice { payload, .. } => Some(payload.clone()),
-            Message::Reply { result: Ok(payload), .. } => Some(payload.clone().into()),
+            | Message::Notice { payload, .. }
+            | Message::Reply { result: Ok(payload), .. } => Some(payload),
             _ => None,
         }
     }
@@ -307,7 +310,7 @@ impl Message {
                 id: read_id(&mut reader)?,
                 payload: reader.rest().into(),
             },
-            REPLY => Message::Reply { call: reader.varint()?, result: Ok(reader.rest()) },
+            REPLY => Message::Reply { call: reader.varint()?, result: Ok(reader.rest().into()) },
             REPLY_FAILED => {
                 let call = reader.varint()?;
                 let why = read_why(&mut reader)?;
@@ -485,7 +488,7 @@ mod tests {
                 },
                 b"\x03\x01\x07\0\0\x01\0\0\0\0\0\0\0\x02\xac\x02xy",
             ),
-            (Message::Reply { call: 7, result: Ok(payload.clone()) }, b"\x04\x07xy"),
+            (Message::Reply { call: 7, result: Ok(payload.clone().into()) }, b"\x04\x07xy"),
             (Message::Reply { call: 7, result: Err(unknown.clone()) }, b"\x05\x07\x01\x02"),
             (
                 Message::Tell {

@@ -144,6 +144,8 @@ impl Default for Plan {
             FaultKind::NodeAtRest => observe.clone(),
             // The service goes on; what is missing is on other nodes, or gone.
             FaultKind::Unprotected | FaultKind::StateLost => observe.clone(),
+            // Its nodes elect somebody by themselves as soon as they can.
+            FaultKind::NotServed => observe.clone(),
             // Without an alternative nothing helps but the link's, or the node's, return.
             FaultKind::LinkDown | FaultKind::LinkDegraded | FaultKind::NodeLost => reroute.clone(),
             _ => restart.clone(),

@@ -34,14 +34,17 @@ mod message;
 mod replica;
 mod table;
 mod terms;
+mod view;
 mod vocabulary;
 
 pub use replica::{MESSAGE_MAX, QUEUE_MAX, Replica, STATE_MAX};
 pub use table::TABLE_MAX;
+pub use view::{ServiceState, ServiceView};
 pub use vocabulary::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
 
 use crate::NodeName;
 use serde::{Deserialize, Serialize};
+use std::fmt;
 use std::time::Duration;
 
 /// What standbys do while they stand by.
@@ -57,6 +60,16 @@ pub enum StandbyKind {
     Hot,
 }
 
+impl fmt::Display for StandbyKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            StandbyKind::Cold => "cold",
+            StandbyKind::Warm => "warm",
+            StandbyKind::Hot => "hot",
+        })
+    }
+}
+
 /// What happens where less than a majority of the declared nodes see each other.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum OnPartition {
@@ -68,6 +81,8 @@ pub enum OnPartition {
     Continue,
 }
 
+/// The most nodes that carry one service: as many as one network has. Each hello is one message to each.
+pub const MEMBERS_MAX: usize = 256;
 /// The shortest interval of hellos: shorter, timers and turns of a computer are longer than what they tell.
 pub const HELLO_MIN: Duration = Duration::from_millis(1);
 /// And the longest: whoever waits three of them for a service does not want standbys.
@@ -78,7 +93,7 @@ pub const HELLO_MAX: Duration = Duration::from_secs(60 * 60);
 pub struct ReplicaConfig {
     /// Which of the members we are.
     pub own: NodeName,
-    /// All nodes that carry the service, the one that should begin first.
+    /// All nodes that carry the service, at most [`MEMBERS_MAX`]; the one that should begin first.
     pub members: Vec<NodeName>,
     /// What standbys do.
     pub kind: StandbyKind,

@@ -3,11 +3,13 @@
 mod accord;
 mod component;
 mod exposure;
+mod outage;
 mod primary;
 mod rivals;
 mod standby;
 #[cfg(test)]
 mod tests;
+mod view;
 
 use super::change::Change;
 use super::message::{After, Message, Position, Served, Standing};
@@ -19,6 +21,7 @@ use crate::{FaultKind, Instant, Machine, MessageId, NodeName, Why};
 use accord::Accord;
 use bytes::Bytes;
 use component::Health;
+use outage::Outage;
 use primary::{Follower, Primary, Step};
 use standby::Standby;
 use std::collections::{BTreeMap, VecDeque};
@@ -77,6 +80,7 @@ pub struct Replica {
     void: bool,
     health: Health,
     accord: Accord,
+    outage: Outage,
     /// What was said to be wrong here, and stands.
     faults: BTreeMap<FaultKind, String>,
     refused: u64,
@@ -114,6 +118,7 @@ impl Replica {
             working: None,
             void: false,
             health: Health::Whole,
+            outage: Outage::beginning(now),
             faults: BTreeMap::new(),
             refused: 0,
             outputs: VecDeque::new(),
@@ -436,6 +441,7 @@ impl Replica {
             self.told = role.clone();
             self.outputs.push_back(ReplicaOutput::Became(role));
         }
+        self.note_served();
     }
 
     fn answer(&mut self, caller: u64, outcome: ServiceOutcome) {
@@ -473,7 +479,10 @@ impl Machine for Replica {
     fn poll_timeout(&self) -> Option<Instant> {
         match &self.role {
             Acting::Primary(primary) => Some(primary.due(&self.config, &self.accord)),
-            Acting::Standby(standby) => Some(standby.due()),
+            Acting::Standby(standby) => {
+                let told = self.outage.due(&self.config);
+                Some(told.map_or(standby.due(), |told| told.min(standby.due())))
+            }
         }
     }
 
@@ -491,5 +500,6 @@ impl Machine for Replica {
             Acting::Standby(standby) if now >= standby.due() => self.vote_late(now),
             Acting::Primary(_) | Acting::Standby(_) => {}
         }
+        self.judge_outage(now);
     }
 }

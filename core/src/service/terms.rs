@@ -79,7 +79,11 @@ impl Terms {
     }
 
     /// Whether nobody serves by the others' terms while all of these keep from it.
-    pub(super) fn excludes(&self, theirs: &Terms, keeps: impl Fn(&NodeName) -> bool) -> bool {
+    pub(super) fn excludes(
+        &self,
+        theirs: &Terms,
+        mut keeps: impl FnMut(&NodeName) -> bool,
+    ) -> bool {
         // Whoever begins anew waits for what it may have promised before, as long as its new terms say: where
         // that was longer by the old ones, it may be counted by two.
         if self.hello_interval != theirs.hello_interval {

@@ -2,13 +2,15 @@
 
 use blastema::prelude::*;
 use blastema::{
-    Direction, Link, MemoryMedium, Network, NodeBuilder, NodeState, OnPartition, Role, ServiceSpec,
-    StandbyKind, StartError, Stateful,
+    Direction, Fault, Link, MemoryMedium, Network, NodeBuilder, NodeState, OnPartition, Role,
+    ServiceSpec, StandbyKind, StartError, Stateful,
 };
 use blastema_testkit::{TestNode, now};
 use std::time::Duration;
 
 mod exposure;
+mod outage;
+mod shown;
 mod terms;
 
 const MS: Duration = Duration::from_millis(1);
@@ -115,6 +117,13 @@ impl Robot {
     fn mend(&self, member: usize) {
         self.members[member].cable("ethernet").expect("a cable").restore();
     }
+}
+
+/// A fault of this kind that stands in this node's record.
+async fn standing(node: &TestNode, kind: &FaultKind) -> Option<Fault> {
+    let record = node.faults().await;
+    let standing = record.entries.into_iter().filter(|entry| entry.ended.is_none());
+    standing.map(|entry| entry.fault).find(|fault| fault.kind == *kind)
 }
 
 #[blastema_testkit::test]
@@ -389,4 +398,15 @@ async fn a_service_that_is_described_wrongly_is_refused_at_the_start() {
     let refused = TestNode::try_start(Node::builder("module1").service(twice)).await;
     let Err(StartError::Service { reason, .. }) = refused else { panic!("it stands there twice") };
     assert!(reason.contains("twice"), "{reason}");
+    for hello in [Duration::ZERO, Duration::from_micros(999), Duration::from_secs(3601)] {
+        let spec = ServiceSpec::new("counter", ["module1"], Counter::default).hello_every(hello);
+        let refused = TestNode::try_start(Node::builder("module1").service(spec)).await;
+        let Err(StartError::Service { reason, .. }) = refused else { panic!("every {hello:?}") };
+        assert!(reason.contains("from 1ms to 3600s") && reason.contains("hello_every"), "{reason}");
+    }
+    let names: Vec<_> = (1..=257).map(|n| format!("module{n}")).collect();
+    let all = ServiceSpec::new("counter", names.iter().map(String::as_str), Counter::default);
+    let refused = TestNode::try_start(Node::builder("module1").service(all)).await;
+    let Err(StartError::Service { reason, .. }) = refused else { panic!("they are too many") };
+    assert!(reason.contains("257 nodes") && reason.contains("256 at most"), "{reason}");
 }

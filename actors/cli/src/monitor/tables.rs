@@ -7,7 +7,7 @@ use std::fmt::Write;
 type Column = (&'static str, &'static str);
 
 /// The tables, in the order in which they are drawn: a title, their name in the picture, their columns.
-const TABLES: [(&str, &str, &[Column]); 7] = [
+const TABLES: [(&str, &str, &[Column]); 8] = [
     (
         "objects",
         "table",
@@ -89,6 +89,22 @@ const TABLES: [(&str, &str, &[Column]); 7] = [
             ("object", "object"),
             ("epoch", "epoch"),
             ("known for", "age_ms"),
+        ],
+    ),
+    (
+        "services",
+        "services",
+        &[
+            ("service", "name"),
+            ("state", "state"),
+            ("for", "since_ms"),
+            ("standbys", "kind"),
+            ("epoch", "epoch"),
+            ("primary", "primary"),
+            ("nodes", "members"),
+            ("not heard", "unheard"),
+            ("unprotected", "unprotected"),
+            ("seen before", "seen_ms"),
         ],
     ),
     (

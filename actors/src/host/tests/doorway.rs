@@ -2,7 +2,10 @@
 
 use super::{Add, Boom, Note, Stage, acc, boom, logged, order};
 use crate::registry::{Asked, Postmark, RemoteDoor, RemoteDoors, ReplyTo};
-use crate::{DeadReason, Incarnation, ObjectName, Request, SpecError, WhenFull, Why};
+use crate::{
+    Blob, ChildSpec, Component, Context, DeadReason, Event, Handle, Incarnation, ObjectName, Ports,
+    Request, SpecError, WhenFull, Why,
+};
 use blastema_core::{
     Contract, ContractIdentity, MessageId, NodeName, ObjectAddress, Parcel, codec,
 };
@@ -10,6 +13,7 @@ use blastema_doubles::{paused, settle};
 use bytes::Bytes;
 use std::future::Future;
 use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Mutex};
 
 fn encoded<M: Contract>(message: &M) -> Bytes {
@@ -22,7 +26,7 @@ fn name(text: &str) -> ObjectName {
     ObjectName::new(text).unwrap()
 }
 
-type ReplyPlace = Arc<Mutex<Option<Result<Bytes, Why>>>>;
+type ReplyPlace = Arc<Mutex<Option<Result<Parcel, Why>>>>;
 
 /// A place for one reply, and the callback that fills it.
 fn reply() -> (ReplyPlace, ReplyTo) {
@@ -52,7 +56,7 @@ fn bytes_from_outside_are_served_and_the_reply_goes_back_as_bytes() {
         add.deliver(&encoded(&Add(4)), postmark(ID), Some(reply_to)).unwrap();
         settle().await;
         let bytes = place.lock().unwrap().take().unwrap().unwrap();
-        assert_eq!(codec::decode_reply::<Add>(&bytes).unwrap(), 4);
+        assert_eq!(codec::decode_reply::<Add>(&bytes.into_bytes()).unwrap(), 4);
 
         let (_, note) = registry.doorway(&name("acc"), Note::NAME).unwrap();
         note.deliver(&encoded(&Note(7)), postmark(None), None).unwrap();
@@ -208,5 +212,96 @@ fn an_object_of_another_node_is_asked_with_the_same_code() {
         assert_eq!(logged(&log), [3]);
         let died = registry.sender::<Boom>("there:acc").unwrap().ask(boom("x")).await.unwrap_err();
         assert_eq!(died.why, Why::PeerDied { incarnation: Incarnation(1) });
+    });
+}
+
+/// Much that a vector holds.
+#[derive(Clone, Debug, PartialEq, Event)]
+struct Image {
+    number: u32,
+    pixels: Vec<u8>,
+}
+
+/// A way out that refuses the first message, and keeps the next.
+#[derive(Clone, Default)]
+struct Narrow {
+    refused: Arc<AtomicBool>,
+    taken: Arc<Mutex<Option<Parcel>>>,
+}
+
+impl RemoteDoors for Narrow {
+    fn door(&self, _: ObjectAddress, _: ContractIdentity) -> Arc<dyn RemoteDoor> {
+        Arc::new(self.clone())
+    }
+}
+impl RemoteDoor for Narrow {
+    fn send(&self, message: Parcel, _: Option<Asked>) -> Result<(), Why> {
+        if !self.refused.swap(true, Relaxed) {
+            return Err(Why::Full);
+        }
+        *self.taken.lock().unwrap() = Some(message);
+        Ok(())
+    }
+    fn room<'a>(&'a self, _: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+        Box::pin(std::future::ready(()))
+    }
+}
+
+#[test]
+fn a_large_vector_goes_to_another_node_as_it_lies_and_comes_back_so_where_it_is_refused() {
+    paused(async {
+        let registry = Stage::new().environment.registry;
+        let narrow = Narrow::default();
+        registry.connect(NodeName::new("here").unwrap(), Some(Arc::new(narrow.clone())));
+        let images = registry.sender::<Image>("there:screen").unwrap();
+        let image = Image { number: 7, pixels: vec![9; 10_000] };
+        let (place, copy) = (image.pixels.as_ptr(), image.clone());
+
+        let refused = images.tell(image).unwrap_err();
+        assert_eq!((refused.why, &refused.message), (Why::Full, &copy));
+        assert_eq!(refused.message.pixels.as_ptr(), place);
+
+        images.tell(refused.message).unwrap();
+        let taken = narrow.taken.lock().unwrap().take().unwrap();
+        assert!(taken.pieces().iter().any(|piece| piece.as_ptr() == place));
+        assert_eq!(codec::decode::<Image>(&taken.into_bytes()), Ok(copy));
+    });
+}
+
+/// Asks for a picture.
+#[derive(Clone, Debug, Request)]
+#[contract(reply = Blob)]
+struct Look;
+
+struct Camera(Blob);
+
+impl Component for Camera {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Look>();
+    }
+}
+impl Handle<Look> for Camera {
+    async fn handle(&mut self, _: Look, _: &mut Context<Self>) -> Blob {
+        self.0.clone()
+    }
+}
+
+#[test]
+fn a_large_blob_is_not_copied_into_the_reply_that_goes_to_another_node() {
+    paused(async {
+        let stage = Stage::new();
+        let picture = Blob::from(vec![3; 10_000]);
+        let shown = picture.clone();
+        let spec = ChildSpec::new("camera", move || Camera(shown.clone()));
+        let (_child, _) = stage.start(spec).await;
+        let (_, look) = stage.environment.registry.doorway(&name("camera"), Look::NAME).unwrap();
+
+        let (place, reply_to) = reply();
+        look.deliver(&encoded(&Look), postmark(None), Some(reply_to)).unwrap();
+        settle().await;
+
+        let parcel = place.lock().unwrap().take().unwrap().unwrap();
+        assert!(parcel.pieces().iter().any(|piece| piece.as_ptr() == picture.as_ptr()));
+        assert_eq!(codec::decode_reply::<Look>(&parcel.into_bytes()), Ok(picture));
     });
 }

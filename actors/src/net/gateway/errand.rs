@@ -34,7 +34,7 @@ pub(super) struct Answered {
     pub(super) peer: NodeId,
     pub(super) epoch: Epoch,
     pub(super) call: u64,
-    pub(super) result: Result<Bytes, Why>,
+    pub(super) result: Result<Parcel, Why>,
 }
 
 /// An event was published here that a peer listens to.

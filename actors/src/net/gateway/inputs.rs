@@ -7,7 +7,7 @@ use crate::net::door::Condition;
 use crate::net::wardens::KeptOut;
 use crate::platform;
 use actix::prelude::*;
-use blastema_contract::naming::{FindObject, NodeRow, ReadDifferences, ReadNames};
+use blastema_contract::naming::{FindObject, FoundObject, NodeRow, ReadDifferences, ReadNames};
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::{BeginAnew, Leave, PeerSeen, SessionReported};
 use blastema_contract::strategy::IsolateNode;
@@ -234,7 +234,11 @@ impl Handler<FindObject> for Gateway {
     type Result = MessageResult<FindObject>;
 
     fn handle(&mut self, message: FindObject, _: &mut Context<Self>) -> Self::Result {
-        MessageResult(self.naming.find(&message.object))
+        let found = self.naming.find(&message.object).into_iter().map(|address| {
+            let reachable = self.exchange.is_reachable(NodeId::of(&address.node));
+            FoundObject { address, reachable }
+        });
+        MessageResult(found.collect())
     }
 }
 

@@ -9,7 +9,7 @@ use super::{
 use crate::net::message::{Message, TICK_US};
 use crate::net::naming::Announcement;
 use crate::net::node_id::NodeId;
-use crate::{Delivery, Instant, ObjectName, PeerIdentity, Why};
+use crate::{Delivery, Instant, ObjectName, Parcel, PeerIdentity, Why};
 use bytes::Bytes;
 use std::time::Duration;
 
@@ -66,7 +66,9 @@ impl Exchange {
                         });
                     }
                     Some(Admission::Wait) => {}
-                    Some(Admission::Answer(reply)) => self.answer(peer, epoch, call, Ok(reply)),
+                    Some(Admission::Answer(reply)) => {
+                        self.answer(peer, epoch, call, Ok(reply.into()));
+                    }
                     Some(Admission::Refuse) => {
                         self.refusals.too_large += 1;
                         self.answer(peer, epoch, call, Err(Why::Full));
@@ -88,6 +90,7 @@ impl Exchange {
             }
             Message::Reply { call, result } => match session.calls.remove(&call) {
                 Some(Pending { reply_as, .. }) => {
+                    let result = result.map(Parcel::into_bytes);
                     self.outputs.push_back(ExchangeOutput::Resolve { reply_as, result });
                 }
                 None => self.refusals.unexpected += 1,

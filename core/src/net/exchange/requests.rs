@@ -8,7 +8,7 @@
 
 use super::vocabulary::Epoch;
 use crate::net::node_id::NodeId;
-use crate::{Incarnation, Instant, MessageId};
+use crate::{Incarnation, Instant, MessageId, Parcel};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -81,7 +81,7 @@ impl Requests {
     pub(super) fn resolve(
         &mut self,
         asker: Asker,
-        reply: Option<&Bytes>,
+        reply: Option<&Parcel>,
         now: Instant,
     ) -> Vec<Asker> {
         let Some(key) = self.serving.remove(&asker) else { return vec![asker] };
@@ -91,7 +91,9 @@ impl Requests {
         };
         if let Some(reply) = reply.filter(|reply| reply.len() <= BYTES_MAX) {
             self.bytes += reply.len();
-            self.known.insert(key, Stage::Answered { reply: reply.clone() });
+            // In one piece: a blob may be a small part of what it keeps in memory.
+            let reply = reply.clone().into_bytes();
+            self.known.insert(key, Stage::Answered { reply });
             self.answered.insert((now, key));
             while self.bytes > BYTES_MAX && self.forget_oldest() {}
         }
@@ -140,7 +142,7 @@ mod tests {
         assert_eq!(requests.admit(key(1), asker(2, 20), at(1)), Admission::Wait);
 
         let reply = Bytes::from_static(b"reply");
-        let told = requests.resolve(asker(1, 10), Some(&reply), at(2));
+        let told = requests.resolve(asker(1, 10), Some(&reply.clone().into()), at(2));
 
         assert_eq!(told, [asker(1, 10), asker(2, 20)]);
         assert_eq!(requests.admit(key(1), asker(3, 30), at(3)), Admission::Answer(reply));
@@ -160,7 +162,7 @@ mod tests {
     fn replies_are_forgotten_by_age_number_and_size_and_requests_in_service_never() {
         let mut requests = Requests::default();
         requests.admit(key(0), asker(1, 0), at(0));
-        let large = Bytes::from(vec![0; BYTES_MAX / 4]);
+        let large = Parcel::from(vec![0; BYTES_MAX / 4]);
         for n in 1..=6 {
             requests.admit(key(n), asker(1, n), at(n));
             requests.resolve(asker(1, n), Some(&large), at(n));

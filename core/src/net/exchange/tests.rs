@@ -155,7 +155,7 @@ fn the_first_message_binds_and_all_are_served_in_order() {
         .collect();
     assert_eq!(calls, [Some(1), None, Some(2)]);
     let left = pair.ids[0];
-    pair.ends[1].handle_answer(left, epoch, 2, Ok(payload()), at(0));
+    pair.ends[1].handle_answer(left, epoch, 2, Ok(payload().into()), at(0));
     pair.ends[1].handle_answer(left, epoch, 1, Err(Why::Stopped), at(0));
     pair.run();
     let resolved = |reply_as, result| ExchangeOutput::Resolve { reply_as, result };
@@ -213,7 +213,7 @@ fn everything_is_resolved_when_the_session_ends_and_late_answers_go_nowhere() {
         pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
     }
     pair.take(1);
-    pair.ends[1].handle_answer(left, epoch, 1, Ok(payload()), at(0));
+    pair.ends[1].handle_answer(left, epoch, 1, Ok(payload().into()), at(0));
     pair.run();
     assert_eq!(pair.take(0), [], "the answer belongs to the session before");
 }
@@ -418,7 +418,7 @@ fn a_reply_that_no_session_carries_is_told_to_have_been_made() {
     pair.agree();
     pair.take(1);
     let left = pair.ids[0];
-    let reply = Message::Reply { call: 1, result: Ok(payload()) }.encode().into_bytes();
+    let reply = Message::Reply { call: 1, result: Ok(payload().into()) }.encode().into_bytes();
 
     let why = Why::TooLargeForSession { limit: 5 };
     pair.ends[1].handle_returned(left, reply, why, Sent::Nothing);

@@ -10,7 +10,9 @@
 //! terms counts: no majority is ever made of votes for different things. That alone does not keep two from
 //! serving; what does is in [`rivals`](super::rivals). Other terms are reckoned with until all who were told
 //! them say the same as this one, in a life that was told better; or have ended in order, or carry the service
-//! no more. That somebody is out of sight is no reason.
+//! no more. That somebody is out of sight is no reason: it may be cut off and alive, and of two parts that had
+//! forgotten each other, both would serve. But whoever was not seen for a minute, perhaps for good, is told of no
+//! more where what it was told hinders nobody here; it is still reckoned with, so that who may serve is the same.
 //!
 //! A member that is there and does not carry the service is told as well, and does no harm: it is one that has
 //! failed.
@@ -27,6 +29,9 @@ const ASK_AGAIN: Duration = Duration::from_millis(500);
 /// And one that has answered, and differs: another life of it says by itself what it was told. Shorter would load
 /// slow lines.
 const LOOK_AGAIN: Duration = Duration::from_secs(5);
+/// Whoever differs, hinders nobody, and was not seen for so long is told of no more: as long as other faults last
+/// after what caused them. Shorter would tell of it anew with each longer cut.
+const QUIET: Duration = Duration::from_secs(60);
 /// The most others, beside the members, of whom it is remembered what they say: far more than carry one service.
 const KNOWN_MAX: usize = 1024;
 /// The most bytes of what is remembered of one: the whole of what differs, unless names are very long.
@@ -44,6 +49,8 @@ pub(super) struct Accord {
     fingerprint: u64,
     pub(super) known: BTreeMap<NodeName, Known>,
     pub(super) rivals: Rivals,
+    /// To these a path leads: some of those who carry the service.
+    pub(super) reached: BTreeSet<NodeName>,
     /// What the others were told otherwise, and whether anybody serves all the same.
     dispute: Option<String>,
     /// Nobody of these terms serves until that is mended.
@@ -62,6 +69,10 @@ pub(super) struct Known {
     pub(super) seen: bool,
     /// It was seen once, and then was not.
     gone: bool,
+    /// No path leads there since then.
+    away_since: Option<Instant>,
+    /// It differs, and is told of no more.
+    quiet: bool,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -76,6 +87,19 @@ pub(super) enum Opinion {
     Differs { text: String, terms: u64 },
 }
 
+/// Who is there of a service.
+#[derive(Default)]
+pub(super) struct Roll<'a> {
+    /// So many members, this one included, who were told the same as far as is known.
+    pub(super) there: usize,
+    /// Members who are not.
+    pub(super) unheard: Vec<&'a str>,
+    /// Members who do not carry it.
+    pub(super) without: Vec<&'a str>,
+    /// Those who were told otherwise.
+    pub(super) differing: Vec<&'a str>,
+}
+
 impl Accord {
     pub(super) fn new(config: &ReplicaConfig) -> Self {
         let terms = Terms::of(config);
@@ -84,6 +108,7 @@ impl Accord {
             terms,
             known: BTreeMap::new(),
             rivals: Rivals::default(),
+            reached: BTreeSet::new(),
             dispute: None,
             hopeless: false,
             told: None,
@@ -111,7 +136,9 @@ impl Accord {
     fn differences(&self) -> Vec<&str> {
         let (mut members, mut others) = (Vec::new(), Vec::new());
         for (node, known) in &self.known {
-            if let Opinion::Differs { text, .. } = &known.opinion {
+            if let Opinion::Differs { text, .. } = &known.opinion
+                && !known.quiet
+            {
                 let texts = if self.terms.list(node) { &mut members } else { &mut others };
                 texts.push(text.as_str());
             }
@@ -166,9 +193,50 @@ impl Accord {
         })
     }
 
+    /// Who of the members is there, and who was told otherwise, member or not.
+    pub(super) fn roll(&self, config: &ReplicaConfig) -> Roll<'_> {
+        let mut roll = Roll::default();
+        for (node, known) in &self.known {
+            if matches!(known.opinion, Opinion::Differs { .. }) && !known.quiet {
+                roll.differing.push(node.as_str());
+            }
+        }
+        for member in self.terms.members() {
+            let known = self.known.get(member);
+            match known.map(|known| (&known.opinion, self.reached.contains(member))) {
+                _ if *member == config.own => roll.there += 1,
+                Some((Opinion::Differs { .. }, _)) if known.is_some_and(|known| !known.quiet) => {}
+                Some((Opinion::Differs { .. }, _)) => roll.unheard.push(member.as_str()),
+                Some((opinion @ Opinion::Absent { .. }, _)) if self.is_wrong(member, opinion) => {
+                    roll.without.push(member.as_str());
+                }
+                Some((_, true)) => roll.there += 1,
+                Some((_, false)) | None => roll.unheard.push(member.as_str()),
+            }
+        }
+        roll
+    }
+
     /// Nobody of these terms serves until others say the same, or have gone.
     pub(super) fn is_hopeless(&self) -> bool {
         self.hopeless
+    }
+
+    /// Whoever differs and has not been seen for long is told of no more where it hinders nobody.
+    fn quieten(&mut self, now: Instant) {
+        let away = |known: &Known| known.away_since.is_some_and(|since| now - since >= QUIET);
+        let differing = |known: &Known| match known.opinion {
+            Opinion::Differs { terms, .. } => Some(terms),
+            _ => None,
+        };
+        let terms: BTreeSet<u64> =
+            self.known.values().filter(|known| away(known)).filter_map(differing).collect();
+        let harmless: BTreeSet<u64> =
+            terms.into_iter().filter(|terms| self.hinders_nobody(*terms, now)).collect();
+        for known in self.known.values_mut() {
+            let terms = differing(known).filter(|terms| harmless.contains(terms));
+            known.quiet = terms.is_some() && away(known);
+        }
     }
 
     /// What is known of this one, unless that would be one too many.
@@ -211,7 +279,13 @@ impl Replica {
         self.accord.dispute.as_deref().filter(|_| self.accord.hopeless)
     }
 
-    /// These other nodes have an object of the service's name. To be told several times a second.
+    /// A path leads to these, of those that [`Replica::handle_carriers`] is going to be told of.
+    pub fn handle_reached(&mut self, reached: &[NodeName]) {
+        self.accord.reached = reached.iter().cloned().collect();
+    }
+
+    /// These other nodes have an object of the service's name, be there a path to them or not. To be told several
+    /// times a second.
     pub fn handle_carriers(&mut self, found: &[NodeName], now: Instant) {
         // One that returns may return in another life.
         let members = &self.config.members;
@@ -229,7 +303,12 @@ impl Replica {
             }
             known.gone = !seen && (known.seen || known.gone);
             known.seen = seen;
+            known.away_since = match self.accord.reached.contains(node) {
+                true => None,
+                false => known.away_since.or(Some(now)),
+            };
         }
+        self.accord.quieten(now);
         let known = self.accord.known.keys();
         let all: BTreeSet<_> = known.chain(found).chain(members).cloned().collect();
         all.iter().for_each(|node| self.compare(node, now));
@@ -273,6 +352,7 @@ impl Replica {
             if std::mem::take(&mut known.gone) {
                 (known.bound, known.asked) = (None, None);
             }
+            (known.away_since, known.quiet) = (None, false);
             if answers {
                 known.bound.get_or_insert(now);
             }
@@ -303,6 +383,8 @@ impl Replica {
         next.answered = self.answered;
         next.faults = self.faults.clone();
         next.end_faults();
+        // If it still stands, it is found again.
+        next.set_fault(FaultKind::NotServed, None);
         next.accord.told = None;
         next.settle_dispute(now);
         next
@@ -369,8 +451,10 @@ impl Replica {
         let wrong = (!wrong.is_empty()).then(|| wrong.join("; "));
         if wrong != self.accord.told {
             self.accord.told.clone_from(&wrong);
-            let outputs = wrong.map(|detail| ReplicaOutput::Disputed { detail });
-            self.outputs.extend(outputs);
+            self.outputs.push_back(match wrong {
+                Some(detail) => ReplicaOutput::Disputed { detail },
+                None => ReplicaOutput::Agreed,
+            });
         }
         if let Acting::Primary(primary) = &self.role
             && !primary.holds(&self.config, &self.accord, now)

@@ -54,6 +54,9 @@ impl Replica {
             self.jobs.clear();
         }
         self.health = Health::Gone { since: now };
+        if let Acting::Standby(standby) = &mut self.role {
+            standby.claim_no_more();
+        }
         self.tell_role();
     }
 
@@ -95,6 +98,8 @@ impl Replica {
         }
         if let Acting::Standby(standby) = &mut self.role {
             standby.fall_behind();
+            // Votes that are on their way were asked for with a state that is gone.
+            standby.claim_no_more();
         }
         self.tell_role();
     }

@@ -115,19 +115,21 @@ impl Accord {
 
     /// Whether nobody else can serve while these support us.
     pub(super) fn allows(&self, supports: impl Fn(&NodeName) -> bool, now: Instant) -> bool {
-        let keeps = |node: &NodeName, fingerprint: u64, theirs: &Terms| {
-            let known = self.known.get(node).filter(|known| holds(&known.opinion, fingerprint));
-            let bound = known.and_then(|known| known.bound);
-            // Until then it may have voted before it was told.
-            bound.is_some_and(|at| now >= at + theirs.promise())
-        };
         !self.rivals.overflow
             && self.in_play(now).all(|(fingerprint, Rival { terms: theirs, .. })| {
                 let leads = self.terms.leads(theirs);
                 self.terms.excludes(theirs, |node| {
-                    supports(node) || leads && keeps(node, fingerprint, theirs)
+                    supports(node) || leads && self.keeps(node, fingerprint, theirs, now)
                 })
             })
+    }
+
+    /// Whether this node is bound for so long that it keeps back from these terms, which it was told.
+    fn keeps(&self, node: &NodeName, fingerprint: u64, theirs: &Terms, now: Instant) -> bool {
+        let known = self.known.get(node).filter(|known| holds(&known.opinion, fingerprint));
+        let bound = known.and_then(|known| known.bound);
+        // Until then it may have voted before it was told.
+        bound.is_some_and(|at| now >= at + theirs.promise())
     }
 
     /// Whether nobody of these terms may serve, however many of those who agree are there.
@@ -147,6 +149,24 @@ impl Accord {
             self.terms.excludes(theirs, |node| supports(node) || leads && keeps(node, fingerprint))
         });
         self.rivals.overflow || ours < self.terms.quorum() || !excluded
+    }
+
+    /// Whether whoever serves by our terms may do so in spite of these: each majority of ours leaves too few of
+    /// theirs to elect somebody, whoever of them dies or comes back.
+    pub(super) fn hinders_nobody(&self, fingerprint: u64, now: Instant) -> bool {
+        let Some(Rival { terms: theirs, .. }) = self.rivals.all.get(&fingerprint) else {
+            return false;
+        };
+        let ours = self.terms.members().iter().filter(|node| self.may_support(node));
+        let elsewhere = ours.filter(|node| !theirs.list(node)).count();
+        // So many of theirs are in each majority of ours; who keeps back is none of those.
+        let mut supporting = self.terms.quorum().saturating_sub(elsewhere);
+        let leads = self.terms.leads(theirs);
+        self.terms.excludes(theirs, |node| {
+            let takes = self.may_support(node) && supporting > 0;
+            supporting -= usize::from(takes);
+            takes || leads && self.keeps(node, fingerprint, theirs, now)
+        })
     }
 
     /// Whether this node, which has said so itself, has terms that differ in their list alone.

@@ -75,6 +75,11 @@ impl Standby {
         Role::Standby { in_step: knows && primary.is_some(), primary }
     }
 
+    /// Whoever serves was told another list.
+    pub(super) fn learns(&self) -> bool {
+        self.primary.is_some() && self.list.is_some()
+    }
+
     /// Whom we promised to vote for, serves no more.
     pub(super) fn release_promise(&mut self, now: Instant) {
         self.promised_until = self.promised_until.min(now);
@@ -248,6 +253,11 @@ impl Replica {
             return self.tell_role();
         }
         standby.inquiring = false;
+        if let Some(before) = &standby.claiming {
+            let others = self.config.members.iter().filter(|member| **member != self.config.own);
+            let unwilling = others.filter(|member| !before.votes.contains_key(*member));
+            self.outage.note_vote(unwilling.cloned().collect());
+        }
         self.tell_role();
         let epoch = self.epoch.max(self.claimed).saturating_add(1);
         self.claimed = epoch;

@@ -3,8 +3,11 @@
 
 mod accord;
 mod component;
+mod election;
 mod exposure;
 mod lists;
+mod outage;
+mod requests;
 mod rivals;
 
 use super::*;
@@ -13,6 +16,8 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 const HELLO: Duration = Duration::from_millis(10);
+/// Whatever is to be done is done on the next of these.
+const STEP: Duration = Duration::from_micros(100);
 
 fn node(index: usize) -> NodeName {
     NodeName::new(&format!("module{index}")).unwrap()
@@ -20,6 +25,12 @@ fn node(index: usize) -> NodeName {
 
 fn index(node: &NodeName) -> usize {
     node.as_str()["module".len()..].parse().unwrap()
+}
+
+/// The first step that is not before this.
+fn on_step(at: Instant) -> Instant {
+    let step = u64::try_from(STEP.as_nanos()).unwrap();
+    Instant::from_nanos(at.as_nanos().div_ceil(step) * step)
 }
 
 fn request(caller: u64, id: MessageId) -> ServiceRequest {
@@ -291,14 +302,16 @@ impl Robot {
         }
     }
 
+    /// In steps of a tenth of a millisecond; those in which nothing is to be done are left out.
     fn advance(&mut self, span: Duration) {
         let end = self.now + span;
+        // Who was cut off, and from whom, changes between two calls only.
+        for (from, to, message) in self.dammed.as_mut().map(std::mem::take).unwrap_or_default() {
+            self.carry(from, to, message);
+        }
         while self.now < end {
-            self.now = self.now + Duration::from_micros(100);
-            for (from, to, message) in self.dammed.as_mut().map(std::mem::take).unwrap_or_default()
-            {
-                self.carry(from, to, message);
-            }
+            let next = self.next_event().map_or(end, |event| event.min(end));
+            self.now = on_step(next.max(self.now + STEP));
             while let Some(entry) = self.wire.first_entry()
                 && entry.key().0 <= self.now
             {
@@ -332,6 +345,25 @@ impl Robot {
         }
     }
 
+    /// When there is something to do next.
+    fn next_event(&self) -> Option<Instant> {
+        let wire = self.wire.keys().map(|(at, _)| *at).next();
+        let waiting = self.callers.iter().filter(|caller| caller.answer.is_none());
+        let asking = waiting.map(|caller| caller.again).min();
+        let running = self.members.iter().zip(&self.stopped).filter(|(_, stopped)| !**stopped);
+        let members = running.filter_map(|(member, _)| {
+            let member = member.as_ref()?;
+            let timeout = member.replica.poll_timeout().map(|due| {
+                // The first moment at which this node's clock has come so far.
+                Instant::from_nanos(due.as_nanos().div_ceil(1000 + member.drift) * 1000)
+            });
+            let done = member.busy.as_ref().map(|(at, _)| *at);
+            let served = self.served_ms.filter(|_| member.inquires).map(Instant::from_millis);
+            [timeout, done, served].into_iter().flatten().min()
+        });
+        members.chain(wire).chain(asking).min()
+    }
+
     fn advance_ms(&mut self, millis: u64) {
         self.advance(Duration::from_millis(millis));
     }
@@ -344,327 +376,5 @@ impl Robot {
 
     fn answers(&self) -> Vec<Option<u64>> {
         self.callers.iter().map(|caller| caller.answer).collect()
-    }
-}
-
-#[test]
-fn the_first_of_the_members_serves_and_all_others_know_it() {
-    let mut robot = Robot::new(1, 3, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
-    assert_eq!(robot.primaries(), [0]);
-    for member in 1..3 {
-        let role = robot.members[member].as_ref().unwrap().replica.role();
-        assert_eq!(role, Role::Standby { primary: Some(node(0)), in_step: true });
-    }
-
-    for sum in 1..=20 {
-        let caller = robot.ask();
-        robot.advance_ms(10);
-        assert_eq!(robot.callers[caller].answer, Some(sum));
-    }
-}
-
-#[test]
-fn a_request_in_flight_completes_once_when_the_primary_is_killed() {
-    for kind in [StandbyKind::Warm, StandbyKind::Hot] {
-        for moment in 0..60 {
-            let mut robot = Robot::new(moment, 3, kind, OnPartition::Stop);
-            robot.advance_ms(100);
-            for _ in 0..5 {
-                robot.ask();
-                robot.advance_ms(5);
-            }
-            let caller = robot.ask();
-            robot.advance(Duration::from_micros(100 * moment));
-            robot.kill(0);
-            robot.advance_ms(100);
-            robot.ask();
-            robot.advance_ms(20);
-
-            let expected: Vec<_> = (1..=7).map(Some).collect();
-            assert_eq!(robot.answers(), expected, "{kind:?}, killed {moment} tenths later");
-            assert!(robot.waited(caller) < Duration::from_millis(50), "{:?}", robot.waited(caller));
-            assert_eq!(robot.overlaps, 0);
-        }
-    }
-}
-
-#[test]
-fn whoever_takes_over_answers_after_one_round_trip_where_the_others_have_what_it_has() {
-    for kind in [StandbyKind::Warm, StandbyKind::Hot] {
-        let mut robot = Robot::new(4, 3, kind, OnPartition::Stop);
-        robot.advance_ms(100);
-        for _ in 0..5 {
-            robot.ask();
-            robot.advance_ms(5);
-        }
-        robot.kill(0);
-        while robot.primaries().is_empty() {
-            robot.advance(Duration::from_micros(100));
-        }
-        let caller = robot.ask();
-        robot.advance_ms(20);
-
-        // Two ways of at most 1.7 ms, and the component's 0.3 ms, twice for a state to be loaded.
-        assert!(robot.waited(caller) <= Duration::from_millis(5), "{:?}", robot.waited(caller));
-        let follower = robot.primaries()[0];
-        let standby = robot.members[3 - follower].as_ref().unwrap().replica.role();
-        assert_eq!(standby, Role::Standby { primary: Some(node(follower)), in_step: true });
-    }
-}
-
-#[test]
-fn nobody_takes_over_before_the_services_that_it_depends_on() {
-    let mut robot = Robot::new(2, 3, StandbyKind::Warm, OnPartition::Stop);
-    robot.served_ms = Some(robot.now.as_nanos() / 1_000_000 + 150);
-    (0..3).for_each(|member| robot.start(member));
-    robot.advance_ms(145);
-    assert_eq!(robot.primaries(), []);
-    robot.advance_ms(30);
-    assert_eq!(robot.primaries().len(), 1, "as soon as they are there");
-
-    // They are lost together with the primary, and come back later.
-    let first = robot.primaries()[0];
-    robot.served_ms = Some(robot.now.as_nanos() / 1_000_000 + 300);
-    robot.kill(first);
-    robot.advance_ms(295);
-    assert_eq!(robot.primaries(), []);
-    robot.advance_ms(30);
-    assert_eq!(robot.primaries().len(), 1);
-    assert_eq!(robot.overlaps, 0);
-}
-
-#[test]
-fn the_return_of_a_node_does_not_take_the_service_back() {
-    for kind in [StandbyKind::Cold, StandbyKind::Warm, StandbyKind::Hot] {
-        let mut robot = Robot::new(3, 3, kind, OnPartition::Stop);
-        robot.advance_ms(100);
-        robot.ask();
-        robot.advance_ms(10);
-        robot.kill(0);
-        robot.advance_ms(100);
-        let follower = robot.primaries();
-        robot.start(0);
-        robot.advance_ms(500);
-
-        assert_eq!(robot.primaries(), follower, "{kind:?}");
-        robot.ask();
-        robot.advance_ms(10);
-        let second = if kind == StandbyKind::Cold { 1 } else { 2 };
-        assert_eq!(robot.answers(), [Some(1), Some(second)]);
-
-        // It is in step again: the next one to go leaves everything to it, or to the third.
-        robot.kill(follower[0]);
-        robot.advance_ms(100);
-        robot.ask();
-        robot.advance_ms(10);
-        let third = if kind == StandbyKind::Cold { 1 } else { 3 };
-        assert_eq!(robot.answers()[2], Some(third), "{kind:?}");
-    }
-}
-
-#[test]
-fn a_primary_without_a_majority_stops_before_anybody_follows() {
-    for seed in 0..40 {
-        let mut robot = Robot::new(seed, 3, StandbyKind::Warm, OnPartition::Stop);
-        robot.advance_ms(100 + seed);
-        assert_eq!(robot.primaries(), [0]);
-        robot.sides = vec![1, 0, 0];
-        robot.advance_ms(100);
-        let follower = robot.primaries();
-        assert!(matches!(follower[..], [1 | 2]), "{seed}: {follower:?}");
-        robot.sides = vec![0, 0, 0];
-        robot.advance_ms(200);
-        assert_eq!(robot.primaries(), follower, "seed {seed}");
-        assert_eq!(robot.overlaps, 0, "seed {seed}");
-    }
-}
-
-#[test]
-fn in_two_halves_nobody_serves_or_both_do_as_it_was_said() {
-    let mut robot = Robot::new(5, 2, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(200);
-    assert_eq!(robot.primaries(), [0]);
-    robot.sides = vec![0, 1];
-    robot.advance_ms(500);
-    assert_eq!(robot.primaries(), []);
-    robot.sides = vec![0, 0];
-    robot.advance_ms(500);
-    assert_eq!(robot.primaries().len(), 1);
-
-    let mut robot = Robot::new(5, 2, StandbyKind::Warm, OnPartition::Continue);
-    robot.advance_ms(200);
-    let first = robot.primaries();
-    assert_eq!(first.len(), 1);
-    robot.sides = vec![0, 1];
-    robot.advance_ms(500);
-    assert_eq!(robot.primaries(), [0, 1]);
-    robot.sides = vec![0, 0];
-    robot.advance_ms(500);
-    assert_eq!(robot.primaries(), [1 - first[0]], "the greater epoch stays");
-}
-
-#[test]
-fn whatever_is_cut_killed_and_started_again_nothing_is_answered_twice_or_forgotten() {
-    for seed in 0_u64..40 {
-        let kind = if seed.is_multiple_of(2) { StandbyKind::Warm } else { StandbyKind::Hot };
-        let mut robot = Robot::new(seed, 3, kind, OnPartition::Stop);
-        let mut chance = Random::new(seed ^ 0xfeed);
-        robot.advance_ms(100);
-        for _ in 0..25 {
-            for _ in 0..3 {
-                robot.ask();
-                robot.advance_ms((chance.unit() * 6.0) as u64);
-            }
-            // One failure at a time, and time to come into step again.
-            let member = (chance.unit() * 3.0) as usize;
-            if chance.chance(0.5) {
-                robot.kill(member);
-                robot.advance_ms(60 + (chance.unit() * 100.0) as u64);
-                robot.start(member);
-            } else {
-                robot.sides[member] = 1;
-                robot.advance_ms((chance.unit() * 120.0) as u64);
-                robot.sides[member] = 0;
-            }
-            robot.advance_ms(250);
-        }
-        robot.advance_ms(500);
-
-        let answers: Vec<u64> =
-            robot.callers.iter().map(|caller| caller.answer.expect("it was answered")).collect();
-        let different: BTreeSet<_> = answers.iter().collect();
-        assert_eq!(different.len(), answers.len(), "seed {seed}: {answers:?}");
-        assert_eq!(answers.iter().max(), Some(&(answers.len() as u64)), "seed {seed}: {answers:?}");
-        assert_eq!(robot.overlaps, 0, "seed {seed}");
-    }
-}
-
-#[test]
-fn who_is_no_member_and_what_is_no_message_is_refused() {
-    let mut robot = Robot::new(1, 3, StandbyKind::Warm, OnPartition::Stop);
-    let own = robot.members[0].as_mut().unwrap();
-    own.replica.handle_message(&NodeName::new("stranger").unwrap(), b"\0\0", robot.now);
-    own.replica.handle_message(&node(1), b"\xff\xff\xff", robot.now);
-    own.replica.handle_message(&node(0), b"\0\0", robot.now);
-    assert_eq!(own.replica.refused(), 3);
-}
-
-#[test]
-fn a_request_that_comes_again_is_answered_from_the_table_and_too_many_are_refused() {
-    let mut robot = Robot::new(1, 1, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
-    let first = robot.ask();
-    robot.advance_ms(10);
-    robot.callers[first].answered = None;
-    robot.callers[first].answer = None;
-    robot.advance_ms(10);
-    assert_eq!(robot.callers[first].answer, Some(1), "it is not counted again");
-
-    let now = robot.clock(robot.members[0].as_ref().unwrap().drift);
-    let own = robot.members[0].as_mut().unwrap();
-    for n in 0..=QUEUE_MAX as u64 {
-        let id = MessageId { sender: 2, sequence: n };
-        own.replica.handle_request(request(n, id), now);
-    }
-    let last = std::iter::from_fn(|| own.replica.poll_output()).last();
-    let outcome = ServiceOutcome::Refused(Why::Full);
-    assert_eq!(last, Some(ReplicaOutput::Answer { caller: QUEUE_MAX as u64, outcome }));
-}
-
-#[test]
-fn a_request_whose_deadline_passed_while_it_waited_is_not_begun() {
-    let mut robot = Robot::new(1, 1, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
-    let now = robot.clock(robot.members[0].as_ref().unwrap().drift);
-    let own = robot.members[0].as_mut().unwrap();
-    let id = |sequence| MessageId { sender: 2, sequence };
-    let soon = Some(now + Duration::from_millis(5));
-    own.replica.handle_request(request(0, id(0)), now);
-    own.replica.handle_request(ServiceRequest { until: soon, ..request(1, id(1)) }, now);
-    own.replica.handle_request(request(2, id(2)), now);
-    while own.replica.poll_output().is_some() {}
-
-    let later = now + Duration::from_millis(6);
-    own.replica.handle_executed(Ok(Bytes::new()), None, later);
-
-    let outputs: Vec<_> = std::iter::from_fn(|| own.replica.poll_output()).collect();
-    let outcome = ServiceOutcome::Refused(Why::DeadlinePassed);
-    assert!(outputs.contains(&ReplicaOutput::Answer { caller: 1, outcome }), "{outputs:?}");
-    let begun = |output: &&ReplicaOutput| matches!(output, ReplicaOutput::Execute { .. });
-    assert_eq!(outputs.iter().filter(begun).count(), 1, "the third, and not the second");
-}
-
-/// A warm primary alone with its followers' messages, after it has served one request with this state.
-fn entries_of(states: &[Vec<u8>]) -> (Vec<usize>, Vec<ReplicaOutput>) {
-    let mut robot = Robot::new(3, 3, StandbyKind::Warm, OnPartition::Stop);
-    robot.advance_ms(100);
-    let (mut lengths, mut others) = (Vec::new(), Vec::new());
-    for (sequence, state) in states.iter().enumerate() {
-        let now = robot.clock(robot.members[0].as_ref().unwrap().drift);
-        let own = robot.members[0].as_mut().unwrap();
-        let id = MessageId { sender: 9, sequence: sequence as u64 };
-        robot.callers.clear();
-        own.replica.handle_request(request(0, id), now);
-        while own.replica.poll_output().is_some() {}
-        own.replica.handle_executed(Ok(Bytes::new()), Some(Ok(state.clone().into())), now);
-        let mut length = 0;
-        while let Some(output) = own.replica.poll_output() {
-            match output {
-                ReplicaOutput::Send { message, .. } => length = length.max(message.len()),
-                ReplicaOutput::Load { .. } => own.replica.handle_loaded(),
-                ReplicaOutput::Answer { .. } => {}
-                other => others.push(other),
-            }
-        }
-        lengths.push(length);
-    }
-    (lengths, others)
-}
-
-#[test]
-fn only_what_has_changed_of_a_state_is_shipped() {
-    let first = vec![1; 100_000];
-    let mut second = first.clone();
-    second[7] = 2;
-
-    let (lengths, _) = entries_of(&[first, second.clone(), second]);
-
-    assert!(lengths[0] > 100_000, "{lengths:?}");
-    assert!(lengths[1] < 100 && lengths[2] < 100, "{lengths:?}");
-}
-
-#[test]
-fn a_request_that_makes_the_state_too_large_fails_and_is_undone_and_the_fault_told_once() {
-    let large = vec![1; STATE_MAX + 1];
-    let (lengths, others) = entries_of(&[vec![1; 8], large.clone(), large, vec![1; 9]]);
-
-    assert!(lengths.iter().all(|length| *length < 200), "{lengths:?}");
-    let [ReplicaOutput::Fault { detail, .. }] = &others[..] else { panic!("{others:?}") };
-    assert!(detail.contains("too large") || detail.contains("larger"), "{detail}");
-}
-
-#[test]
-fn replies_are_kept_until_their_callers_have_them_and_no_longer() {
-    for kind in [StandbyKind::Warm, StandbyKind::Hot] {
-        let mut robot = Robot::new(8, 3, kind, OnPartition::Stop);
-        robot.advance_ms(100);
-        for _ in 0..50 {
-            robot.ask();
-            robot.advance_ms(4);
-        }
-        for member in robot.members.iter().flatten() {
-            let kept = (0..50).filter(|sequence| {
-                member.replica.table.find(MessageId { sender: 1, sequence: *sequence }).is_some()
-            });
-            assert!(kept.count() <= 4, "{kind:?}");
-        }
-        // One that has wandered about is not served again.
-        let late = MessageId { sender: 1, sequence: 3 };
-        let now = robot.clock(robot.members[0].as_ref().unwrap().drift);
-        let own = robot.members[0].as_mut().unwrap();
-        own.replica.handle_request(request(0, late), now);
-        let outcome = ServiceOutcome::Refused(Why::Expired);
-        assert_eq!(own.replica.poll_output(), Some(ReplicaOutput::Answer { caller: 0, outcome }));
     }
 }

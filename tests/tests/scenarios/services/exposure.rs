@@ -1,14 +1,6 @@
 //! Services of whose state nobody but the primary holds a copy.
 
 use super::*;
-use blastema::{Fault, FaultKind};
-
-/// A fault of this code that stands in this node's record.
-async fn standing(node: &TestNode, kind: &FaultKind) -> Option<Fault> {
-    let record = node.faults().await;
-    let standing = record.entries.into_iter().filter(|entry| entry.ended.is_none());
-    standing.map(|entry| entry.fault).find(|fault| fault.kind == *kind)
-}
 
 /// Its component dies until the node comes to safe rest.
 async fn bring_to_rest(node: &TestNode) {

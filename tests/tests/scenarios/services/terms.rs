@@ -1,7 +1,6 @@
 //! Nodes that were told different things of one service.
 
 use super::*;
-use blastema::FaultKind;
 
 const LOOK: Duration = Duration::from_millis(1200);
 
@@ -70,7 +69,7 @@ async fn of_nodes_that_list_other_members_one_at_most_serves_and_each_says_what_
 }
 
 #[blastema_testkit::test]
-async fn whoever_asks_a_disputed_service_is_told_why_and_what_to_write() {
+async fn whoever_asks_a_disputed_service_is_told_at_the_deadline_why_and_what_to_write() {
     let medium = MemoryMedium::default();
     let asker = TestNode::start(node("module0", &medium)).await;
     let _nodes = [
@@ -81,11 +80,79 @@ async fn whoever_asks_a_disputed_service_is_told_why_and_what_to_write() {
 
     let counter = asker.service::<Add>("counter").unwrap();
     let asked_at = now();
-    let refused = counter.ask(Add(1)).await.unwrap_err();
-    assert!(now() - asked_at < 500 * MS, "{:?}", now() - asked_at);
+    let refused = counter.ask_within(Add(1), 1000 * MS).await.unwrap_err();
+    let waited = now() - asked_at;
+    assert!(waited >= 1000 * MS && waited < 1100 * MS, "it might have ended: {waited:?}");
     let Why::ContractDiffers { difference } = &refused.why else { panic!("{refused}") };
     assert!(difference.contains("its standbys are"), "{difference}");
     assert!(difference.contains("StandbyKind::Hot"), "{difference}");
+}
+
+/// What those mean who were given another version.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "counter/add", reply = u64)]
+struct AddParts {
+    thousandths: i64,
+}
+
+#[blastema_testkit::test]
+async fn whoever_means_another_contract_than_the_service_is_told_at_once() {
+    let robot = Robot::start(StandbyKind::Warm).await;
+    let counter = robot.asker.service::<AddParts>("counter").unwrap();
+    let asked_at = now();
+
+    let refused = counter.ask(AddParts { thousandths: 1 }).await.unwrap_err();
+
+    assert!(matches!(refused.why, Why::ContractDiffers { .. }), "{refused}");
+    assert!(now() - asked_at < 100 * MS, "{:?}", now() - asked_at);
+}
+
+#[blastema_testkit::test]
+async fn whoever_asks_while_nodes_are_at_odds_is_answered_when_they_agree() {
+    let medium = MemoryMedium::default();
+    let asker = TestNode::start(node("module0", &medium)).await;
+    let slow = on(&MEMBERS).hello_every(20 * MS);
+    let wrong = TestNode::start(node("module1", &medium).service(slow)).await;
+    let nodes = [
+        start("module2", &medium, on(&MEMBERS)).await,
+        start("module3", &medium, on(&MEMBERS)).await,
+    ];
+    asker.advance(3000 * MS).await;
+    assert_eq!(serving(&nodes), 0);
+
+    let counter = asker.service::<Add>("counter").unwrap();
+    let meanwhile = async {
+        asker.advance(1000 * MS).await;
+        wrong.shutdown().await;
+        asker.advance(2000 * MS).await;
+    };
+    let (answered, ()) = tokio::join!(counter.ask_within(Add(1), 5000 * MS), meanwhile);
+
+    assert_eq!(answered.map_err(|error| error.why), Ok(1));
+    assert_eq!(add(&asker).await, Ok(2), "it took effect once");
+}
+
+#[blastema_testkit::test]
+async fn where_somebody_may_have_begun_a_dispute_that_lasts_leaves_the_outcome_unknown() {
+    let mut robot = Robot::start(StandbyKind::Warm).await;
+    let counter = robot.asker.service::<Add>("counter").unwrap();
+    assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.why), Ok(1));
+    let first = robot.primary();
+    robot.cut(first);
+    for member in (0..3).filter(|member| *member != first) {
+        robot.members[member].shutdown().await;
+        let hello = MS * (20 + u32::try_from(member).unwrap());
+        let spec = on(&MEMBERS).hello_every(hello);
+        let again = node(MEMBERS[member], &robot.medium).service(spec);
+        robot.members[member] = TestNode::start(again).await;
+    }
+    robot.asker.advance(3000 * MS).await;
+
+    // It asks whom it knows, and cannot know what became of it there.
+    let failed = counter.ask_within(Add(1), 1000 * MS).await.unwrap_err();
+
+    let Why::OutcomeUnknown { reason } = &failed.why else { panic!("{failed}") };
+    assert!(reason.contains("its primary says hello every"), "{reason}");
 }
 
 async fn add(node: &TestNode) -> Result<u64, Why> {
@@ -176,6 +243,41 @@ async fn while_a_list_is_changed_node_by_node_the_service_goes_on_and_forgets_no
             sum += 1;
             assert_eq!(add(&nodes[0]).await, Ok(sum), "{own} was told {after:?}");
         }
+    }
+}
+
+#[blastema_testkit::test]
+async fn whoever_asks_while_a_list_is_changed_by_killing_node_after_node_is_answered_once() {
+    const BEFORE: [&str; 4] = ["module0", "module1", "module2", "module3"];
+    let medium = MemoryMedium::default();
+    let asker = start("module0", &medium, on(&BEFORE)).await;
+    let mut nodes = vec![];
+    for own in MEMBERS {
+        nodes.push(start(own, &medium, on(&BEFORE)).await);
+    }
+    asker.advance(2000 * MS).await;
+    let counter = asker.service::<Add>("counter").unwrap();
+    let mut sum = 0;
+    for own in MEMBERS.iter().rev() {
+        let at = nodes.iter().position(|node| node.name().as_str() == *own).expect("it is there");
+        // Without a word.
+        drop(nodes.remove(at));
+        let change = async {
+            nodes.push(start(own, &medium, on(&MEMBERS)).await);
+            asker.advance(3000 * MS).await;
+        };
+        let ask = async {
+            let mut answers = vec![];
+            for _ in 0..10 {
+                let answer = counter.ask_within(Add(1), 5000 * MS).await;
+                answers.push(answer.map_err(|error| error.why));
+            }
+            answers
+        };
+        let (answers, ()) = tokio::join!(ask, change);
+        let expected: Vec<_> = (sum + 1..=sum + 10).map(Ok).collect();
+        assert_eq!(answers, expected, "{own} was told another list");
+        sum += 10;
     }
 }
 

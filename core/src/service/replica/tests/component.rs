@@ -94,6 +94,28 @@ fn a_member_without_the_state_is_not_elected_while_those_who_have_it_stand_still
 }
 
 #[test]
+fn a_member_whose_component_dies_while_it_stands_for_election_is_not_elected() {
+    for rests in [false, true] {
+        for moment in 0..60 {
+            let mut robot = Robot::new(moment, 3, StandbyKind::Hot, OnPartition::Stop);
+            robot.advance_ms(100);
+            robot.ask_some(3);
+            robot.kill(0);
+            robot.advance(Duration::from_micros(25_000 + 300 * moment));
+            match rests {
+                true => robot.rest(1, true),
+                false => robot.lose(1),
+            }
+            robot.ask_some(2);
+            robot.advance_ms(300);
+
+            robot.assert_nothing_is_lost(&format!("rests: {rests}, moment {moment}"));
+            assert_eq!(robot.losses, 0);
+        }
+    }
+}
+
+#[test]
 fn a_member_without_the_state_helps_to_elect_the_last_one_that_has_it() {
     for standby in [1, 2] {
         let mut robot = Robot::new(4, 3, StandbyKind::Hot, OnPartition::Stop);

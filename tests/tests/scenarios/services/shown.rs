@@ -1,0 +1,66 @@
+//! Services as their nodes show them.
+
+use super::*;
+use blastema::{ServiceRow, ServiceState};
+
+fn row(node: &TestNode) -> ServiceRow {
+    let rows = node.services();
+    let [row] = &rows[..] else { panic!("{}: {rows:?}", node.name()) };
+    row.clone()
+}
+
+fn unheard(node: &TestNode) -> Vec<String> {
+    row(node).unheard.iter().map(ToString::to_string).collect()
+}
+
+#[blastema_testkit::test]
+async fn each_node_shows_what_it_is_to_a_service_who_serves_and_who_is_not_there() {
+    let robot = Robot::start(StandbyKind::Hot).await;
+    let first = robot.primary();
+    let others: Vec<_> = (0..3).filter(|member| *member != first).collect();
+    for (member, own) in robot.members.iter().enumerate() {
+        let row = row(own);
+        let state = if member == first { ServiceState::Primary } else { ServiceState::Standby };
+        assert_eq!((row.name.as_str(), row.state), ("counter", state), "{}", own.name());
+        assert_eq!(row.primary.as_ref(), Some(robot.members[first].name()));
+        assert_eq!((row.kind, row.members.len(), row.unprotected), (StandbyKind::Hot, 3, false));
+        assert_eq!(unheard(own), [""; 0]);
+        assert!(row.epoch > 0 && row.since > 1000 * MS && row.age <= 600 * MS, "{row:?}");
+    }
+    assert_eq!(robot.asker.services(), []);
+
+    robot.cut(first);
+    robot.asker.advance(2000 * MS).await;
+    let cut_off = row(&robot.members[first]);
+    assert_eq!((cut_off.state, cut_off.primary), (ServiceState::Candidate, None));
+    let away: Vec<_> = others.iter().map(|member| MEMBERS[*member]).collect();
+    assert_eq!(unheard(&robot.members[first]), away);
+    let next = robot.primary();
+    let last = 3 - first - next;
+    assert_eq!(row(&robot.members[next]).state, ServiceState::Primary);
+    assert_eq!(row(&robot.members[last]).state, ServiceState::Standby);
+    assert!(row(&robot.members[next]).epoch > cut_off.epoch);
+    assert_eq!(unheard(&robot.members[next]), [MEMBERS[first]]);
+
+    robot.members[last].remove_child("counter/replica").await.unwrap();
+    robot.asker.advance(500 * MS).await;
+    assert_eq!(row(&robot.members[last]).state, ServiceState::Resting);
+    assert!(row(&robot.members[next]).unprotected);
+    let picture = robot.members[next].picture().await.to_json();
+    assert!(picture.contains(r#""services":[{"#) && picture.contains(r#""unprotected":true"#));
+}
+
+#[blastema_testkit::test]
+async fn nodes_that_were_told_different_things_are_shown_as_fenced() {
+    let medium = MemoryMedium::default();
+    let both = || ServiceSpec::new("counter", ["module1", "module2"], Counter::default);
+    let nodes = [
+        TestNode::start(node("module1", &medium).service(both())).await,
+        TestNode::start(node("module2", &medium).service(both().standby(StandbyKind::Hot))).await,
+    ];
+    nodes[0].advance(3000 * MS).await;
+
+    for node in &nodes {
+        assert_eq!(row(node).state, ServiceState::Fenced, "{}", node.name());
+    }
+}
