@@ -319,12 +319,16 @@ impl Isolation {
                 let here = self.peers.iter().chain([&self.own]).chain(votes.keys());
                 let here: BTreeSet<_> =
                     here.filter(|voter| *voter != node && !self.is_isolated(voter)).collect();
-                let many = |isolated| {
-                    let agree = votes.values().filter(|vote| vote.isolated == isolated).count();
-                    agree * 2 > here.len()
+                let many = |says: &dyn Fn(&&Vote) -> bool| {
+                    votes.values().filter(says).count() * 2 > here.len()
                 };
-                let own = votes.get(&self.own).is_some_and(|vote| vote.isolated);
-                if own { !many(false) } else { many(true) }
+                match votes.get(&self.own) {
+                    // What was said of it before does not outdo it.
+                    Some(own) if own.isolated => {
+                        !many(&|vote| !vote.isolated && vote.revision > own.revision)
+                    }
+                    _ => many(&|vote| vote.isolated),
+                }
             }
         }
     }
@@ -520,6 +524,22 @@ mod tests {
 
         assert_eq!(robot.said, Ok(()), "and that makes room");
         assert_eq!(robot.refuse("b"), "a");
+    }
+
+    #[test]
+    fn what_others_said_before_does_not_outdo_a_nodes_own_word() {
+        let mut robot = Robot::new(&["a", "b", "c", "d"], &Judges::Majority);
+        for voter in ["b", "c"] {
+            robot.decides(voter, "d", false);
+        }
+
+        robot.decides("a", "d", true);
+        assert_eq!(robot.refuse("d"), "a");
+
+        for voter in ["b", "c"] {
+            robot.decides(voter, "d", false);
+        }
+        assert_eq!(robot.refuse("d"), "", "a majority lets it in");
     }
 
     #[test]
