@@ -58,8 +58,8 @@ use bytes::Bytes;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// The version of what sessions say to each other.
-pub const VERSION: u8 = 1;
+/// The version of what sessions say to each other. From 2 on whole messages come between the parts of a large one.
+pub const VERSION: u8 = 2;
 
 /// The machine of one peer node's sessions, one after the other.
 #[derive(Debug)]
