@@ -25,8 +25,8 @@ use std::time::Duration;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RetryRule {
-    /// How often it is asked at most, the first time included. More outlasts longer faults; each that is
-    /// served is work for the receiver.
+    /// How often it is asked at most, the first time included; 0 is taken for 1. More outlasts longer faults;
+    /// each that is served is work for the receiver.
     pub attempts: u32,
     /// How long to wait in between. Longer spares a receiver that has no room.
     pub backoff: Backoff,
