@@ -454,6 +454,22 @@ mod tests {
     }
 
     #[test]
+    fn an_event_that_is_not_sent_is_counted_under_what_hinders_it() {
+        let (gate, _) = gate();
+        for (condition, reason) in [
+            (Condition::Open, DeadReason::WayFull),
+            (Condition::Opening, DeadReason::Restarting),
+            (Condition::Unreachable, DeadReason::Unreachable),
+            (Condition::Left, DeadReason::Left),
+        ] {
+            gate.set(condition);
+            assert_eq!(gate.why_not(), reason);
+        }
+        gate.isolate();
+        assert_eq!(gate.why_not(), DeadReason::Isolated);
+    }
+
+    #[test]
     fn whoever_waits_with_bulk_is_not_woken_by_room_for_what_is_small() {
         paused(async {
             let (gate, object) = gate();
