@@ -58,6 +58,7 @@ fn numbers_of_the_node_that_make_no_sense_are_refused() {
         let below = SupervisorSpec::new("drive", Strategy::OneForOne).intensity(3, Duration::ZERO);
         refused(node().supervisor(below), &["of drive"]).await;
         taken(node().intensity(0, Duration::MAX).child(lamp())).await;
+        taken(node().intensity(0, Duration::ZERO).child(lamp())).await;
     });
 }
 

@@ -70,7 +70,8 @@ pub(crate) enum Job {
     /// Show what a running node knows of itself
     ///
     /// Its objects with what the monitor thinks of each, the threads that components live on, links,
-    /// sessions with other nodes, claimed names, actuators and who commands them, and faults, as they are now.
+    /// sessions with other nodes, claimed names, services and who serves them, actuators and who commands them,
+    /// and faults, as they are now.
     /// A node is shown where its program gave it a window, by `NodeBuilder::shown_at`, to the user who runs
     /// it, and nobody else. What is not known is a dash; a table that is left out is empty, and one whose part
     /// of the node has not answered says so. Nothing can be changed from here.
@@ -258,6 +259,7 @@ mod tests {
                 "10ms to 1h",
                 "[default: 10s]",
                 "shown_at",
+                "services and who serves them",
                 "watch -n 1",
                 "Exit status",
                 "those named before it were",

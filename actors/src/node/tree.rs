@@ -177,7 +177,7 @@ pub(super) struct PlantedFacts {
 
 /// Restarts that a supervisor may count: each of them is remembered for one period.
 const INTENSITY_MAX: u32 = 1_000_000;
-/// In a shorter period there is never more than one restart, so that a storm of them would go on for ever.
+/// In a shorter period there is hardly ever more than one restart, so that a storm of them would go on for ever.
 const PERIOD_MIN: Duration = Duration::from_millis(1);
 
 impl SupervisorSpec {
@@ -188,7 +188,8 @@ impl SupervisorSpec {
             let value = intensity.to_string();
             return Err(SpecError::setting(&self.name, "the intensity", value, cure));
         }
-        if period < PERIOD_MIN {
+        // Where none is allowed, each is too many, whatever the period.
+        if intensity > 0 && period < PERIOD_MIN {
             let cure = "no restarts would ever be too many: write 1 ms at least";
             let value = format!("{period:?}");
             return Err(SpecError::setting(&self.name, "the intensity's period", value, cure));

@@ -47,7 +47,8 @@ pub struct ServiceRow {
     pub unheard: Vec<NodeName>,
     /// This node serves, and too few others hold the state: the fault *service unprotected* says whom to look after.
     pub unprotected: bool,
-    /// How long ago the replica has said so: it does each time that something changes, and twice a second.
+    /// How long ago the replica has said so: it does when its role or a fault changes, and twice a
+    /// second.
     pub age: Duration,
 }
 

@@ -177,15 +177,15 @@ impl Isolation {
         if *node == self.own {
             return Err(NoSay::Oneself);
         }
-        let about = self.votes.get(node);
-        let own = about.and_then(|votes| votes.get(&self.own));
+        let own = self.votes.get(node).and_then(|votes| votes.get(&self.own));
         if own.is_some_and(|vote| vote.isolated && isolated) && self.is_isolated(node) {
             return Ok(());
         }
-        if own.is_none() && self.count_of(&self.own) >= VOTES_MAX {
+        if own.is_none() && !self.makes_room_for(&self.own.clone()) {
             self.refused += 1;
             return Err(NoSay::TooMany { limit: VOTES_MAX });
         }
+        let about = self.votes.get(node);
         // That it is admitted is said even where nobody is known to have objected: an earlier life of
         // this node may have.
         let newest = about.into_iter().flat_map(BTreeMap::values).map(|vote| vote.revision).max();
@@ -228,18 +228,19 @@ impl Isolation {
             self.refused += 1;
             return;
         };
-        let mut count = self.count_of(from);
-        let crowded = count == 0 && self.voters().len() >= VOTERS_MAX;
+        let mut crowded = self.count_of(from) == 0 && self.voters().len() >= VOTERS_MAX;
         for (node, isolated, revision, cause) in votes {
             if node == self.own {
                 // It is for the others to keep this node out.
                 continue;
             }
+            let is_new = self.votes.get(&node).is_none_or(|votes| !votes.contains_key(from));
+            // What is too much once is so for the rest of the message, and not sought again.
+            crowded |= node != *from && is_new && !crowded && !self.makes_room_for(from);
             let known = self.votes.get(&node).and_then(|votes| votes.get(from));
-            if node == *from || crowded || known.is_none() && count >= VOTES_MAX {
+            if node == *from || crowded {
                 self.refused += 1;
             } else if known.is_none_or(|known| life != known.life || revision > known.revision) {
-                count += usize::from(known.is_none());
                 let cause = cause.chars().take(CAUSE_MAX).collect();
                 let vote = Vote { isolated, life, revision, cause };
                 self.votes.entry(node.clone()).or_default().insert(from.clone(), vote);
@@ -257,6 +258,20 @@ impl Isolation {
         };
         let votes = self.votes.iter().filter_map(own).collect();
         codec::encode_unbounded(&Ballot { life: self.life, votes }).into()
+    }
+
+    /// Whether this one may vote on one more. Its word that somebody is let in, where nobody says otherwise any
+    /// more, gives way.
+    fn makes_room_for(&mut self, voter: &NodeName) -> bool {
+        if self.count_of(voter) < VOTES_MAX {
+            return true;
+        }
+        let is_spent = |votes: &BTreeMap<NodeName, Vote>| {
+            votes.contains_key(voter) && votes.values().all(|vote| !vote.isolated)
+        };
+        let spent = self.votes.iter().find(|(_, votes)| is_spent(votes)).map(|(about, _)| about);
+        let spent = spent.cloned().and_then(|about| self.votes.get_mut(&about));
+        spent.is_some_and(|votes| votes.remove(voter).is_some())
     }
 
     fn count_of(&self, voter: &NodeName) -> usize {
@@ -500,6 +515,11 @@ mod tests {
         assert_eq!(robot.refuse("b"), "");
         robot.decides("a", "n0", false);
         assert_eq!(robot.said, Ok(()), "what it has said once it can take back");
+
+        robot.decides("a", "b", true);
+
+        assert_eq!(robot.said, Ok(()), "and that makes room");
+        assert_eq!(robot.refuse("b"), "a");
     }
 
     #[test]

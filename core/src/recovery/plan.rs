@@ -241,6 +241,7 @@ impl Plan {
             check_ladder(kind.to_string(), kind, ladder, &strategies)?;
         }
         for (kind, ladder) in &self.abroad {
+            check_code(kind)?;
             check_ladder(format!("{kind} of other nodes"), kind, ladder, &strategies)?;
             let local =
                 |step: &&Step| !matches!(step.measure, Measure::Observe | Measure::Custom(_));
@@ -492,6 +493,8 @@ mod tests {
         assert!(message(&good().on(own(""), ladder())).contains("give it one"));
         let of_one = good().on_component(name("laser"), own("B02"), ladder());
         assert!(message(&of_one).contains("\"B02\""));
+        let abroad = good().on_other_nodes(own("B04"), ladder());
+        assert!(message(&abroad).contains("\"B04\""));
         let declared = Plan::default().check([], &[own("B03")], []).expect_err("B03 is taken");
         assert!(matches!(declared, PlanError::Code { .. }), "{declared}");
     }

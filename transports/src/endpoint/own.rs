@@ -105,7 +105,10 @@ pub(super) fn check_udp(config: &UdpConfig) -> Result<(), String> {
             "{group} is no group for one's own use with a port: write one as in 239.255.0.1:7400"
         ));
     }
-    check_bounds([("hops", config.hops as usize)])
+    match config.hops {
+        0 => Err("hops is 0, so that nothing leaves this computer: 1 at least".into()),
+        _ => Ok(()),
+    }
 }
 
 #[cfg(feature = "tcp")]
@@ -119,14 +122,14 @@ pub(super) fn check_tcp(config: &TcpConfig) -> Result<(), String> {
         ("queue_bytes", config.queue_bytes),
     ])?;
     let spans = [
-        ("connect_timeout", config.connect_timeout),
-        ("hello_timeout", config.hello_timeout),
-        ("user_timeout", config.user_timeout),
+        ("connect_timeout", config.connect_timeout, "every connection fails"),
+        ("hello_timeout", config.hello_timeout, "every connection fails"),
+        ("user_timeout", config.user_timeout, "the system takes its own, a quarter of an hour"),
     ];
-    match spans.into_iter().find(|(_, span)| *span < Duration::from_millis(1)) {
+    match spans.into_iter().find(|(_, span, _)| *span < Duration::from_millis(1)) {
         None => Ok(()),
-        Some((name, span)) => {
-            Err(format!("{name} is {span:?}, and every connection fails: give it 1 ms at least"))
+        Some((name, span, then)) => {
+            Err(format!("{name} is {span:?}, and {then}: give it 1 ms at least"))
         }
     }
 }

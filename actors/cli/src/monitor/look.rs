@@ -63,15 +63,25 @@ pub(super) struct Seen {
     pub(super) picture: Value,
 }
 
+/// Who is at the other end of a window.
+#[derive(Clone, Copy)]
+enum Peer {
+    /// Nobody has taken the connection.
+    Unreached,
+    /// A process, by its number; there is none for one of a container that we cannot look into.
+    There { process: Option<i32> },
+}
+
 /// Looks once.
 ///
 /// # Errors
 /// What is there instead of a node, and what to do.
 pub(super) async fn look(path: &Path, within: Duration) -> Result<Seen, LookError> {
-    let mut process = None;
+    let mut peer = Peer::Unreached;
     let looked = timeout(within, async {
         let window = connect(path).await?;
-        process = window.peer_cred().ok().and_then(|peer| peer.pid());
+        let number = window.peer_cred().ok().and_then(|peer| peer.pid());
+        peer = Peer::There { process: number.filter(|number| *number > 0) };
         let mut bytes = Vec::new();
         window.take(LONGEST).read_to_end(&mut bytes).await?;
         Ok::<_, io::Error>(bytes)
@@ -84,7 +94,7 @@ pub(super) async fn look(path: &Path, within: Duration) -> Result<Seen, LookErro
             Err(LookError::Nobody { path: path.to_owned(), reason: explain(path, &error) })
         }
         Err(_) => {
-            Err(LookError::Silent { path: path.to_owned(), within, reason: silence_of(process) })
+            Err(LookError::Silent { path: path.to_owned(), within, reason: silence_of(peer) })
         }
     }
 }
@@ -167,18 +177,24 @@ fn explain(path: &Path, error: &io::Error) -> String {
 }
 
 /// What may be known of a process that does not answer.
-fn silence_of(process: Option<i32>) -> String {
-    let Some(process) = process else {
-        return "others wait there, too: it stands still, or is looked at without end; try again"
-            .to_owned();
+fn silence_of(peer: Peer) -> String {
+    let process = match peer {
+        Peer::Unreached => {
+            return "others wait there, too: it stands still, or is looked at without end; try again"
+                .to_owned();
+        }
+        Peer::There { process: Some(process) } if is_stopped(process) => {
+            return format!(
+                "its process {process} is stopped; `kill -CONT {process}` lets it go on"
+            );
+        }
+        Peer::There { process: Some(process) } => format!("its process {process}"),
+        Peer::There { process: None } => "its process".to_owned(),
     };
-    match is_stopped(process) {
-        true => format!("its process {process} is stopped; `kill -CONT {process}` lets it go on"),
-        false => format!(
-            "its process {process} stands still or has too much to do, or this is not a node's window; \
-             try again, or give it longer by --within"
-        ),
-    }
+    format!(
+        "{process} stands still or has too much to do, or this is not a node's window; try again, or give it \
+         longer by --within"
+    )
 }
 
 /// Whether a signal, or a debugger, has stopped it. Only Linux tells.

@@ -231,8 +231,10 @@ impl Accord {
         };
         let terms: BTreeSet<u64> =
             self.known.values().filter(|known| away(known)).filter_map(differing).collect();
-        let harmless: BTreeSet<u64> =
-            terms.into_iter().filter(|terms| self.hinders_nobody(*terms, now)).collect();
+        // Who is kept out by it is to be told why.
+        let enough = self.agreeing() >= self.terms.quorum();
+        let is_harmless = |terms: &u64| enough && self.hinders_nobody(*terms, now);
+        let harmless: BTreeSet<u64> = terms.into_iter().filter(is_harmless).collect();
         for known in self.known.values_mut() {
             let terms = differing(known).filter(|terms| harmless.contains(terms));
             known.quiet = terms.is_some() && away(known);

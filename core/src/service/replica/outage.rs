@@ -99,7 +99,7 @@ impl Replica {
         }
         let roll = self.accord.roll(&self.config);
         if self.accord.is_hopeless() || !roll.differing.is_empty() {
-            let who = match roll.differing.is_empty() {
+            let who = match self.accord.is_overfull() {
                 true => "more than can be told apart".to_owned(),
                 false => some_of(&roll.differing, ", "),
             };

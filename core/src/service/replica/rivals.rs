@@ -138,7 +138,6 @@ impl Accord {
             return false;
         }
         let supports = |node: &NodeName| self.may_support(node);
-        let ours = self.terms.members().iter().filter(|node| self.may_support(node)).count();
         // Who is there is about to be told, if it was not yet.
         let keeps = |node: &NodeName, fingerprint: u64| {
             let known = self.known.get(node).filter(|known| holds(&known.opinion, fingerprint));
@@ -148,7 +147,17 @@ impl Accord {
             let leads = self.terms.leads(theirs);
             self.terms.excludes(theirs, |node| supports(node) || leads && keeps(node, fingerprint))
         });
-        self.rivals.overflow || ours < self.terms.quorum() || !excluded
+        self.rivals.overflow || self.agreeing() < self.terms.quorum() || !excluded
+    }
+
+    /// The members that may support whoever serves by our terms.
+    pub(super) fn agreeing(&self) -> usize {
+        self.terms.members().iter().filter(|node| self.may_support(node)).count()
+    }
+
+    /// More was met than can be reckoned with.
+    pub(super) fn is_overfull(&self) -> bool {
+        self.rivals.overflow
     }
 
     /// Whether whoever serves by our terms may do so in spite of these: each majority of ours leaves too few of

@@ -246,6 +246,21 @@ fn of_a_wrong_node_that_is_gone_for_a_minute_nothing_is_told_where_it_hinders_no
 }
 
 #[test]
+fn wrong_nodes_that_are_gone_are_told_of_as_long_as_too_few_are_left_to_serve() {
+    let mut robot = Robot::told(&[&[0, 1, 2], &[1, 2], &[1, 2]]);
+    robot.look_around(SECOND);
+    for wrong in [1, 2] {
+        robot.kill(wrong);
+        robot.disputes.remove(&wrong);
+    }
+
+    robot.look_around(150 * SECOND);
+
+    assert_eq!(robot.disputing(), [0], "it is fenced, and says why");
+    assert_eq!(robot.primaries().len(), 0);
+}
+
+#[test]
 fn a_wrong_node_that_is_gone_is_told_of_as_long_as_it_might_serve_where_it_is() {
     // Another hello; and one that was met, and never answered.
     let mut robot = Robot::told(&[&[0, 1, 2], &[0, 1, 2], &[0, 1, 2]]);
