@@ -165,15 +165,20 @@ impl DeadLetters {
 
     /// Takes note of one message that was not delivered.
     pub fn handle(&mut self, letter: DeadLetter) {
+        self.handle_many(letter, 1);
+    }
+
+    /// Takes note of so many that were not delivered, all alike, of which one is remembered among the latest.
+    pub fn handle_many(&mut self, letter: DeadLetter, many: u64) {
         let DeadLetter { node, object, contract, reason, .. } = letter.clone();
         let key = (node, object, contract, reason);
         let room = self.counts.len() < self.limits.counts;
         match self.counts.get_mut(&key) {
-            Some(count) => *count += 1,
+            Some(count) => *count += many,
             None if room => {
-                self.counts.insert(key, 1);
+                self.counts.insert(key, many);
             }
-            None => self.beyond += 1,
+            None => self.beyond += many,
         }
         if self.latest.len() >= self.limits.latest {
             self.latest.pop_front();

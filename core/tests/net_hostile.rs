@@ -9,6 +9,7 @@ use blastema_core::net::message::Message;
 use blastema_core::net::packet::{Packet, Payload};
 use blastema_core::net::router::{Health, LinkStatus};
 use blastema_core::net::segment::{Ack, Data, Datagram, Open, Piece, Segment, Stream};
+use blastema_core::net::session::VERSION;
 use blastema_core::net::{
     Class, Exchange, Link, LinkNumber, Neighbour, NodeId, Router, RouterConfig, Session,
     SessionConfig, SessionOutput,
@@ -61,7 +62,7 @@ fn genuine() -> Vec<Bytes> {
         ack: Some(ack.clone()),
         payload: payload.clone().into(),
     };
-    let open = Open { version: 1, tag: 9, echo: 0, incarnation: Incarnation(1), number: 1 };
+    let open = Open { version: VERSION, tag: 9, echo: 0, incarnation: Incarnation(1), number: 1 };
     let segment = Segment::Data(data).encode();
     let packet = Packet {
         class: Class::Data,
@@ -161,7 +162,8 @@ fn session() -> (Session, u32) {
     let Ok(Segment::Open(Open { tag, .. })) = Segment::decode(segment.clone().into_bytes()) else {
         panic!("it says who it is first");
     };
-    let answer = Open { version: 1, tag: 9, echo: tag, incarnation: Incarnation(1), number: 1 };
+    let answer =
+        Open { version: VERSION, tag: 9, echo: tag, incarnation: Incarnation(1), number: 1 };
     session.handle_segment(Segment::Open(answer).encode(), Instant::ORIGIN);
     assert_eq!(session.peer(), Some(Incarnation(1)));
     (session, tag)

@@ -47,9 +47,19 @@ impl DeadLetterOffice {
         contract: impl Into<Cow<'static, str>>,
         why: &Why,
     ) {
-        let (object, contract) = (object.clone(), contract.into());
-        let (reason, at) = (DeadReason::from(why), platform::now());
-        self.lock().handle(DeadLetter { node, object, contract, reason, at });
+        self.take_many(node, object, contract, (why.into(), 1));
+    }
+
+    /// The same of so many, given up together.
+    pub(crate) fn take_many(
+        &self,
+        node: Option<NodeName>,
+        object: &ObjectName,
+        contract: impl Into<Cow<'static, str>>,
+        (reason, many): (DeadReason, u64),
+    ) {
+        let (object, contract, at) = (object.clone(), contract.into(), platform::now());
+        self.lock().handle_many(DeadLetter { node, object, contract, reason, at }, many);
     }
 
     /// How many messages were not delivered.

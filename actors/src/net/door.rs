@@ -7,6 +7,7 @@ use crate::platform;
 use crate::registry::{Asked, RemoteDoor, RemoteDoors};
 use actix::Recipient;
 use blastema_contract::session::Credit;
+use blastema_core::dead_letters::DeadReason;
 use blastema_core::net::Load;
 use blastema_core::net::segment::Stream;
 use blastema_core::net::session::PAYLOAD_MAX;
@@ -216,11 +217,13 @@ impl Gate {
     }
 
     /// Why an event is not sent there now.
-    pub(super) fn why_not(&self, freight: Freight) -> Why {
+    pub(super) fn why_not(&self) -> DeadReason {
         match self.condition() {
-            _ if self.is_isolated() => Why::Isolated,
-            Condition::Open => self.way_full(freight),
-            _ => Why::Unreachable { node: self.node.to_string() },
+            _ if self.is_isolated() => DeadReason::Isolated,
+            Condition::Open => DeadReason::WayFull,
+            Condition::Opening => DeadReason::Restarting,
+            Condition::Unreachable => DeadReason::Unreachable,
+            Condition::Left => DeadReason::Left,
         }
     }
 
@@ -448,6 +451,22 @@ mod tests {
         gate.stream_is_full(Stream::Data, Load::Small);
         let full = Why::WayFull { node: node(), bulk: false };
         assert_eq!(gate.check(&object, SMALL), Err(full));
+    }
+
+    #[test]
+    fn an_event_that_is_not_sent_is_counted_under_what_hinders_it() {
+        let (gate, _) = gate();
+        for (condition, reason) in [
+            (Condition::Open, DeadReason::WayFull),
+            (Condition::Opening, DeadReason::Restarting),
+            (Condition::Unreachable, DeadReason::Unreachable),
+            (Condition::Left, DeadReason::Left),
+        ] {
+            gate.set(condition);
+            assert_eq!(gate.why_not(), reason);
+        }
+        gate.isolate();
+        assert_eq!(gate.why_not(), DeadReason::Isolated);
     }
 
     #[test]

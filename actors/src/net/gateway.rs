@@ -36,6 +36,7 @@ use blastema_core::{
 };
 use bytes::Bytes;
 use errand::{Answered, Interested, Noticed, Published};
+use losses::{Losses, Past};
 use peer::Peer;
 use serving::{Bound, LOOK, Queues};
 use std::collections::BTreeMap;
@@ -44,7 +45,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use tracing::{debug, error, info, warn};
 
-/// How often the registry is looked at for objects that came or went.
+/// How often the registry is looked at for objects that came or went, and what was lost is brought together.
 const NAMES_INTERVAL: Duration = Duration::from_millis(200);
 /// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
 const LEAVE_PATIENCE: Duration = Duration::from_millis(500);
@@ -86,10 +87,10 @@ pub(super) struct Gateway {
     queues: Queues,
     /// What peers listen to here.
     forwards: BTreeMap<(NodeId, u32), Forwarded>,
+    /// What they listened to, until their next session.
+    past: BTreeMap<(NodeId, u32), Past>,
     notices: BTreeMap<u64, oneshot::Sender<Confirmed>>,
     next: u64,
-    /// Messages without a reply, and events, that did not arrive.
-    lost: u64,
     /// Messages of isolated nodes.
     kept_out: u64,
     /// Room that what is being served takes, until it is passed on.
@@ -107,6 +108,7 @@ struct Forwarded {
     unverified: Option<Vec<PeerIdentity>>,
     /// Under which number they go, and how.
     by: (u32, Delivery),
+    losses: Arc<Losses>,
 }
 
 impl Gateway {
@@ -167,9 +169,9 @@ impl Gateway {
             doorways: BTreeMap::new(),
             queues: Queues::default(),
             forwards: BTreeMap::new(),
+            past: BTreeMap::new(),
             notices: BTreeMap::new(),
             next: 0,
-            lost: 0,
             kept_out: 0,
             credit: None,
             leaving: false,
@@ -274,8 +276,8 @@ impl Gateway {
             }
             ExchangeOutput::Event { topic, form, age, payload } => {
                 let key = TopicKey::new(&topic.topic, &topic.contract);
+                // What cannot be read is among the topic's dead letters; what nobody knows has no listeners.
                 if let Err(why) = self.wiring.topics.inject(&key, form, &payload, age) {
-                    self.lost += 1;
                     debug!(topic = %topic.topic, %why, "an event did not arrive");
                 }
             }
@@ -322,6 +324,7 @@ impl Gateway {
         let Some(known) = self.peers.get(&peer) else { return };
         let (gate, gateway) = (known.gate.clone(), context.address());
         let (delivery, losses) = (by.1, self.losses(known, &key));
+        let unsent = losses.clone();
         let forward: Forward = Arc::new(move |event: &Parcel| {
             let freight = Freight::of(delivery, event.len());
             // Publishing never waits: what a peer cannot take now is not sent.
@@ -332,19 +335,19 @@ impl Gateway {
                     let (event, sent) = (event.clone(), platform::now());
                     gateway.do_send(Published { peer, subscription, event, sent, credit });
                 }
-                None => losses.take(&gate.why_not(freight)),
+                None => unsent.take(gate.why_not()),
             }
         });
         self.end_forward((peer, subscription));
         let id = self.wiring.topics.forward(&key, forward);
-        let forwarded = Forwarded { id, key, unverified, by };
+        let forwarded = Forwarded { id, key, unverified, by, losses };
         self.forwards.insert((peer, subscription), forwarded);
     }
 
-    fn end_forward(&mut self, forward: (NodeId, u32)) {
-        if let Some(Forwarded { id, .. }) = self.forwards.remove(&forward) {
-            self.wiring.topics.end_forward(&id);
-        }
+    fn end_forward(&mut self, forward: (NodeId, u32)) -> Option<Forwarded> {
+        let ended = self.forwards.remove(&forward)?;
+        self.wiring.topics.end_forward(&ended.id);
+        Some(ended)
     }
 
     /// Under which number, and how, an event goes to this peer. The first event may find that the topic
@@ -452,7 +455,7 @@ impl Gateway {
         let doorways: Vec<_> = self.doorways.range(all.clone()).map(|(key, _)| *key).collect();
         doorways.iter().for_each(|key| drop(self.doorways.remove(key)));
         let forwards: Vec<_> = self.forwards.range(all).map(|(key, _)| *key).collect();
-        forwards.into_iter().for_each(|key| self.end_forward(key));
+        forwards.into_iter().for_each(|key| self.retire(key, why));
     }
 
     fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<Gate>) {
@@ -524,6 +527,7 @@ impl Actor for Gateway {
         context.run_interval(NAMES_INTERVAL, |gateway, context| {
             gateway.exchange.handle_time(platform::now());
             gateway.look_for_names(context);
+            gateway.collect_losses();
             gateway.drive(context);
         });
         context.run_interval(LOOK, |gateway, _| gateway.look_at_refusals());
@@ -537,10 +541,10 @@ impl Supervised for Gateway {
             let reason = format!("the way to {node} began anew");
             reply_to(Err(Why::OutcomeUnknown { reason }));
         }
-        let forwards: Vec<_> = self.forwards.keys().copied().collect();
-        forwards.into_iter().for_each(|key| self.end_forward(key));
         let peers: Vec<_> = self.peers.keys().copied().collect();
         let why = Why::OutcomeUnknown { reason: "the gateway began anew".to_owned() };
+        let forwards: Vec<_> = self.forwards.keys().copied().collect();
+        forwards.into_iter().for_each(|key| self.retire(key, &why));
         peers.into_iter().for_each(|peer| self.end_lines(peer, &why));
         self.peers.values().for_each(|peer| peer.gate.forget_rooms());
         self.doorways.clear();

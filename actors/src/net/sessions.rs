@@ -106,7 +106,7 @@ impl Sessions {
             }
             self.peers.remove(&id);
             self.complaints.forget(&Some(id));
-            self.report(SessionReported::Ended { peer: id, why: Why::Stopped });
+            self.report(SessionReported::Ended { peer: id, why });
         }
     }
 
@@ -128,10 +128,10 @@ impl Sessions {
     }
 
     /// A session's machine goes with all that it held.
-    fn give_all_back(&self, peer: NodeId, held: Vec<(Stream, Bytes)>, why: &Why) {
-        for (_, message) in held {
+    fn give_all_back(&self, peer: NodeId, held: Vec<(Stream, Bytes, bool)>, why: &Why) {
+        for (_, message, sent) in held {
             let why = why.clone();
-            self.report(SessionReported::Returned { peer, message, why, sent: true });
+            self.report(SessionReported::Returned { peer, message, why, sent });
         }
     }
 

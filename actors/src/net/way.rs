@@ -40,11 +40,11 @@ impl Freight {
 /// what is small beside bulk.
 pub(super) struct Ways {
     /// By stream, and by load.
-    rooms: [[Arc<Room>; 2]; 2],
+    rooms: [[Arc<Pool>; 2]; 2],
 }
 
 /// Room for what shares it.
-struct Room {
+struct Pool {
     messages: AtomicUsize,
     bytes: AtomicUsize,
     /// Told when there is room again.
@@ -54,11 +54,11 @@ struct Room {
 impl Ways {
     pub(super) fn new(changed: &Arc<Notify>) -> Self {
         let none = AtomicUsize::default;
-        let room = || Room { messages: none(), bytes: none(), changed: changed.clone() };
+        let room = || Pool { messages: none(), bytes: none(), changed: changed.clone() };
         Ways { rooms: [(); 2].map(|()| [(); 2].map(|()| Arc::new(room()))) }
     }
 
-    fn room(&self, freight: Freight) -> &Arc<Room> {
+    fn room(&self, freight: Freight) -> &Arc<Pool> {
         let redundant = usize::from(freight.stream() == Stream::Redundant);
         &self.rooms[redundant][freight.load as usize]
     }
@@ -80,7 +80,7 @@ impl Ways {
     }
 }
 
-impl Room {
+impl Pool {
     /// More may be under way, up to this share of all.
     fn is_open(&self, share: usize) -> bool {
         self.messages.load(Relaxed) < MESSAGES_MAX / share
@@ -96,12 +96,13 @@ impl Room {
     }
 }
 
-impl Lender for Room {
+impl Lender for Pool {
     fn give_back(&self, bytes: usize) {
-        let was_open = self.is_open(1);
-        self.messages.fetch_sub(1, Relaxed);
-        self.bytes.fetch_sub(bytes, Relaxed);
-        if !was_open && self.is_open(1) {
+        let messages = self.messages.fetch_sub(1, Relaxed);
+        let before = self.bytes.fetch_sub(bytes, Relaxed);
+        // Decided by what these found: when several give back at once, each may see only its own, and one of them
+        // opens it. Whoever is woken too early looks and waits on.
+        if messages >= MESSAGES_MAX || before >= BYTES_MAX {
             self.changed.notify_waiters();
         }
     }

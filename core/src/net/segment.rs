@@ -405,7 +405,8 @@ mod tests {
     use super::*;
 
     fn examples() -> Vec<(Segment, &'static [u8])> {
-        let open = Open { version: 1, tag: 7, echo: 0, incarnation: Incarnation(2), number: 3 };
+        let version = crate::net::session::VERSION;
+        let open = Open { version, tag: 7, echo: 0, incarnation: Incarnation(2), number: 3 };
         let ack = Ack { next: 5, window: 200, ranges: vec![(7, 8), (300, 300)] };
         let data = Data {
             tag: 0x01020304,
@@ -431,7 +432,7 @@ mod tests {
         vec![
             (
                 Segment::Open(open),
-                &[0, 1, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
+                &[0, 2, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
             ),
             (Segment::Data(copied), b"\xe7\x01\x02\x03\x04\xac\x02\x02hi"),
             (Segment::Data(data), b"\x27\x01\x02\x03\x04\xac\x02\x02hi"),

@@ -75,6 +75,7 @@ impl Gateway {
     fn session_opened(&mut self, node: NodeName, incarnation: Incarnation, session: u32) {
         let (id, gate) = self.meet(&node);
         self.peers.entry(id).and_modify(|peer| peer.begin(session, incarnation));
+        self.forget_past(id);
         let now = platform::now();
         self.exchange.handle_opened(id, incarnation, now);
         for announcement in self.naming.handle_opened(node.clone(), incarnation) {
@@ -177,10 +178,11 @@ impl Handler<Published> for Gateway {
             Ok(by) => self.exchange.handle_event(peer, by, event, sent),
             Err(why @ Why::ContractDiffers { .. }) => {
                 self.differs(peer, &why.to_string());
-                self.end_forward((peer, subscription));
+                self.retire((peer, subscription), &why);
+                self.bury_late((peer, subscription));
                 self.exchange.handle_subscribe_refused(peer, subscription, why);
             }
-            Err(_) => self.lost += 1,
+            Err(_) => self.bury_late((peer, subscription)),
         }
         self.drive(context);
         self.credit = None;

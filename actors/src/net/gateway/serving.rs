@@ -116,7 +116,7 @@ impl Gateway {
         let Some(bound) = self.doorways.get(&(peer, binding)) else {
             match reply_to {
                 Some(reply_to) => reply_to(Err(Why::Unknown { name: "binding".into() })),
-                None => self.lost += 1,
+                None => debug!(%peer, binding, "a message for what is not bound any more"),
             }
             return;
         };

@@ -4,6 +4,7 @@ use super::*;
 use blastema_contract::router::SegmentArrived;
 use blastema_core::net::NodeId;
 use blastema_core::net::segment::{Ack, Open, Segment};
+use blastema_core::net::session::VERSION;
 use bytes::Bytes;
 
 /// Three nodes, each with a cable to both others.
@@ -43,7 +44,7 @@ fn stale(tag: u32) -> Vec<Segment> {
         || Some(Ack { next: u64::MAX >> 1, window: u32::MAX, ranges: vec![(1 << 63, 1 << 63)] });
     let open = |incarnation, number| {
         let incarnation = Incarnation(incarnation);
-        Segment::Open(Open { version: 1, tag, echo: 0, incarnation, number })
+        Segment::Open(Open { version: VERSION, tag, echo: 0, incarnation, number })
     };
     vec![
         Segment::Acknowledge { tag, control: ack(), data: ack(), redundant: None },

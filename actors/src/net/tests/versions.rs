@@ -179,7 +179,9 @@ fn who_is_older_than_the_sender_is_refused_with_the_difference_on_both_sides() {
         let _old = live(&right, ChildSpec::new("old", move || Old(kept.clone()))).await;
 
         let new = left.host.topics.publisher::<two::Speed>("speed").unwrap();
-        new.publish(two::Speed { forward: 1.0 }).unwrap();
+        for _ in 0..3 {
+            new.publish(two::Speed { forward: 1.0 }).unwrap();
+        }
         left.sender("right:old").tell(two::Speed { forward: 1.0 }).unwrap();
         advance(50 * MS).await;
 
@@ -193,5 +195,8 @@ fn who_is_older_than_the_sender_is_refused_with_the_difference_on_both_sides() {
                 assert!(detail.contains("version") && detail.contains("forward"), "{detail}");
             }
         }
+        let speed = ObjectName::new("speed").unwrap();
+        let lost = left.host.dead_letters.count(&speed, DeadReason::ContractDiffers);
+        assert_eq!(lost, 3, "also those that were under way when the first was found to differ");
     });
 }

@@ -4,11 +4,13 @@ use crate::net::load::Load;
 
 /// The messages that should wait: one round trip's worth of a fast sender. Beyond, senders are told to stop.
 pub(super) const MESSAGES: usize = 1024;
-/// The bytes of small ones, likewise; of bulk half as many, beside them.
+/// The bytes of small ones, likewise; of bulk half as many, beside them: for it that is one round trip's worth, and
+/// the first large one closes the hall in any case.
 const BYTES: usize = 1 << 20;
-/// So many times as much of either waits at most, whatever senders were told: what should, and what is on its
-/// way here meanwhile.
-const TIMES: usize = 4;
+/// So many times as much of either waits at most, whatever senders were told: what should, the one that was too much,
+/// and what is on its way here meanwhile, by two ways (`redundant` has its own) of 1 MiB and one message more each. Of
+/// bulk that is at most 1/2 + 1 + 2 * (1 + 1) MiB; of messages 1024 + 2 * 2048.
+pub(super) const TIMES: usize = 6;
 
 /// The count of what waits for all bindings to one peer.
 #[derive(Debug, Default)]
@@ -59,14 +61,11 @@ impl Hall {
             half.messages -= 1;
             half.bytes -= bytes;
         }
-        let mut again = Load::ALL.to_vec();
-        again.retain(|load| {
-            let half = &mut self.halves[*load as usize];
-            let again = half.is_full && half.has_room(*load);
-            half.is_full &= !again;
-            again
-        });
-        again
+        let halves = Load::ALL.into_iter().zip(&mut self.halves);
+        let mut again: Vec<_> =
+            halves.filter(|(load, half)| half.is_full && half.has_room(*load)).collect();
+        again.iter_mut().for_each(|(_, half)| half.is_full = false);
+        again.into_iter().map(|(load, _)| load).collect()
     }
 }
 
@@ -98,14 +97,24 @@ mod tests {
                 assert_eq!(hall.enter(each), Entrance::Open);
             }
             assert_eq!(hall.enter(each), Entrance::Closing(load));
-            for _ in 0..3 * messages {
+            for _ in 0..(TIMES - 1) * messages {
                 assert_eq!(hall.enter(each), Entrance::Open, "it was on its way");
             }
 
-            let half = || std::iter::repeat_n(each, 2 * messages);
+            let half = || std::iter::repeat_n(each, TIMES / 2 * messages);
             assert_eq!(hall.leave(half()), [], "half has gone");
             assert_eq!(hall.leave(half()), [load]);
             assert_eq!(hall.leave(std::iter::empty()), [], "it is told once");
+        }
+    }
+
+    #[test]
+    fn what_is_on_its_way_when_senders_are_told_to_stop_has_room() {
+        let mut hall = Hall::default();
+        assert_eq!(hall.enter(BYTES / 2 - 1), Entrance::Open);
+        assert_eq!(hall.enter(1 << 20), Entrance::Closing(Load::Bulk));
+        for n in 1..=4 {
+            assert_eq!(hall.enter(1 << 20), Entrance::Open, "{n} MiB were on their way");
         }
     }
 
@@ -118,7 +127,7 @@ mod tests {
 
         fill(&mut hall, Load::SMALL_MAX);
         assert_eq!(hall.enter(BYTES), Entrance::Shut(Load::Bulk));
-        assert_eq!(hall.leave([BYTES; 4].into_iter()), [Load::Bulk]);
+        assert_eq!(hall.leave([BYTES; TIMES].into_iter()), [Load::Bulk]);
         assert_eq!(hall.enter(BYTES), Entrance::Closing(Load::Bulk));
     }
 }

@@ -237,7 +237,7 @@ fn without_a_session_a_call_is_refused_with_the_reason() {
 #[test]
 fn too_many_messages_for_one_binding_are_told_and_then_refused() {
     let mut pair = Pair::open();
-    for _ in 0..4 * hall::MESSAGES + 1 {
+    for _ in 0..hall::TIMES * hall::MESSAGES + 1 {
         let (node, object) = (node("right"), arm());
         let (id, reply_as, contract) = (None, None, count());
         let (sent, until, payload) = (at(0), None, payload());
@@ -254,7 +254,7 @@ fn too_many_messages_for_one_binding_are_told_and_then_refused() {
     pair.agree();
 
     assert_eq!(pair.take(0), [ExchangeOutput::Room { peer, load }]);
-    assert_eq!(pair.take(1).len(), 4 * hall::MESSAGES);
+    assert_eq!(pair.take(1).len(), hall::TIMES * hall::MESSAGES);
 }
 
 #[test]

@@ -30,10 +30,10 @@ pub struct SessionConfig {
     /// The most bytes of one message. Bounds what a peer can make us collect.
     pub message_max: usize,
     /// The bytes of small messages that should wait or be unacknowledged in one stream at most; of bulk half
-    /// as many beside them. Beyond, senders are told to stop; at twice as many, of either, messages are
-    /// refused.
+    /// as many beside them. Beyond, senders are told to stop. Of small ones, and of bulk, twice as many as this are
+    /// taken all the same: for bulk that is four times what should be there, for one message may be a quarter of it.
     pub buffer_bytes: usize,
-    /// The number of messages, likewise.
+    /// The number of messages of both together, likewise: twice as many are taken.
     pub buffer_messages: usize,
     /// How many parts of a stream may be on their way, and may arrive ahead of their turn.
     pub window: u32,

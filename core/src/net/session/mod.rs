@@ -30,6 +30,7 @@ mod handshake;
 mod inbound;
 mod outbound;
 mod output;
+mod queue;
 mod reception;
 mod replicas;
 mod round_trip;
@@ -57,8 +58,8 @@ use bytes::Bytes;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// The version of what sessions say to each other.
-pub const VERSION: u8 = 1;
+/// The version of what sessions say to each other. From 2 on whole messages come between the parts of a large one.
+pub const VERSION: u8 = 2;
 
 /// The machine of one peer node's sessions, one after the other.
 #[derive(Debug)]
@@ -356,13 +357,14 @@ impl Session {
         }
     }
 
-    /// Takes out what was not acknowledged, when this machine is about to be replaced.
-    pub fn surrender(&mut self) -> Vec<(Stream, Bytes)> {
+    /// Takes out what was not acknowledged, and whether some of it was sent, when this machine is about to be
+    /// replaced.
+    pub fn surrender(&mut self) -> Vec<(Stream, Bytes, bool)> {
         STREAMS
             .into_iter()
             .flat_map(|stream| {
                 let messages = self.streams[stream as usize].outbound.take_all();
-                messages.map(move |(message, _)| (stream, message))
+                messages.map(move |(message, sent)| (stream, message, sent))
             })
             .collect()
     }

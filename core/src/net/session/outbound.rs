@@ -1,6 +1,7 @@
 //! The sending half of an ordered stream.
 
 use super::config::HEADER_MAX;
+use super::queue::Queue;
 use crate::net::load::Load;
 use crate::net::segment::Ack;
 use crate::net::strand::Strand;
@@ -13,14 +14,16 @@ use std::time::Duration;
 /// Messages that wait or are on their way, until the peer has acknowledged them.
 #[derive(Debug)]
 pub(crate) struct Outbound {
-    /// In order: those on their way, then those that wait.
-    messages: VecDeque<Held>,
-    /// How many of them have been cut into parts altogether.
-    cut: usize,
-    /// How many bytes of the next one have been cut.
-    cut_bytes: usize,
+    /// Those that have been cut altogether, in that order.
+    cut: VecDeque<Held>,
+    /// The one of which more is to be cut.
+    partial: Option<Partial>,
+    /// Those of which nothing has been cut.
+    waiting: Queue,
     /// The part before the next one overtook it.
     overtook: bool,
+    /// Of those that may overtake, those that arrived before this have been looked at.
+    looked: u64,
     /// Of what is small, and of bulk.
     bytes: [usize; 2],
     /// Parts on their way, by sequence number.
@@ -35,12 +38,21 @@ pub(crate) struct Outbound {
     window: u32,
 }
 
+/// A message on its way.
 #[derive(Debug)]
 struct Held {
-    strand: Strand,
     message: Parcel,
     /// The part that it ends in.
-    last: Option<u64>,
+    last: u64,
+}
+
+/// A message that does not fit into one part.
+#[derive(Debug)]
+struct Partial {
+    strand: Strand,
+    message: Parcel,
+    /// How many bytes of it have been cut.
+    cut: usize,
 }
 
 /// A part on its way.
@@ -86,16 +98,23 @@ fn length_of(message: usize) -> BytesMut {
     bytes
 }
 
+/// Whether a message, with its length, goes into a part beside so many bytes.
+fn fits(message: &Parcel, beside: usize, room: usize) -> bool {
+    beside + varint_length(message.len() as u64) + message.len() <= room
+}
+
 impl Outbound {
-    /// So many messages behind a large one are looked at: those that may overtake it do so, a part at a time.
+    /// For one part so many strands are passed over of which the first message does not fit in; the next search
+    /// goes on behind them. It bounds the work for a part where a thousand strands wait.
     const LOOK: usize = 32;
 
     pub(crate) fn new(window: u32) -> Self {
         Outbound {
-            messages: VecDeque::new(),
-            cut: 0,
-            cut_bytes: 0,
+            cut: VecDeque::new(),
+            partial: None,
+            waiting: Queue::default(),
             overtook: false,
+            looked: 0,
             bytes: [0; 2],
             flight: BTreeMap::new(),
             flying_bytes: 0,
@@ -112,7 +131,7 @@ impl Outbound {
     }
 
     pub(crate) fn messages(&self) -> usize {
-        self.messages.len()
+        self.cut.len() + usize::from(self.partial.is_some()) + self.waiting.len()
     }
 
     /// The number of the next part that is cut.
@@ -122,7 +141,12 @@ impl Outbound {
 
     /// Everything was acknowledged.
     pub(crate) fn is_empty(&self) -> bool {
-        self.messages.is_empty()
+        self.cut.is_empty() && !self.is_waiting()
+    }
+
+    /// There is something to cut.
+    fn is_waiting(&self) -> bool {
+        self.partial.is_some() || !self.waiting.is_empty()
     }
 
     /// Their bytes.
@@ -137,16 +161,17 @@ impl Outbound {
 
     pub(crate) fn push(&mut self, strand: Strand, message: Parcel) {
         self.bytes[load_of(&message) as usize] += message.len();
-        self.messages.push_back(Held { strand, message, last: None });
+        self.waiting.push(strand, message);
     }
 
     /// All messages that are not acknowledged, in order, and whether some of it was sent; nothing is
     /// left.
     pub(crate) fn take_all(&mut self) -> impl Iterator<Item = (Bytes, bool)> + use<> {
-        let sent = self.cut + usize::from(self.cut_bytes > 0);
-        let messages = std::mem::take(&mut self.messages);
-        *self = Outbound::new(0);
-        messages.into_iter().enumerate().map(move |(n, held)| (held.message.into_bytes(), n < sent))
+        let Outbound { cut, partial, waiting, .. } = std::mem::replace(self, Outbound::new(0));
+        let partial = partial.into_iter().map(|partial| partial.message);
+        let sent = cut.into_iter().map(|held| held.message).chain(partial);
+        let sent = sent.map(|message| (message.into_bytes(), true));
+        sent.chain(waiting.into_messages().map(|message| (message.into_bytes(), false)))
     }
 
     /// The next part to send: what was lost first, then new ones, as large as `room` allows.
@@ -164,7 +189,7 @@ impl Outbound {
             self.flying_bytes += part.payload.len();
             return Some((*sequence, part.clone()));
         }
-        if self.next >= self.limit || self.cut == self.messages.len() {
+        if self.next >= self.limit || !self.is_waiting() {
             return None;
         }
         let sequence = self.next;
@@ -180,73 +205,82 @@ impl Outbound {
     }
 
     /// After each part of what is large, one of whole messages that need not wait for the rest of it: nothing
-    /// of their strands does. The large one goes on after them.
+    /// of its strand. The large one goes on after them.
     fn cut_overtaking(&mut self, room: usize, sequence: u64) -> Option<Parcel> {
-        if self.cut_bytes == 0 || std::mem::take(&mut self.overtook) {
+        let large = self.partial.as_ref()?.strand;
+        if std::mem::take(&mut self.overtook) {
             return None;
         }
         let mut payload = BytesMut::new();
-        let mut before = vec![self.messages[self.cut].strand];
-        for at in self.cut + 1..self.messages.len().min(self.cut + 1 + Self::LOOK) {
-            let Held { strand, ref message, .. } = self.messages[at];
-            let length = message.len();
-            if before.contains(&strand) {
+        let (mut passed, mut first_left) = (0, None);
+        while passed < Self::LOOK {
+            let Some((number, strand, message)) = self.waiting.first(self.looked..) else {
+                self.looked = 0;
+                break;
+            };
+            self.looked = number + 1;
+            if strand == large {
                 continue;
             }
-            if payload.len() + varint_length(length as u64) + length > room {
-                before.push(strand);
+            if !fits(message, payload.len(), room) {
+                passed += 1;
+                if fits(message, 0, room) {
+                    first_left.get_or_insert(number);
+                }
                 continue;
             }
-            payload.varint(length as u64);
-            message.put(0..length, &mut payload);
-            let mut held = self.messages.remove(at).expect("it was just read");
-            held.last = Some(sequence);
-            self.messages.insert(self.cut, held);
-            self.cut += 1;
+            self.cut_whole(number, sequence, &mut payload);
         }
+        self.looked = first_left.unwrap_or(self.looked);
         self.overtook = !payload.is_empty();
         self.overtook.then(|| payload.freeze().into())
     }
 
+    /// Cuts a message that waits, as a whole.
+    fn cut_whole(&mut self, number: u64, sequence: u64, payload: &mut BytesMut) {
+        let (_, message) = self.waiting.take(number).expect("it was just looked at");
+        payload.varint(message.len() as u64);
+        message.put(0..message.len(), payload);
+        self.cut.push_back(Held { message, last: sequence });
+    }
+
     /// As many whole messages as fit, or as much of a large one.
     fn cut_part(&mut self, room: usize, sequence: u64) -> (bool, bool, Parcel) {
-        let front = &mut self.messages[self.cut];
-        let length = front.message.len();
-        let prefix = varint_length(length as u64);
-        if self.cut_bytes > 0 {
-            let end = length.min(self.cut_bytes + room);
-            let payload = front.message.slice(self.cut_bytes..end);
-            self.cut_bytes = end;
-            if end == length {
-                front.last = Some(sequence);
-                self.cut += 1;
-                self.cut_bytes = 0;
+        if let Some(mut partial) = self.partial.take() {
+            let end = partial.message.len().min(partial.cut + room);
+            let payload = partial.message.slice(partial.cut..end);
+            let last = end == partial.message.len();
+            if last {
+                self.cut.push_back(Held { message: partial.message, last: sequence });
+            } else {
+                partial.cut = end;
+                self.partial = Some(partial);
             }
-            return (false, end == length, payload);
+            return (false, last, payload);
         }
-        if prefix + length > room {
-            let end = room - prefix;
-            self.cut_bytes = end;
-            return (true, false, front.message.slice(0..end).behind(length_of(length)));
-        }
-        if prefix + length > room / 2 {
-            // Few others would go with it, and it would be copied.
-            front.last = Some(sequence);
-            self.cut += 1;
-            return (true, true, front.message.behind(length_of(length)));
-        }
-        let mut payload = BytesMut::with_capacity(prefix + length);
-        while let Some(held) = self.messages.get_mut(self.cut) {
-            let length = held.message.len();
-            if payload.len() + varint_length(length as u64) + length > room {
-                break;
+        let (number, _, first) = self.waiting.first(0..).expect("something waits");
+        let length = first.len();
+        let needed = varint_length(length as u64) + length;
+        if needed <= room / 2 {
+            let mut payload = BytesMut::with_capacity(needed);
+            while let Some((number, _, message)) = self.waiting.first(0..)
+                && fits(message, payload.len(), room)
+            {
+                self.cut_whole(number, sequence, &mut payload);
             }
-            payload.varint(length as u64);
-            held.message.put(0..length, &mut payload);
-            held.last = Some(sequence);
-            self.cut += 1;
+            return (true, true, payload.freeze().into());
         }
-        (true, true, payload.freeze().into())
+        // Few others would go with it, and it would be copied.
+        let (strand, message) = self.waiting.take(number).expect("it was just looked at");
+        let last = needed <= room;
+        let cut = if last { length } else { room - varint_length(length as u64) };
+        let payload = message.slice(0..cut).behind(length_of(length));
+        if last {
+            self.cut.push_back(Held { message, last: sequence });
+        } else {
+            self.partial = Some(Partial { strand, message, cut });
+        }
+        (true, last, payload)
     }
 
     /// The peer has told what arrived.
@@ -264,10 +298,9 @@ impl Outbound {
         for (first, last) in below.into_iter().chain(ack.ranges.iter().copied()) {
             self.arrived(first, last, now, &mut progress);
         }
-        while self.messages.front().is_some_and(|held| held.last.is_some_and(|n| n < ack.next)) {
-            let held = self.messages.pop_front().expect("there is a front");
+        while self.cut.front().is_some_and(|held| held.last < ack.next) {
+            let held = self.cut.pop_front().expect("there is a front");
             self.bytes[load_of(&held.message) as usize] -= held.message.len();
-            self.cut -= 1;
         }
         Ok(progress)
     }

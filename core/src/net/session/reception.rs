@@ -44,7 +44,12 @@ impl Session {
                     let reset = Segment::Reset { tag: self.tag };
                     self.transmit(Class::Control, reset);
                     self.newest = self.newest.max((peer.incarnation, peer.number + 1));
-                    self.end(Why::Undecodable { reason: error.to_string() });
+                    // Ours were good: they come back because of what it sent.
+                    let reason = format!(
+                        "it breaks the protocol of sessions ({error}): update one of the two"
+                    );
+                    let node = self.config.peer.to_string();
+                    self.end(Why::Undelivered { node, reason });
                     return;
                 }
             }

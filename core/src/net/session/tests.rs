@@ -3,6 +3,7 @@
 mod best_effort;
 mod delivery;
 mod lives;
+mod overtaking;
 mod paths;
 
 use super::*;

@@ -221,14 +221,15 @@ impl Session {
 
     pub(super) fn make_room(&mut self, stream: Stream) {
         let state = &self.streams[stream as usize];
-        let few = state.outbound.messages() <= self.config.buffer_messages / 2;
+        let (messages, most) = (state.outbound.messages(), self.config.buffer_messages);
         let rooms = Load::ALL.map(|load| {
             let (holds, should) = (state.outbound.bytes(load), self.buffer_bytes(load));
-            few && match load {
+            match load {
                 // Half empty, so that whoever waits can send more than one message.
-                Load::Small => holds <= should / 2,
-                // One is worth the word, and the next is to be here before the last has gone.
-                Load::Bulk => holds <= should,
+                Load::Small => messages <= most / 2 && holds <= should / 2,
+                // One is worth the word, and the next is to be here before the last has gone. What is small may
+                // stand here for ever: it has room of its own, and its senders keep their half.
+                Load::Bulk => messages <= most && holds <= should,
             }
         });
         let state = &mut self.streams[stream as usize];

@@ -1,7 +1,6 @@
 //! What is sent arrives once and in order, and how much may wait.
 
 use super::*;
-use crate::ObjectName;
 
 #[test]
 fn a_message_sent_while_the_session_opens_is_delivered_once_it_is_open() {
@@ -159,6 +158,29 @@ fn bulk_has_room_again_while_two_of_the_largest_still_wait() {
 }
 
 #[test]
+fn bulk_has_room_again_although_small_messages_never_end() {
+    let mut pair = Pair::open();
+    let image = Bytes::from(vec![7; 1 << 20]);
+    for _ in 0..3 {
+        pair.send(0, image.clone());
+    }
+    for _ in 0..3000 {
+        pair.send(0, text("reading"));
+    }
+    let (stream, load) = (Stream::Data, Load::Bulk);
+    pair.drain();
+    assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
+
+    let mut told = (0..1000).map(|_| {
+        pair.run(0);
+        (pair.take(0), pair.ends[0].standing().unacknowledged)
+    });
+    let told = told.find(|(told, _)| !told.is_empty());
+
+    assert_eq!(told, Some((vec![SessionOutput::Room { stream, load }], 3002)));
+}
+
+#[test]
 fn a_message_larger_than_the_limit_is_refused_before_it_is_sent() {
     let mut pair = Pair::open();
     let limit = pair.ends[0].config.message_max;
@@ -265,79 +287,4 @@ fn a_peer_that_promises_an_absurd_window_is_sent_no_more_than_ours() {
 
     let flying = pair.ends[0].streams[Stream::Redundant as usize].outbound.flying();
     assert_eq!(flying, 256);
-}
-
-fn strand(object: &str) -> Strand {
-    Strand::to(&ObjectName::new(object).unwrap())
-}
-
-fn send_to(pair: &mut Pair, object: &str, message: Bytes) {
-    let along = (Stream::Data, strand(object));
-    pair.ends[0].handle_send_along(along, message, at(pair.now)).unwrap();
-}
-
-#[test]
-fn what_is_small_and_for_another_object_enters_between_the_parts_of_what_is_large() {
-    let mut pair = Pair::open();
-    let image = Bytes::from(vec![7; 500_000]);
-    send_to(&mut pair, "camera", image.clone());
-    send_to(&mut pair, "camera", text("shutter"));
-    send_to(&mut pair, "motor", text("a"));
-    send_to(&mut pair, "motor", text("b"));
-
-    pair.run(500);
-
-    let all = [text("a"), text("b"), image, text("shutter")].map(message);
-    assert!(pair.take(1) == all, "of one object nothing is overtaken");
-    assert_eq!(pair.ends[0].standing().unacknowledged, 0);
-}
-
-#[test]
-fn what_is_large_has_every_second_part_however_much_is_small() {
-    let mut pair = Pair::open();
-    let image = Bytes::from(vec![7; 100_000]);
-    send_to(&mut pair, "camera", image.clone());
-    for _ in 0..1000 {
-        send_to(&mut pair, "motor", Bytes::from(vec![8; 1000]));
-    }
-
-    pair.run(500);
-
-    let told = pair.take(1);
-    let place = told.iter().position(|told| *told == message(image.clone())).unwrap();
-    assert_eq!(told.len(), 1001);
-    assert!((70..80).contains(&place), "a part for each small one: {place}");
-}
-
-#[test]
-fn whatever_is_lost_each_object_gets_everything_once_and_in_order() {
-    let mut pair = Pair::open();
-    let mut count = 0;
-    pair.lose = Box::new(move |_, segment| {
-        count += u32::from(matches!(segment, Segment::Data(_)));
-        count % 5 == 0
-    });
-    for n in 0..90_u8 {
-        let object = ["camera", "motor", "map"][usize::from(n) % 3];
-        let length = [10, 3000, 40_000][usize::from(n / 3) % 3];
-        send_to(&mut pair, object, Bytes::from(vec![n; length]));
-    }
-
-    pair.run(20_000);
-
-    let told: Vec<_> = pair
-        .take(1)
-        .into_iter()
-        .map(|told| match told {
-            SessionOutput::Message { message, .. } => message[0],
-            other => panic!("{other:?}"),
-        })
-        .collect();
-    assert_eq!(told.len(), 90);
-    for object in 0..3 {
-        let of_it = || told.iter().filter(|n| **n % 3 == object);
-        assert!(of_it().is_sorted() && of_it().count() == 30, "{object}: {told:?}");
-    }
-    assert!(!told.is_sorted(), "some were quicker");
-    assert_eq!(pair.ends[0].standing().unacknowledged, 0);
 }

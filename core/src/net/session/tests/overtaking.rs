@@ -1,0 +1,145 @@
+//! What is small does not wait for what is large, unless it is for the same object.
+
+use super::*;
+use crate::ObjectName;
+
+fn strand(object: &str) -> Strand {
+    Strand::to(&ObjectName::new(object).unwrap())
+}
+
+fn send_to(pair: &mut Pair, object: &str, message: Bytes) {
+    let along = (Stream::Data, strand(object));
+    pair.ends[0].handle_send_along(along, message, at(pair.now)).unwrap();
+}
+
+#[test]
+fn what_is_small_and_for_another_object_enters_between_the_parts_of_what_is_large() {
+    let mut pair = Pair::open();
+    let image = Bytes::from(vec![7; 500_000]);
+    send_to(&mut pair, "camera", image.clone());
+    send_to(&mut pair, "camera", text("shutter"));
+    send_to(&mut pair, "motor", text("a"));
+    send_to(&mut pair, "motor", text("b"));
+
+    pair.run(500);
+
+    let all = [text("a"), text("b"), image, text("shutter")].map(message);
+    assert!(pair.take(1) == all, "of one object nothing is overtaken");
+    assert_eq!(pair.ends[0].standing().unacknowledged, 0);
+}
+
+#[test]
+fn what_is_large_has_every_second_part_however_much_is_small() {
+    let mut pair = Pair::open();
+    let image = Bytes::from(vec![7; 100_000]);
+    send_to(&mut pair, "camera", image.clone());
+    for _ in 0..1000 {
+        send_to(&mut pair, "motor", Bytes::from(vec![8; 1000]));
+    }
+
+    pair.run(500);
+
+    let told = pair.take(1);
+    let place = told.iter().position(|told| *told == message(image.clone())).unwrap();
+    assert_eq!(told.len(), 1001);
+    assert!((70..80).contains(&place), "a part for each small one: {place}");
+}
+
+#[test]
+fn whatever_is_lost_each_object_gets_everything_once_and_in_order() {
+    let mut pair = Pair::open();
+    let mut count = 0;
+    pair.lose = Box::new(move |_, segment| {
+        count += u32::from(matches!(segment, Segment::Data(_)));
+        count % 5 == 0
+    });
+    for n in 0..90_u8 {
+        let object = ["camera", "motor", "map"][usize::from(n) % 3];
+        let length = [10, 3000, 40_000][usize::from(n / 3) % 3];
+        send_to(&mut pair, object, Bytes::from(vec![n; length]));
+    }
+
+    pair.run(20_000);
+
+    let told: Vec<_> = pair
+        .take(1)
+        .into_iter()
+        .map(|told| match told {
+            SessionOutput::Message { message, .. } => message[0],
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert_eq!(told.len(), 90);
+    for object in 0..3 {
+        let of_it = || told.iter().filter(|n| **n % 3 == object);
+        assert!(of_it().is_sorted() && of_it().count() == 30, "{object}: {told:?}");
+    }
+    assert!(!told.is_sorted(), "some were quicker");
+    assert_eq!(pair.ends[0].standing().unacknowledged, 0);
+}
+
+/// Takes out parts of so much until one of the messages of this text is in it. Answers with how many that were.
+fn parts_until(outbound: &mut Outbound, room: usize, text: &str) -> usize {
+    let mut parts = (1..).map(|n| (n, outbound.transmit(room, n as u64, at(0)).unwrap().1));
+    let found = parts.find(|(_, part)| {
+        part.first && part.last && part.payload.clone().into_bytes().ends_with(text.as_bytes())
+    });
+    found.unwrap().0
+}
+
+#[test]
+fn an_order_is_next_however_many_large_ones_wait_for_another_object() {
+    let mut outbound = Outbound::new(10_000);
+    for _ in 0..123 {
+        outbound.push(strand("map"), vec![7; 17 << 10].into());
+    }
+    outbound.transmit(1300, 0, at(0)).unwrap();
+    outbound.push(strand("leg"), "stop".into());
+
+    assert!(parts_until(&mut outbound, 1300, "stop") <= 2);
+}
+
+#[test]
+fn an_order_is_next_however_many_small_ones_wait_behind_a_large_one_of_their_object() {
+    let mut outbound = Outbound::new(10_000);
+    outbound.push(strand("map"), vec![7; 1 << 20].into());
+    for _ in 0..32 {
+        outbound.push(strand("map"), "reading".into());
+    }
+    outbound.transmit(1300, 0, at(0)).unwrap();
+    outbound.push(strand("leg"), "stop".into());
+
+    assert!(parts_until(&mut outbound, 1300, "stop") <= 2);
+}
+
+#[test]
+fn an_order_comes_soon_although_a_hundred_objects_have_large_ones_before_it() {
+    let mut outbound = Outbound::new(10_000);
+    for n in 0..100 {
+        outbound.push(strand(&format!("camera{n}")), vec![7; 100_000].into());
+    }
+    outbound.transmit(1300, 0, at(0)).unwrap();
+    outbound.push(strand("leg"), "stop".into());
+
+    assert!(parts_until(&mut outbound, 1300, "stop") <= 8, "32 are looked at for each part");
+}
+
+#[test]
+fn what_was_not_cut_when_the_session_ends_was_not_sent_and_all_come_back_in_order() {
+    let mut outbound = Outbound::new(10_000);
+    outbound.push(strand("map"), vec![7; 3000].into());
+    outbound.push(strand("map"), "after".into());
+    outbound.push(strand("leg"), "stop".into());
+    for n in 0..2 {
+        outbound.transmit(1300, n, at(0)).unwrap();
+    }
+    outbound.push(strand("leg"), "go".into());
+
+    let all: Vec<_> = outbound.take_all().collect();
+
+    let expected = [("stop", true), ("map", true), ("after", false), ("go", false)];
+    let told = all
+        .iter()
+        .map(|(bytes, sent)| (if bytes.len() == 3000 { b"map" } else { &bytes[..] }, *sent));
+    assert!(told.eq(expected.map(|(text, sent)| (text.as_bytes(), sent))), "{all:?}");
+}
