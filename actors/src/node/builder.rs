@@ -56,7 +56,7 @@ pub enum StartError {
     /// The networks cannot be used together.
     #[error("{0}")]
     Network(String),
-    /// A service has a mistake in its nodes.
+    /// A service has a mistake in its nodes, or its component cannot be built.
     #[error("service {name}: {reason}")]
     Service {
         /// The service.

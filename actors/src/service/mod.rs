@@ -29,11 +29,14 @@ use crate::component::{Component, Failure, Handle};
 use crate::context::Context;
 use crate::host::spec::ChildSpec;
 use crate::node::StartError;
+use crate::panics;
 use crate::ports::OpenPort;
 use crate::registry::Port;
 use blastema_core::service::ReplicaConfig;
 use blastema_core::{NameError, NodeName, ObjectName, Why, codec};
+use bytes::Bytes;
 use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
 use words::{LoadState, RoleChanged, SaveState};
@@ -168,8 +171,7 @@ impl<C: Stateful> ServiceSpec<C> {
     /// What the node `own` needs to carry it, and the component.
     pub(crate) fn carried(self, own: &str) -> (ChildSpec<C>, Result<Carried, StartError>) {
         let component = format!("{}/replica", self.name);
-        // Built once more, to see with which state it begins.
-        let initial = (self.factory)().save().into();
+        let initial = first_state(&*self.factory);
         let (kind, on_partition) = (self.kind, self.on_partition);
         let (hello_interval, name) = (self.hello_interval, self.name);
         let (members, depends_on) = (self.members, self.depends_on);
@@ -189,8 +191,11 @@ impl<C: Stateful> ServiceSpec<C> {
                 hello_interval,
             };
             let object = |text: &str| ObjectName::new(text).map_err(of("the name of"));
+            let name = object(&name)?;
+            let refused = |reason| StartError::Service { name: name.clone(), reason };
+            let initial = initial.map_err(refused)?;
             Ok(Carried {
-                name: object(&name)?,
+                name,
                 component: object(&component)?,
                 body: object(&format!("{component}/body"))?,
                 config,
@@ -202,6 +207,19 @@ impl<C: Stateful> ServiceSpec<C> {
         let factory = self.factory;
         (ChildSpec::new(&component, move || factory()).stateful(), carried)
     }
+}
+
+/// With which state a component begins: it is built once more to see that, before there is a node to catch it.
+fn first_state<C: Stateful>(factory: &dyn Fn() -> C) -> Result<Bytes, String> {
+    panics::install_hook();
+    let _guarded = panics::Guarded::enter();
+    catch_unwind(AssertUnwindSafe(|| factory().save().into())).map_err(|payload| {
+        let (text, at) = (panics::text_of(payload), panics::take_place());
+        format!(
+            "its component panicked at {at} while it was built, or saved its first state: {text}; let the factory \
+             and `save` do without what may be missing, and report that from `on_initialize`"
+        )
+    })
 }
 
 /// The contracts by which a replica drives its component.
