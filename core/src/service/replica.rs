@@ -98,7 +98,7 @@ impl Replica {
     /// that it does not remember. `initial` is the state of the component as it was built.
     pub fn new(config: ReplicaConfig, initial: Bytes, now: Instant) -> Self {
         let standby = Standby::beginning(&config, now);
-        Replica {
+        let mut replica = Replica {
             accord: Accord::new(&config),
             config,
             initial,
@@ -122,7 +122,14 @@ impl Replica {
             faults: BTreeMap::new(),
             refused: 0,
             outputs: VecDeque::new(),
+        };
+        // Cold standbys are given no state.
+        if replica.config.kind != StandbyKind::Cold
+            && let Err(why) = within_bounds(Ok(replica.initial.clone()))
+        {
+            replica.refuse_state(&why);
         }
+        replica
     }
 
     /// What this replica is now.
@@ -246,9 +253,7 @@ impl Replica {
         result: Result<Bytes, Why>,
         state: Option<Result<Bytes, Why>>,
     ) -> (Result<Bytes, Why>, Option<Bytes>) {
-        let state =
-            state.map(|state| state.and_then(|state| within_bounds(&state).map(|()| state)));
-        match (result, state) {
+        match (result, state.map(within_bounds)) {
             (Ok(reply), Some(Ok(state))) => {
                 self.state_refused = false;
                 (Ok(reply), Some(state))
@@ -265,7 +270,7 @@ impl Replica {
 
     fn refuse_state(&mut self, why: &Why) {
         // That a component dies is told by others.
-        let large = matches!(why, Why::TooLarge { .. } | Why::ReplyTooLarge { .. });
+        let large = matches!(why, Why::TooLarge { .. });
         if large && !std::mem::replace(&mut self.state_refused, true) {
             let detail = format!(
                 "its state cannot be kept for its standbys, of which none can take over: {why}; let it \
@@ -281,7 +286,7 @@ impl Replica {
         match self.working.take() {
             Some(Job::Save) => {
                 let void = std::mem::take(&mut self.void);
-                match state.and_then(|state| within_bounds(&state).map(|()| state)) {
+                match within_bounds(state) {
                     Ok(_) if void => {}
                     Ok(state) => self.send_snapshots(&state, now),
                     Err(why) => self.refuse_state(&why),
@@ -462,10 +467,13 @@ impl Replica {
     }
 }
 
-fn within_bounds(state: &[u8]) -> Result<(), Why> {
-    match state.len() {
-        0..=STATE_MAX => Ok(()),
-        _ => Err(Why::TooLarge { limit: STATE_MAX }),
+/// A state that can be kept. One that did not even fit into the component's reply is too large like any other: what
+/// has made it so is undone.
+fn within_bounds(state: Result<Bytes, Why>) -> Result<Bytes, Why> {
+    match state {
+        Ok(state) if state.len() > STATE_MAX => Err(Why::TooLarge { limit: STATE_MAX }),
+        Err(Why::ReplyTooLarge { .. }) => Err(Why::TooLarge { limit: STATE_MAX }),
+        other => other,
     }
 }
 

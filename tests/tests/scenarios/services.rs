@@ -11,6 +11,7 @@ use std::time::Duration;
 mod exposure;
 mod outage;
 mod shown;
+mod states;
 mod terms;
 
 const MS: Duration = Duration::from_millis(1);
