@@ -164,6 +164,7 @@ impl<M: Request> ServiceRef<M> {
                 sender: id.sender,
                 sequence: id.sequence,
                 settled,
+                since: 0,
                 task: task.clone(),
             };
             let mut pursuit = Pursuit::default();
@@ -191,7 +192,7 @@ impl<M: Request> ServiceRef<M> {
     /// the primary: whoever serves next has the table of those that it follows, or none of their effects.
     async fn pursue(
         &self,
-        ask: AskService,
+        mut ask: AskService,
         until: Instant,
         pursuit: &mut Pursuit,
     ) -> Result<Vec<u8>, Why> {
@@ -217,12 +218,17 @@ impl<M: Request> ServiceRef<M> {
                     }
                 },
             };
+            ask.since = self.finder.least(&node);
             match self.try_at(&node, &ask, until).await {
-                Turn::Answered(Answered::Done(reply)) => {
+                Turn::Answered(Answered::Done { reply, epoch }) => {
+                    self.finder.note_epoch(&node, epoch);
                     self.finder.note(node);
                     return Ok(reply);
                 }
-                Turn::Answered(Answered::Failed { why }) => return Err(read_why(&why)),
+                Turn::Answered(Answered::Failed { why, epoch }) => {
+                    self.finder.note_epoch(&node, epoch);
+                    return Err(read_why(&why));
+                }
                 Turn::Answered(Answered::Refused { why }) => match read_why(&why) {
                     Why::Full | Why::Restarting => {
                         primary = Some(node);

@@ -2,8 +2,9 @@
 
 use super::roster::Roster;
 use super::words::WhoServes;
+use crate::platform;
 use crate::registry::Registry;
-use blastema_core::{NodeName, ObjectName};
+use blastema_core::{Instant, NodeName, ObjectName};
 use futures_util::StreamExt;
 use futures_util::stream::FuturesUnordered;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -15,6 +16,10 @@ pub(super) const PROBE: Duration = Duration::from_millis(5);
 /// How long they are asked at a time: they answer as soon as they know. Shorter notices sooner that
 /// another node can be reached; longer costs fewer messages while nobody serves.
 const HELD: Duration = Duration::from_millis(100);
+/// So long nobody is followed who serves under a lower epoch than one that has answered: much longer than a new life
+/// takes to meet the others, and short enough that whoever asks for five seconds follows a service that has begun
+/// again as a whole.
+const LAPSE: Duration = Duration::from_secs(2);
 /// Whoever waits so long for a service waits for one that is not there, or has a wrong name.
 const STRANGE: Duration = Duration::from_secs(10);
 
@@ -22,6 +27,8 @@ const STRANGE: Duration = Duration::from_secs(10);
 pub(super) enum Missing {
     /// Nobody does now.
     Nobody,
+    /// Nobody does but under an epoch lower than one that has answered.
+    Outdated,
     /// Nobody does before this is mended.
     Disputed(String),
 }
@@ -32,14 +39,14 @@ impl Missing {
         match self {
             Missing::Nobody => PROBE,
             // That is answered at once, and not held back until somebody serves.
-            Missing::Disputed(_) => HELD,
+            Missing::Outdated | Missing::Disputed(_) => HELD,
         }
     }
 
     /// In what the nodes of the service were told different things.
     pub(super) fn difference(self) -> Option<String> {
         match self {
-            Missing::Nobody => None,
+            Missing::Nobody | Missing::Outdated => None,
             Missing::Disputed(difference) => Some(difference),
         }
     }
@@ -61,6 +68,38 @@ struct Known {
     primary: Option<NodeName>,
     /// Who carries it, as one of them said.
     members: Vec<NodeName>,
+    /// The greatest epoch under which one of them answered, and which.
+    answered: Option<(u64, NodeName)>,
+    /// When somebody was met who serves under a lower one, first and last, and nobody else since.
+    outdated: Option<(Instant, Instant)>,
+}
+
+impl Known {
+    /// The lowest epoch under which this one may serve: under one epoch nobody serves but who has answered.
+    fn least(&self, node: &NodeName) -> u64 {
+        match &self.answered {
+            Some((epoch, by)) if by == node => *epoch,
+            Some((epoch, _)) => epoch.saturating_add(1),
+            None => 0,
+        }
+    }
+
+    /// Whether this one, who serves under that epoch, is followed.
+    fn follows(&mut self, node: &NodeName, epoch: u64, now: Instant) -> bool {
+        if epoch >= self.least(node) {
+            self.outdated = None;
+            return true;
+        }
+        // What was met long ago says nothing of who has been there meanwhile.
+        let before = self.outdated.filter(|(_, last)| now - *last < LAPSE);
+        let first = before.map_or(now, |(first, _)| first);
+        self.outdated = Some((first, now));
+        if now - first < LAPSE {
+            return false;
+        }
+        (self.answered, self.outdated) = (None, None);
+        true
+    }
 }
 
 /// Who serves, and whether whoever follows keeps what was served.
@@ -86,6 +125,19 @@ impl Finder {
         self.lock().primary = Some(primary);
     }
 
+    /// The lowest epoch under which this one is to answer.
+    pub(super) fn least(&self, node: &NodeName) -> u64 {
+        self.lock().least(node)
+    }
+
+    /// This one has answered under that epoch.
+    pub(super) fn note_epoch(&self, node: &NodeName, epoch: u64) {
+        let mut known = self.lock();
+        if epoch >= known.least(node) {
+            (known.answered, known.outdated) = (Some((epoch, node.clone())), None);
+        }
+    }
+
     /// Asks all who carry the service who serves; `besides` is no answer, and is not asked.
     pub(super) async fn find(&self, besides: Option<&NodeName>) -> Result<Found, Missing> {
         let members = self.members().await;
@@ -97,7 +149,8 @@ impl Finder {
             match found {
                 Ok(found) => return Ok(found),
                 Err(Missing::Nobody) => {}
-                Err(disputed) => missing = disputed,
+                Err(Missing::Outdated) if matches!(missing, Missing::Disputed(_)) => {}
+                Err(known) => missing = known,
             }
         }
         Err(missing)
@@ -123,11 +176,16 @@ impl Finder {
         let sender = self.registry.sender::<WhoServes>(&address).map_err(|_| Missing::Nobody)?;
         let question = WhoServes { besides: besides.map(NodeName::to_string) };
         let serving = sender.ask_within(question, HELD).await.map_err(|_| Missing::Nobody)?;
+        let primary = serving.primary.and_then(|primary| NodeName::new(&primary).ok());
+        if let Some(primary) = &primary
+            && !self.lock().follows(primary, serving.epoch, platform::now())
+        {
+            return Err(Missing::Outdated);
+        }
         let members: Result<Vec<_>, _> = serving.members.iter().map(|n| NodeName::new(n)).collect();
         if let Ok(members) = members {
             self.lock().members = members;
         }
-        let primary = serving.primary.and_then(|primary| NodeName::new(&primary).ok());
         match (primary.filter(|primary| Some(primary) != besides), serving.disputed) {
             (Some(primary), _) => Ok(Found { primary, keeps: serving.keeps }),
             (None, Some(difference)) => Err(Missing::Disputed(difference)),
@@ -187,5 +245,43 @@ impl Finder {
         members.sort();
         members.dedup();
         members
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answered(epoch: u64, by: &str) -> Known {
+        Known { answered: Some((epoch, NodeName::new(by).unwrap())), ..Known::default() }
+    }
+
+    #[test]
+    fn under_one_epoch_nobody_is_followed_but_who_has_answered() {
+        let (n1, n2) = (NodeName::new("n1").unwrap(), NodeName::new("n2").unwrap());
+        let now = Instant::from_millis(1000);
+        for (node, epoch, expected) in
+            [(&n1, 2, true), (&n2, 2, false), (&n2, 3, true), (&n1, 1, false), (&n1, 3, true)]
+        {
+            assert_eq!(answered(2, "n1").follows(node, epoch, now), expected, "{node} {epoch}");
+        }
+        assert!(Known::default().follows(&n2, 1, now));
+    }
+
+    #[test]
+    fn what_is_outdated_is_followed_when_nobody_else_was_met_all_the_while() {
+        let n2 = NodeName::new("n2").unwrap();
+        let at = Instant::from_millis;
+        let mut known = answered(2, "n1");
+        assert!(!known.follows(&n2, 1, at(1000)));
+        // Long ago: it has not been asked meanwhile.
+        assert!(!known.follows(&n2, 1, at(9000)));
+        assert!(!known.follows(&n2, 1, at(10_900)));
+        // Somebody knows of a follower.
+        assert!(known.follows(&n2, 3, at(10_950)));
+        assert!(!known.follows(&n2, 1, at(11_000)));
+        assert!(!known.follows(&n2, 1, at(12_500)));
+        assert!(known.follows(&n2, 1, at(13_000)));
+        assert_eq!(known.least(&n2), 0);
     }
 }

@@ -282,6 +282,14 @@ impl ReplicaBody {
         self.roster.show(&self.carried.name, self.machine.view(), platform::now());
     }
 
+    /// Under which epoch it serves, as was told last, or somebody does.
+    fn epoch(&self) -> u64 {
+        match self.roster.role(&self.carried.name) {
+            Some(Role::Primary { epoch }) => epoch,
+            _ => self.machine.view().epoch,
+        }
+    }
+
     /// Answers at once where somebody serves, or nobody may, else as soon as anybody does.
     fn tell_who_serves(&mut self, Wondered(question, answer): Wondered) {
         let config = &self.carried.config;
@@ -298,7 +306,7 @@ impl ReplicaBody {
         }
         let keeps = config.kind != StandbyKind::Cold;
         let members = config.members.iter().map(NodeName::to_string).collect();
-        answer.give(Serving { primary, keeps, members, disputed });
+        answer.give(Serving { primary, epoch: self.epoch(), keeps, members, disputed });
     }
 
     /// The component is to know whether it serves.
@@ -384,9 +392,12 @@ impl Body for ReplicaBody {
             ReplicaOutput::Answer { caller, outcome } => {
                 if let Some(answer) = self.callers.remove(&caller) {
                     answer.give(match outcome {
-                        ServiceOutcome::Served(Ok(reply)) => Answered::Done(reply.into()),
+                        ServiceOutcome::Served(Ok(reply)) => {
+                            Answered::Done { reply: reply.into(), epoch: self.epoch() }
+                        }
                         ServiceOutcome::Served(Err(why)) => {
-                            Answered::Failed { why: super::encode_why(&why) }
+                            let why = super::encode_why(&why);
+                            Answered::Failed { why, epoch: self.epoch() }
                         }
                         ServiceOutcome::Refused(why) => {
                             Answered::Refused { why: super::encode_why(&why) }
@@ -460,7 +471,11 @@ impl Handler<Asked> for ReplicaBody {
     type Result = ();
 
     fn handle(&mut self, Asked(ask, answer): Asked, context: &mut Context<Self>) {
-        let AskService { sender, sequence, settled, task } = ask;
+        let AskService { sender, sequence, settled, since, task } = ask;
+        if matches!(self.machine.role(), Role::Primary { epoch } if epoch < since) {
+            // This life has not met those who know better.
+            return answer.give(Answered::Elsewhere { primary: None });
+        }
         let mut request = Vec::new();
         if codec::encode_bounded(&task, TASK_MAX, &mut request).is_err() {
             let why = super::encode_why(&Why::TooLarge { limit: TASK_MAX });

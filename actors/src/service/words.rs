@@ -24,7 +24,7 @@ pub(crate) struct CompareTerms {
 #[contract(
     crate = "crate",
     name = "blastema/serve",
-    version = 1,
+    version = 2,
     reply = Answered,
     max_size = 2 * 1024 * 1024
 )]
@@ -34,6 +34,8 @@ pub(crate) struct AskService {
     pub(crate) sequence: u64,
     /// The sender has the answers to all of its requests below this number.
     pub(crate) settled: u64,
+    /// Whoever serves under a lower epoch than this is not meant: another has answered since.
+    pub(crate) since: u64,
     pub(crate) task: Task,
 }
 
@@ -50,24 +52,22 @@ pub(crate) struct Task {
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
 pub(crate) enum Answered {
-    Done(Vec<u8>),
+    Done {
+        reply: Vec<u8>,
+        /// Under which epoch it is answered.
+        epoch: u64,
+    },
     /// It was served, and failed.
-    Failed {
-        why: Vec<u8>,
-    },
+    Failed { why: Vec<u8>, epoch: u64 },
     /// It was not taken.
-    Refused {
-        why: Vec<u8>,
-    },
+    Refused { why: Vec<u8> },
     /// Another node serves, if any.
-    Elsewhere {
-        primary: Option<String>,
-    },
+    Elsewhere { primary: Option<String> },
 }
 
 /// Who serves? It is answered as soon as that is known.
 #[derive(Clone, Debug, Request)]
-#[contract(crate = "crate", name = "blastema/who-serves", version = 1, reply = Serving)]
+#[contract(crate = "crate", name = "blastema/who-serves", version = 2, reply = Serving)]
 pub(crate) struct WhoServes {
     /// This one is not meant: the asker has found it silent.
     pub(crate) besides: Option<String>,
@@ -78,6 +78,8 @@ pub(crate) struct WhoServes {
 #[contract(crate = "crate")]
 pub(crate) struct Serving {
     pub(crate) primary: Option<String>,
+    /// The greatest epoch in which somebody served.
+    pub(crate) epoch: u64,
     /// Whoever takes over knows what was served before.
     pub(crate) keeps: bool,
     /// All who carry the service.

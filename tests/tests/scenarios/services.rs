@@ -8,6 +8,7 @@ use blastema::{
 use blastema_testkit::{TestNode, now};
 use std::time::Duration;
 
+mod epochs;
 mod exposure;
 mod outage;
 mod shown;

@@ -1,0 +1,76 @@
+//! Callers that were answered under an epoch, and lives that know nothing of it.
+
+use super::*;
+
+/// A robot whose service has had two primaries, and who asks it.
+async fn in_its_second_epoch() -> (Robot, blastema::ServiceRef<Add>) {
+    let robot = Robot::start(StandbyKind::Warm).await;
+    let first = robot.primary();
+    robot.cut(first);
+    robot.asker.advance(1000 * MS).await;
+    robot.mend(first);
+    robot.asker.advance(2000 * MS).await;
+    assert_ne!(robot.primary(), first);
+    let counter = robot.asker.service::<Add>("counter").unwrap();
+    (robot, counter)
+}
+
+#[blastema_testkit::test]
+async fn whoever_was_answered_is_not_answered_by_a_new_life_that_was_told_otherwise() {
+    for rule in [OnPartition::Stop, OnPartition::Continue] {
+        let (mut robot, counter) = in_its_second_epoch().await;
+        assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.why), Ok(1));
+        let own = MEMBERS[robot.primary()];
+        // Without a word.
+        drop(robot.members.remove(robot.primary()));
+        let list = if rule == OnPartition::Stop { vec![own] } else { MEMBERS.to_vec() };
+        let wrong = ServiceSpec::new("counter", list, Counter::default).on_partition(rule);
+        let wrong = node(own, &robot.medium).service(wrong.hello_every(10 * MS));
+        let wrong = TestNode::start(wrong).await;
+        assert!(robot.asker.connected(own, 2000 * MS).await);
+        while wrong.service_role("counter") != Some(Role::Primary { epoch: 1 }) {
+            robot.asker.advance(MS).await;
+        }
+
+        // Those who know better are out of sight for a moment.
+        for other in &robot.members {
+            other.cable("ethernet").expect("a cable").cut(Direction::Both, false);
+        }
+        let clone = counter.clone();
+        let meanwhile = async {
+            robot.asker.advance(300 * MS).await;
+            for other in &robot.members {
+                other.cable("ethernet").expect("a cable").restore();
+            }
+            robot.asker.advance(3000 * MS).await;
+        };
+        let (answer, ()) = tokio::join!(clone.ask(Add(1)), meanwhile);
+        assert_eq!(
+            answer.map_err(|error| error.why),
+            Ok(2),
+            "{rule:?}, by {:?}",
+            counter.primary()
+        );
+        for sum in 3..=100 {
+            let answer = clone.ask(Add(1)).await.map_err(|error| error.why);
+            assert_eq!(answer, Ok(sum), "{rule:?}, by {:?}", counter.primary());
+            robot.asker.advance(5 * MS).await;
+        }
+    }
+}
+
+#[blastema_testkit::test]
+async fn whoever_was_answered_follows_a_service_that_begins_again_as_a_whole() {
+    let (mut robot, counter) = in_its_second_epoch().await;
+    assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.why), Ok(1));
+    robot.members.clear();
+    for own in MEMBERS {
+        let again = node(own, &robot.medium).service(super::counter(StandbyKind::Warm));
+        robot.members.push(TestNode::start(again).await);
+    }
+
+    assert_eq!(counter.ask(Add(2)).await.map_err(|error| error.why), Ok(2));
+    let asked_at = now();
+    assert_eq!(counter.ask(Add(2)).await.map_err(|error| error.why), Ok(4));
+    assert!(now() - asked_at < 100 * MS, "{:?}", now() - asked_at);
+}
