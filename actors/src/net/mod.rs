@@ -89,7 +89,8 @@ pub(crate) struct LinkSpec {
     pub(crate) neighbour: Option<NodeName>,
     /// How dear it is to use: of two paths the cheaper is taken. `None` is as its medium is.
     pub(crate) cost: Option<u16>,
-    /// How often we say hello, unless the medium is too slow for that. A dead link is found after three and a half of the neighbour's.
+    /// How often we say hello, unless the medium is too slow for that. A dead link is found after
+    /// three and a half of the neighbour's.
     pub(crate) hello_interval: Duration,
     /// How soon after the start the neighbour must be there; `None` where nobody need be.
     pub(crate) expected_within: Option<Duration>,

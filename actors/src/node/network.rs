@@ -232,8 +232,9 @@ impl Link {
         Link { name: None, neighbour, remote, cost: None, hello_interval: None, expected_within }
     }
 
-    /// How people call it; no two links of a node are called the same. Unless this says otherwise, it has the network's name where it is the only
-    /// link there, and else both names, as in `ethernet/module2`.
+    /// How people call it; no two links of a node are called the same. Unless this says otherwise,
+    /// it has the network's name where it is the only link there, and else both names, as in
+    /// `ethernet/module2`.
     pub fn named(mut self, name: &str) -> Self {
         self.name = Some(name.to_owned());
         self

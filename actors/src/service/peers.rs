@@ -1,8 +1,8 @@
 //! What replicas say to each other, and which node says it.
 //!
-//! A message names its sender, but anybody may write any name: one that votes, or was told other terms, in the
-//! name of another node could make a service resign, or elect somebody. So what counts is the node that the session says it comes
-//! from, and the message's own word has to agree.
+//! A message names its sender, but anybody may write any name: one that votes, or was told other
+//! terms, in the name of another node could make a service resign, or elect somebody. So what
+//! counts is the node that the session says it comes from, and the message's own word has to agree.
 
 use super::words::{CompareTerms, ReplicaSays};
 use crate::desk::Desk;

@@ -1,8 +1,9 @@
 //! How large a message is, and so what it shares room with on its way to another node.
 //!
-//! Bulk has room of its own at each place where messages wait, so that it never fills that of what is small: an order
-//! finds room while images stand in a row. Within a [`Strand`](super::Strand) both go in the order in which they were sent;
-//! what is small and of another one goes between the parts of what is large.
+//! Bulk has room of its own at each place where messages wait, so that it never fills that of what
+//! is small: an order finds room while images stand in a row. Within a [`Strand`](super::Strand)
+//! both go in the order in which they were sent; what is small and of another one goes between the
+//! parts of what is large.
 
 /// Whether a message is small, or bulk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -1,8 +1,9 @@
 //! From a pulled cable to the next reply, on interfaces that lose their carrier.
 //!
-//! Two hosts with four cables. The one in use is pulled while requests follow each other without a pause;
-//! the figure is how long the slowest of them took, that is the one which met the cut. A cable counts again as soon as it has proved itself, so that every cut
-//! falls into the second after another, which is when Linux keeps news of real interfaces back.
+//! Two hosts with four cables. The one in use is pulled while requests follow each other without a
+//! pause; the figure is how long the slowest of them took, that is the one which met the cut. A
+//! cable counts again as soon as it has proved itself, so that every cut falls into the second
+//! after another, which is when Linux keeps news of real interfaces back.
 
 use crate::bed::{Bed, Kind, PARALLEL};
 use crate::host::Host;
