@@ -40,7 +40,7 @@ pub enum Why {
     #[error("the receiver is restarting")]
     Restarting,
     /// The receiver was stopped, or has ended for good. Where its whole node is at safe rest, the fault list
-    /// says so.
+    /// says so. Or the sender's own node ends, or has ended: it takes nothing for other nodes any more.
     #[error("the receiver is stopped")]
     Stopped,
     /// The answer did not come in time. Whether the request took effect is not known.

@@ -66,6 +66,87 @@ async fn a_node_that_leaves_in_order_is_no_fault_and_its_return_no_recovery() {
     there.expect_no_faults().await;
 }
 
+/// Takes one message, and is busy with it for good.
+struct Stuck;
+
+impl Component for Stuck {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Add>();
+    }
+}
+
+impl Handle<Add> for Stuck {
+    async fn handle(&mut self, _: Add, _: &mut Context<Self>) -> u32 {
+        std::future::pending().await
+    }
+}
+
+#[blastema_testkit::test]
+async fn whoever_sends_from_a_node_that_has_ended_is_told_so_at_once() {
+    let medium = MemoryMedium::default();
+    let here = TestNode::start(module(&medium, "here", "there")).await;
+    let _there = TestNode::start(module(&medium, "there", "here")).await;
+    here.advance(2000 * MS).await;
+    let far: Sender<Add> = here.sender("there:sum").unwrap();
+    let near: Sender<Add> = here.sender("sum").unwrap();
+    assert_eq!(far.ask(Add(1)).await.unwrap(), 1);
+
+    here.shutdown().await;
+
+    for sum in [near, far] {
+        assert_eq!(sum.tell(Add(2)).unwrap_err().why, Why::Stopped);
+        let asked = sum.ask(Add(2)).await.unwrap_err();
+        assert_eq!((asked.why, asked.message.is_some()), (Why::Stopped, true));
+        let delivered = tokio::time::timeout(PATIENCE, sum.deliver(Add(2))).await;
+        assert_eq!(delivered.expect("it does not wait").unwrap_err().why, Why::Stopped);
+    }
+}
+
+#[blastema_testkit::test]
+async fn what_a_node_that_ends_still_accepts_arrives() {
+    let medium = MemoryMedium::default();
+    let here = TestNode::start(module(&medium, "here", "there")).await;
+    let there = TestNode::start(module(&medium, "there", "here")).await;
+    here.advance(2000 * MS).await;
+    let sum: Sender<Add> = here.sender("there:sum").unwrap();
+
+    let sending = async {
+        let mut accepted = 0;
+        loop {
+            match sum.deliver(Add(1)).await {
+                Ok(()) => accepted += 1,
+                Err(refused) => return (accepted, refused.why),
+            }
+            tokio::time::sleep(MS).await;
+        }
+    };
+    let sending = tokio::time::timeout(PATIENCE, sending);
+    let (sent, ()) = tokio::join!(sending, here.shutdown());
+
+    let (accepted, why) = sent.expect("it does not wait");
+    assert_eq!(why, Why::Stopped);
+    let sum: Sender<Add> = there.sender("sum").unwrap();
+    assert_eq!(sum.ask(Add(0)).await.unwrap(), accepted);
+}
+
+#[blastema_testkit::test]
+async fn whoever_waits_for_room_elsewhere_is_told_when_its_own_node_ends() {
+    let medium = MemoryMedium::default();
+    let here = TestNode::start(module(&medium, "here", "there")).await;
+    let stuck = ChildSpec::new("stuck", || Stuck).queue(1, WhenFull::Refuse);
+    let _there = TestNode::start(module(&medium, "there", "here").child(stuck)).await;
+    here.advance(2000 * MS).await;
+    let stuck: Sender<Add> = here.sender("there:stuck").unwrap();
+    while stuck.tell(Add(1)).is_ok() {
+        here.advance(MS).await;
+    }
+
+    let waiting = tokio::time::timeout(PATIENCE, stuck.deliver(Add(2)));
+    let (waited, ()) = tokio::join!(waiting, here.shutdown());
+
+    assert_eq!(waited.expect("it does not wait for ever").unwrap_err().why, Why::Stopped);
+}
+
 #[blastema_testkit::test]
 async fn a_node_that_goes_without_a_word_is_lost() {
     let medium = MemoryMedium::default();

@@ -24,12 +24,17 @@ pub(super) struct Doors {
     gateway: OnceLock<Recipient<Ship>>,
     gates: Mutex<BTreeMap<NodeName, Arc<Gate>>>,
     outcast: Outcast,
+    ended: Ended,
 }
+
+/// Whether this node takes nothing for others any more, since it ends. All gates have the same.
+type Ended = Arc<AtomicBool>;
 
 /// What all doors to one peer share.
 pub(super) struct Gate {
     node: NodeName,
     outcast: Outcast,
+    ended: Ended,
     condition: AtomicU8,
     /// A path leads there, or perhaps the session waits for one.
     path: AtomicBool,
@@ -201,6 +206,9 @@ impl Gate {
     }
 
     fn check(&self, object: &ObjectName, freight: Freight) -> Result<(), Why> {
+        if self.ended.load(Relaxed) {
+            return Err(Why::Stopped);
+        }
         if self.is_isolated() {
             return Err(Why::Isolated);
         }
@@ -256,7 +264,18 @@ impl Gate {
 
 impl Doors {
     pub(super) fn new(outcast: Outcast) -> Self {
-        Doors { gateway: OnceLock::new(), gates: Mutex::default(), outcast }
+        Doors {
+            gateway: OnceLock::new(),
+            gates: Mutex::default(),
+            outcast,
+            ended: Ended::default(),
+        }
+    }
+
+    /// This node ends: nothing more is taken, and whoever waits for room is told so.
+    pub(super) fn end(&self) {
+        self.ended.store(true, Relaxed);
+        self.lock().values().for_each(|gate| gate.changed.notify_waiters());
     }
 
     pub(super) fn lead_to(&self, gateway: Recipient<Ship>) {
@@ -293,6 +312,7 @@ impl Doors {
             Arc::new(Gate {
                 node: node.clone(),
                 outcast: self.outcast.clone(),
+                ended: self.ended.clone(),
                 condition: AtomicU8::new(Condition::Unreachable as u8),
                 path: AtomicBool::new(false),
                 met: AtomicBool::new(false),

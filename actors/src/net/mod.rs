@@ -455,13 +455,16 @@ impl NetHandle {
         self.router.clone().recipient()
     }
 
-    /// Looks at no interface any more.
+    /// Takes nothing for other nodes any more, and looks at no interface.
     pub(crate) fn stop(&self) {
+        self.doors.end();
         self.carrier.end();
     }
 
     /// Tells the peers that this node ends in order, delivers what was sent, and ends every session.
     pub(crate) fn leave(&self) {
+        // What is accepted after that would go nowhere.
+        self.doors.end();
         self.gateway.do_send(Leave);
     }
 }

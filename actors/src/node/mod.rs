@@ -437,7 +437,9 @@ impl Node {
         Ok(())
     }
 
-    /// Stops all components in the reverse of their start order, and then everything else.
+    /// Stops all components in the reverse of their start order, and then everything else. What was accepted
+    /// for other nodes until the last component has ended is delivered; from then on senders say
+    /// [`Why::Stopped`] at once, also to those who wait in `deliver`.
     pub async fn shutdown(&self) {
         // A keeper that does not answer has ended already.
         let _ = self.0.shutdown.send(Shutdown).await;

@@ -234,7 +234,9 @@ impl ReplicaBody {
         if let Some(other) = self.others.get(to) {
             let from = self.carried.config.own.to_string();
             // One that cannot be reached now will be told again.
-            let _ = other.tell(ReplicaSays { from, message: message.into() });
+            let told = other.tell(ReplicaSays { from, message: message.into() });
+            let kept_out = told.is_err_and(|refused| refused.why == Why::Isolated);
+            self.machine.handle_sent(to, kept_out);
         }
     }
 

@@ -11,6 +11,7 @@
 
 use super::accord::some_of;
 use super::*;
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// The least time for which nobody serves before that is a fault: less is over before anybody has read it.
@@ -29,7 +30,7 @@ impl ReplicaConfig {
 }
 
 /// Since when nobody is known who serves.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Outage {
     since: Option<Instant>,
     /// Somebody has served, in this life.
@@ -38,11 +39,13 @@ pub(super) struct Outage {
     worded: Option<Instant>,
     /// Who did not vote for this replica when it last stood for election.
     unwilling: Vec<NodeName>,
+    /// To whom nothing is sent, as this node keeps them out: of the members, when they were last written to.
+    kept_out: BTreeSet<NodeName>,
 }
 
 impl Outage {
     pub(super) fn beginning(now: Instant) -> Self {
-        Outage { since: Some(now), served: false, worded: None, unwilling: Vec::new() }
+        Outage { since: Some(now), ..Outage::default() }
     }
 
     /// It has stood for election in vain.
@@ -62,6 +65,15 @@ impl Outage {
 }
 
 impl Replica {
+    /// What was last sent to this member went its way, or was refused here since this node keeps it out.
+    pub fn handle_sent(&mut self, to: &NodeName, kept_out: bool) {
+        if !kept_out {
+            self.outage.kept_out.remove(to);
+        } else if self.config.members.contains(to) {
+            self.outage.kept_out.insert(to.clone());
+        }
+    }
+
     /// Takes down whether anybody is known to serve.
     pub(super) fn note_served(&mut self) {
         let served = match &self.role {
@@ -70,7 +82,7 @@ impl Replica {
         };
         let outage = &mut self.outage;
         if served {
-            *outage = Outage { since: None, served: true, worded: None, unwilling: Vec::new() };
+            *outage = Outage { served: true, ..Outage::default() };
             self.set_fault(FaultKind::NotServed, None);
         } else if outage.since.is_none() {
             outage.since = Some(self.now);
@@ -108,6 +120,16 @@ impl Replica {
                  mismatch, B10)"
             ));
         }
+        let kept_out = &self.outage.kept_out;
+        if !kept_out.is_empty() {
+            let nodes: Vec<_> = kept_out.iter().map(NodeName::as_str).collect();
+            causes.push(format!(
+                "isolated here: {} (admit what is well again)",
+                some_of(&nodes, ", ")
+            ));
+        }
+        let unheard = roll.unheard.into_iter();
+        let unheard = unheard.filter(|node| !kept_out.iter().any(|out| out.as_str() == *node));
         let (members, majority) = (self.config.members.len(), self.config.majority());
         if self.config.on_partition == OnPartition::Stop && roll.there < majority {
             let needs = format!(
@@ -115,7 +137,7 @@ impl Replica {
                 roll.there
             );
             let missing = [
-                ("not heard", roll.unheard, "start them, or mend the way there"),
+                ("not heard", unheard.collect::<Vec<_>>(), "start them, or mend the way there"),
                 (
                     "without this service",
                     roll.without,
@@ -127,7 +149,8 @@ impl Replica {
                 .map(|(what, nodes, help)| format!("{what}: {} ({help})", some_of(&nodes, ", ")));
             causes.extend(std::iter::once(needs).chain(missing));
         }
-        if causes.is_empty() {
+        // That a node is kept out does not say why the others have elected nobody.
+        if causes.len() == usize::from(!kept_out.is_empty()) {
             causes.push(self.describe_election(standby, now));
         }
         format!("nobody is known here who serves: {}", causes.join("; "))
@@ -145,7 +168,9 @@ impl Replica {
                 "this node has not the state, and waits {seconds:.1} s for whoever has it before it begins without"
             );
         }
-        let unwilling: Vec<_> = self.outage.unwilling.iter().map(NodeName::as_str).collect();
+        let Outage { unwilling, kept_out, .. } = &self.outage;
+        let unwilling = unwilling.iter().filter(|node| !kept_out.contains(*node));
+        let unwilling: Vec<_> = unwilling.map(NodeName::as_str).collect();
         match unwilling.is_empty() {
             true => "its nodes have elected nobody yet".to_owned(),
             false => format!(

@@ -161,6 +161,21 @@ fn whoever_stands_for_election_in_vain_says_who_did_not_vote() {
 }
 
 #[test]
+fn a_member_that_is_kept_out_here_is_said_to_be_so_and_not_to_be_unwilling() {
+    let mut robot = Robot::new(6, 3, StandbyKind::Warm, OnPartition::Stop);
+    robot.look_around(500);
+    robot.stopped = vec![false, true, true];
+    robot.look_around(1000);
+    let own = &mut robot.members[0].as_mut().unwrap().replica;
+    own.handle_sent(&node(1), true);
+    robot.look_around(3000);
+
+    let told = robot.outage(0).expect("it is told");
+    assert!(told.contains("isolated here: module1 ("), "{told}");
+    assert!(told.contains("was not voted for by module2 ("), "{told}");
+}
+
+#[test]
 fn an_outage_that_lasts_wakes_nobody_more_often_than_it_must() {
     let mut robot = Robot::new(6, 1, StandbyKind::Warm, OnPartition::Stop);
     robot.advance_ms(100);
