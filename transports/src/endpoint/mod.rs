@@ -32,8 +32,10 @@ use crate::unix::UnixConfig;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::net::router::MTU_MIN;
 use blastema_core::spelling::nearest;
+#[cfg(feature = "udp")]
+use std::net::Ipv4Addr;
 #[cfg(any(feature = "udp", feature = "tcp"))]
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::ops::Range;
 use std::path::PathBuf;
 use std::str::FromStr;
