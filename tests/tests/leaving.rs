@@ -38,12 +38,18 @@ fn module(medium: &MemoryMedium, own: &str, far: &str) -> NodeBuilder {
         .child(ChildSpec::new("sum", Sum::default))
 }
 
+/// Two nodes with a session between them.
+async fn met(medium: &MemoryMedium, there: NodeBuilder) -> (TestNode, TestNode) {
+    let here = TestNode::start(module(medium, "here", "there")).await;
+    let there = TestNode::start(there).await;
+    here.advance(2000 * MS).await;
+    (here, there)
+}
+
 #[blastema_testkit::test]
 async fn a_node_that_leaves_in_order_is_no_fault_and_its_return_no_recovery() {
     let medium = MemoryMedium::default();
-    let here = TestNode::start(module(&medium, "here", "there")).await;
-    let there = TestNode::start(module(&medium, "there", "here")).await;
-    here.advance(2000 * MS).await;
+    let (here, there) = met(&medium, module(&medium, "there", "here")).await;
     let sum: Sender<Add> = here.sender("there:sum").unwrap();
     assert_eq!(sum.ask(Add(1)).await.unwrap(), 1);
 
@@ -84,9 +90,7 @@ impl Handle<Add> for Stuck {
 #[blastema_testkit::test]
 async fn whoever_sends_from_a_node_that_has_ended_is_told_so_at_once() {
     let medium = MemoryMedium::default();
-    let here = TestNode::start(module(&medium, "here", "there")).await;
-    let _there = TestNode::start(module(&medium, "there", "here")).await;
-    here.advance(2000 * MS).await;
+    let (here, _there) = met(&medium, module(&medium, "there", "here")).await;
     let far: Sender<Add> = here.sender("there:sum").unwrap();
     let near: Sender<Add> = here.sender("sum").unwrap();
     assert_eq!(far.ask(Add(1)).await.unwrap(), 1);
@@ -105,9 +109,7 @@ async fn whoever_sends_from_a_node_that_has_ended_is_told_so_at_once() {
 #[blastema_testkit::test]
 async fn what_a_node_that_ends_still_accepts_arrives() {
     let medium = MemoryMedium::default();
-    let here = TestNode::start(module(&medium, "here", "there")).await;
-    let there = TestNode::start(module(&medium, "there", "here")).await;
-    here.advance(2000 * MS).await;
+    let (here, there) = met(&medium, module(&medium, "there", "here")).await;
     let sum: Sender<Add> = here.sender("there:sum").unwrap();
 
     let sending = async {
@@ -132,10 +134,8 @@ async fn what_a_node_that_ends_still_accepts_arrives() {
 #[blastema_testkit::test]
 async fn whoever_waits_for_room_elsewhere_is_told_when_its_own_node_ends() {
     let medium = MemoryMedium::default();
-    let here = TestNode::start(module(&medium, "here", "there")).await;
     let stuck = ChildSpec::new("stuck", || Stuck).queue(1, WhenFull::Refuse);
-    let _there = TestNode::start(module(&medium, "there", "here").child(stuck)).await;
-    here.advance(2000 * MS).await;
+    let (here, _there) = met(&medium, module(&medium, "there", "here").child(stuck)).await;
     let stuck: Sender<Add> = here.sender("there:stuck").unwrap();
     while stuck.tell(Add(1)).is_ok() {
         here.advance(MS).await;

@@ -186,8 +186,8 @@ macro_rules! conformance {
             )+
         }
     };
-    ($($module:ident: $medium:ty),+ $(,)?) => {
-        $(conformance! {
+    (@all $module:ident, $medium:ty, $($more:ident),*) => {
+        conformance! {
             $module, $medium:
             frames_arrive_whole,
             the_empty_and_the_largest_frame_arrive,
@@ -197,10 +197,19 @@ macro_rules! conformance {
             attaching_replaces_who_was_attached_and_tells_the_present_state,
             a_peer_that_is_gone_and_back_is_reached_again,
             closing_releases_the_port,
-            a_port_that_is_taken_is_reported_and_opened_when_it_is_free,
             garbage_on_the_wire_harms_nobody,
             a_flood_before_a_receiver_that_hangs_stays_bounded,
             the_next_life_after_a_panic_opens_at_the_same_address_for_the_same_receiver,
+            $($more),*
+        }
+    };
+    // Media that any number of programs use at once: no port of them is ever taken.
+    (shared: $($module:ident: $medium:ty),+ $(,)?) => {
+        $(conformance! { @all $module, $medium, })+
+    };
+    ($($module:ident: $medium:ty),+ $(,)?) => {
+        $(conformance! {
+            @all $module, $medium, a_port_that_is_taken_is_reported_and_opened_when_it_is_free
         })+
     };
 }

@@ -43,32 +43,8 @@ impl<const FD: bool> Medium for OverCan<FD> {
     }
 }
 
-// No port is taken: any number of programs can use one interface.
 conformance! {
-    classic, OverCan<false>:
-    frames_arrive_whole,
-    the_empty_and_the_largest_frame_arrive,
-    a_frame_that_is_too_large_is_refused_and_counted,
-    an_address_of_another_medium_is_refused_and_counted,
-    many_frames_keep_their_order_and_none_is_doubled,
-    attaching_replaces_who_was_attached_and_tells_the_present_state,
-    a_peer_that_is_gone_and_back_is_reached_again,
-    closing_releases_the_port,
-    garbage_on_the_wire_harms_nobody,
-    a_flood_before_a_receiver_that_hangs_stays_bounded,
-    the_next_life_after_a_panic_opens_at_the_same_address_for_the_same_receiver,
-}
-conformance! {
-    fd, OverCan<true>:
-    frames_arrive_whole,
-    the_empty_and_the_largest_frame_arrive,
-    a_frame_that_is_too_large_is_refused_and_counted,
-    an_address_of_another_medium_is_refused_and_counted,
-    many_frames_keep_their_order_and_none_is_doubled,
-    attaching_replaces_who_was_attached_and_tells_the_present_state,
-    a_peer_that_is_gone_and_back_is_reached_again,
-    closing_releases_the_port,
-    garbage_on_the_wire_harms_nobody,
-    a_flood_before_a_receiver_that_hangs_stays_bounded,
-    the_next_life_after_a_panic_opens_at_the_same_address_for_the_same_receiver,
+    shared:
+    classic: OverCan<false>,
+    fd: OverCan<true>,
 }

@@ -36,6 +36,14 @@ async fn deliver_all(left: &Module) {
     advance(20 * MS).await;
 }
 
+/// One note arrives; then both cables are cut, and [`deliver_all`] sends.
+async fn deliver_in_vain(robot: &Robot, left: &Module) {
+    left.sender::<Note>("right:acc").deliver(Note(0)).await.unwrap();
+    advance(10 * MS).await;
+    ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
+    deliver_all(left).await;
+}
+
 /// What [`deliver_all`] sent, where no way leads there any more.
 fn all_unreachable() -> [(String, String, DeadReason, u64); 3] {
     let why = DeadReason::Unreachable;
@@ -80,10 +88,7 @@ fn what_a_node_had_not_acknowledged_when_it_was_killed_is_counted_at_its_sender(
 fn what_was_under_way_when_the_gateway_panicked_is_counted() {
     paused(async {
         let (robot, left, right) = pair().await;
-        left.sender::<Note>("right:acc").deliver(Note(0)).await.unwrap();
-        advance(10 * MS).await;
-        ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
-        deliver_all(&left).await;
+        deliver_in_vain(&robot, &left).await;
 
         left.net.victims()[2].do_send(PanicOnPurpose);
         advance(100 * MS).await;
@@ -97,10 +102,7 @@ fn what_was_under_way_when_the_gateway_panicked_is_counted() {
 fn what_a_session_held_that_makes_room_for_other_peers_is_counted() {
     paused(async {
         let (robot, left, _right) = pair().await;
-        left.sender::<Note>("right:acc").deliver(Note(0)).await.unwrap();
-        advance(10 * MS).await;
-        ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
-        deliver_all(&left).await;
+        deliver_in_vain(&robot, &left).await;
         advance(300 * MS).await;
 
         for n in 0..512 {
