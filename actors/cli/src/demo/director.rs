@@ -3,13 +3,13 @@
 use super::control::{ControlError, Door, Reader, Writer};
 use super::display::{Display, Mode, NobodyReads};
 use super::launcher::{Ended, Process};
-use super::moment::Moment;
-use super::picture::{NEWS_LIMIT, Picture};
+use super::machine_instant::Moment;
 use super::protocol::{Command, Event, VERSION};
 use super::report::Report;
 use super::robot::Module;
-use super::story::{News, Output, Plan, Story};
+use super::scenario::{News, Output, Plan, Story};
 use super::trial::Deed;
+use super::view::{NEWS_LIMIT, Picture};
 use super::wiring::Wiring;
 use std::collections::{BTreeMap, VecDeque};
 use std::io;

@@ -1,8 +1,8 @@
 //! What is shown, on a thread of its own: a terminal that stands still holds nobody up.
 
-use super::ink::{Line, Palette};
-use super::picture::{Picture, Size, plain_news};
-use super::story::News;
+use super::scenario::News;
+use super::text_style::{Line, Palette};
+use super::view::{Picture, Size, plain_news};
 use std::io::{self, IsTerminal, Write};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
@@ -206,8 +206,8 @@ fn size() -> Size {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::moment::Moment;
-    use crate::demo::story::{Plan, Story};
+    use crate::demo::machine_instant::Moment;
+    use crate::demo::scenario::{Plan, Story};
     use std::collections::VecDeque;
 
     fn picture() -> Picture {

@@ -1,14 +1,14 @@
 //! A robot that keeps every promise, or breaks one, without processes and in no time: for tests.
 
 use super::injection::cables_to;
-use super::known::Known;
-use super::moment::Moment;
+use super::machine_instant::Moment;
 use super::protocol::{
     Command, Event, FaultNote, LinkState, OrderId, Sabotage, SinkState, Snapshot, SourceState,
 };
 use super::report::Report;
 use super::robot::{CABLES, FLOWS, Flow, Module, address};
-use super::story::{Output, Story};
+use super::robot_state::Known;
+use super::scenario::{Output, Story};
 use super::trial::Deed;
 use blastema::core::{FaultKind, NodeName, Place};
 use std::collections::{BTreeMap, BTreeSet};

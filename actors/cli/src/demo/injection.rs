@@ -272,7 +272,7 @@ fn touches(place: &Place, module: Module) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::moment::Moment;
+    use crate::demo::machine_instant::Moment;
     use blastema::core::NodeName;
 
     fn note(kind: FaultKind, place: Place) -> FaultNote {

@@ -18,29 +18,29 @@ mod director;
 mod display;
 #[cfg(test)]
 mod fake;
+mod flow_accounting;
+pub(crate) mod flow_receiver;
 mod injection;
-mod ink;
-mod known;
 mod launcher;
-mod ledger;
-pub(crate) mod moment;
-mod picture;
+pub(crate) mod machine_instant;
 pub(crate) mod protocol;
 mod report;
 pub(crate) mod robot;
-mod story;
+mod robot_state;
+mod scenario;
 mod table;
-pub(crate) mod tally;
+mod text_style;
 pub(crate) mod timings;
 mod trial;
+mod view;
 pub(crate) mod wiring;
 
 use crate::args::DemoOptions;
 use director::{DemoError, Director};
 use display::{Display, Mode};
+use scenario::Plan;
 use std::io;
 use std::time::Duration;
-use story::Plan;
 
 /// How long chaos goes on if nothing is said.
 const CHAOS: Duration = Duration::from_secs(60);

@@ -9,7 +9,7 @@
 //! module   ── Snapshot ───────────►               ten times a second, and when asked
 //! ```
 
-use super::moment::Moment;
+use super::machine_instant::Moment;
 use super::timings::Timings;
 use super::wiring::Wiring;
 use blastema::core::{FaultKind, Lifecycle, ObjectName, Place};

@@ -1,9 +1,9 @@
 //! What came of a demonstration.
 
-use super::known::Measured;
-use super::ledger::Losses;
+use super::flow_accounting::Losses;
 use super::protocol::FaultNote;
 use super::robot::Module;
+use super::robot_state::Measured;
 use super::timings::Timings;
 use serde::{Serialize, Serializer};
 use std::time::Duration;

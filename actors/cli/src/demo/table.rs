@@ -1,7 +1,7 @@
 //! The table at the end, beside the paper's figures.
 
-use super::ink::{Ink, Line};
 use super::report::{Delivery, Figures, Report, Response, Row, counted, millis};
+use super::text_style::{Ink, Line};
 use std::time::Duration;
 
 /// What the wide form takes; narrower terminals get a paragraph for each row.
@@ -197,11 +197,11 @@ fn wrapped(text: &str, columns: usize) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::ink::Palette;
-    use crate::demo::known::Measured;
-    use crate::demo::ledger::Losses;
+    use crate::demo::flow_accounting::Losses;
     use crate::demo::report::{NOTES, Named, paper_figure};
     use crate::demo::robot::Module;
+    use crate::demo::robot_state::Measured;
+    use crate::demo::text_style::Palette;
     use crate::demo::timings::Timings;
     use crate::golden;
 

@@ -10,13 +10,13 @@
 //! A phase that does not end within its deadline is a problem, which breaks the row, and the next
 //! phase begins: one broken promise does not hide the next.
 
+use super::flow_accounting::Losses;
 use super::injection::{Injection, Judgement, Return};
-use super::known::Known;
-use super::ledger::Losses;
-use super::moment::Moment;
+use super::machine_instant::Moment;
 use super::protocol::{Command, Event, FaultNote, OrderId};
 use super::report::{Named, Row, counted, paper_figure};
 use super::robot::{Cable, Flow, Module};
+use super::robot_state::Known;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 

@@ -1,11 +1,11 @@
 //! A cell of the robot's skin: one of a hundred small objects. Some receive a flow.
 
-use super::gauges::Gauges;
+use super::harm::{Wounds, declare, vulnerable};
+use super::measurements::Gauges;
 use super::messages::Numbered;
-use super::wounds::{Wounds, declare, vulnerable};
-use crate::demo::moment::Moment;
+use crate::demo::flow_receiver::Sample;
+use crate::demo::machine_instant::Moment;
 use crate::demo::robot::Flow;
-use crate::demo::tally::Sample;
 use blastema::prelude::*;
 
 /// Feels pressure, ten times a second.

@@ -1,7 +1,7 @@
 //! The laser scanner on the robot's head.
 
+use super::harm::{Wounds, declare, vulnerable};
 use super::messages::Scan;
-use super::wounds::{Wounds, declare, vulnerable};
 use blastema::prelude::*;
 
 /// Directions in one sweep.

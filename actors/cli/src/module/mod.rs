@@ -8,29 +8,29 @@
 //!
 //! The gauges stand outside of the objects, so that what is measured survives what is done to them.
 
-mod aboard;
+mod agent;
 mod cell;
-mod duty;
-mod gauges;
+mod fault_target;
+mod harm;
 mod laser;
+mod measurements;
 mod messages;
+mod module_node;
 mod motors;
 mod odometry;
 mod operator;
 mod pacer;
 mod planner;
-mod post;
 mod report;
 mod safety;
 mod stopwatch;
 mod ticker;
-mod wounds;
 
 use crate::args::ModuleOptions;
 use crate::demo::control::{ControlError, enter};
 use crate::demo::protocol::{Command, Event, VERSION};
 use crate::demo::robot::Module;
-use post::Post;
+use agent::Post;
 use std::io;
 use tokio::sync::mpsc::channel;
 

@@ -1,7 +1,7 @@
 //! The motors of the base.
 
+use super::harm::{Wounds, declare, vulnerable};
 use super::messages::{Stop, Velocity, Wheels};
-use super::wounds::{Wounds, declare, vulnerable};
 use blastema::prelude::*;
 
 /// One round of control, in seconds: the motors run at 100 Hz.

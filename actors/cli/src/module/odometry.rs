@@ -1,7 +1,7 @@
 //! Odometry: where the wheels have carried the robot.
 
+use super::harm::{Wounds, declare, vulnerable};
 use super::messages::{Pose, Wheels};
-use super::wounds::{Wounds, declare, vulnerable};
 use blastema::prelude::*;
 
 /// Adds up the turns of the wheels.

@@ -1,7 +1,7 @@
 //! The operator's panel on the robot's head.
 
+use super::harm::{Wounds, declare, vulnerable};
 use super::messages::{Goal, Pose};
-use super::wounds::{Wounds, declare, vulnerable};
 use blastema::prelude::*;
 
 /// How near the robot must come to a goal.

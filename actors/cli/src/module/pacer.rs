@@ -1,6 +1,6 @@
 //! Sends the numbered messages of a flow.
 
-use super::gauges::Gauges;
+use super::measurements::Gauges;
 use super::messages::Numbered;
 use crate::demo::robot::Flow;
 use blastema::prelude::*;

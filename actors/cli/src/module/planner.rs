@@ -1,7 +1,7 @@
 //! The planner: from where the robot is to where it shall be.
 
+use super::harm::{Wounds, declare, vulnerable};
 use super::messages::{Goal, Pose, Scan, Velocity};
-use super::wounds::{Wounds, declare, vulnerable};
 use blastema::prelude::*;
 use std::f64::consts::PI;
 

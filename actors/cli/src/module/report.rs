@@ -1,6 +1,6 @@
 //! How the module's monitor and detector see it, in the words of the control channel.
 
-use crate::demo::moment::Moment;
+use crate::demo::machine_instant::Moment;
 use crate::demo::protocol::{Event, FaultNote, LinkState, ObjectState, Opinion};
 use blastema::core::detection::{self, ObjectKind, Row, Turn};
 use blastema::{FaultEvent, Lifecycle, Place};

@@ -1,7 +1,7 @@
 //! The safety officer: stops the robot when somebody is too near.
 
+use super::harm::{Wounds, declare, vulnerable};
 use super::messages::{Scan, Stop};
-use super::wounds::{Wounds, declare, vulnerable};
 use blastema::prelude::*;
 
 /// Nearer than this, the robot stands still.

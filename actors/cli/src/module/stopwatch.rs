@@ -1,8 +1,8 @@
 //! Measures how long other modules take to answer.
 
-use super::gauges::Gauges;
+use super::measurements::Gauges;
 use super::messages::Echo;
-use crate::demo::moment::Moment;
+use crate::demo::machine_instant::Moment;
 use crate::demo::robot::Module;
 use blastema::prelude::*;
 use std::time::Duration;

@@ -1,8 +1,8 @@
 //! Measures how long an event takes within a module, with a condition and without (Fig. 10).
 
-use super::gauges::Gauges;
+use super::measurements::Gauges;
 use super::messages::Tick;
-use crate::demo::moment::Moment;
+use crate::demo::machine_instant::Moment;
 use blastema::prelude::*;
 
 /// Publishes.

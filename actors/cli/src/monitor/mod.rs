@@ -1,9 +1,9 @@
 //! What a running node knows of itself, as it shows it at its window.
 
-mod look;
+mod client;
 mod tables;
 
-use self::look::{LookError, look};
+use self::client::{LookError, look};
 use crate::args::MonitorOptions;
 use std::io::{self, Write};
 

@@ -1,6 +1,6 @@
 //! Reconciles what the flows' sources sent with what their sinks received.
 
-use super::moment::Moment;
+use super::machine_instant::Moment;
 use super::protocol::{SinkState, Snapshot, SourceState};
 use super::robot::{FLOWS, Flow};
 use serde::Serialize;

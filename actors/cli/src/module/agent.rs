@@ -1,10 +1,10 @@
 //! Where the module stands at its post: between the director and the node.
 
-use super::aboard;
-use super::duty::Duty;
-use super::gauges::Gauges;
+use super::fault_target::Duty;
+use super::measurements::Gauges;
+use super::module_node;
 use super::report::{event_of, links_of, objects_of};
-use crate::demo::moment::Moment;
+use crate::demo::machine_instant::Moment;
 use crate::demo::protocol::{Command, Event, OrderId, Snapshot};
 use crate::demo::robot::Module;
 use crate::demo::wiring::Wiring;
@@ -64,11 +64,11 @@ impl Post {
 
     /// Starts the node, or says why it cannot be started.
     async fn start(&self, wiring: &Wiring) -> Result<(Node, FaultEvents), Event> {
-        aboard::check_addresses(self.module, wiring).map_err(|error| Event::StartFailed {
+        module_node::check_addresses(self.module, wiring).map_err(|error| Event::StartFailed {
             reason: error.to_string(),
             address_taken: true,
         })?;
-        let mut builder = aboard::build(self.module, wiring, &self.gauges);
+        let mut builder = module_node::build(self.module, wiring, &self.gauges);
         let mut faults = builder.fault_events();
         let mut starting = pin!(builder.start());
         // What is found meanwhile says why a node does not come up.
@@ -100,11 +100,11 @@ impl Post {
                 }
             }
             Command::Cut { order, cables } => {
-                let cut = |cable: &String| aboard::cut(node, cable);
+                let cut = |cable: &String| module_node::cut(node, cable);
                 self.answer(order, cables.iter().try_for_each(cut));
             }
             Command::Restore { order, cables } => {
-                let restore = |cable: &String| aboard::restore(node, cable);
+                let restore = |cable: &String| module_node::restore(node, cable);
                 self.answer(order, cables.iter().try_for_each(restore));
             }
             Command::PanicRouter { order } => {

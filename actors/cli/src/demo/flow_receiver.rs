@@ -1,6 +1,6 @@
 //! Counts what of a numbered flow arrives, at the receiving object.
 
-use super::moment::Moment;
+use super::machine_instant::Moment;
 use super::protocol::SinkState;
 use std::collections::{BTreeSet, VecDeque};
 use std::ops::Range;

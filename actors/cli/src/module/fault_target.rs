@@ -1,9 +1,9 @@
 //! Carries out what the director wants done to an object, and tells when the object answers again.
 
-use super::gauges::Gauges;
+use super::harm::Scar;
+use super::measurements::Gauges;
 use super::messages::{Harm, Noise, Poke, Wound};
-use super::wounds::Scar;
-use crate::demo::moment::Moment;
+use crate::demo::machine_instant::Moment;
 use crate::demo::protocol::{Event, OrderId, Sabotage};
 use blastema::prelude::*;
 use std::sync::Arc;

@@ -3,13 +3,13 @@
 //! Wide terminals get boxes, narrow ones a list, and of a short one the beginning is shown. What was
 //! not heard of lately is not shown as current.
 
-use super::ink::{Ink, Line};
-use super::known::Known;
-use super::ledger::Losses;
-use super::moment::Moment;
+use super::flow_accounting::Losses;
+use super::machine_instant::Moment;
 use super::protocol::{ObjectState, Opinion};
 use super::robot::{CABLES, Cable, Module};
-use super::story::{News, Story, Tone};
+use super::robot_state::Known;
+use super::scenario::{News, Story, Tone};
+use super::text_style::{Ink, Line};
 use blastema::core::Lifecycle;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -290,7 +290,7 @@ pub(crate) fn plain_news(news: &News) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::ink::Palette;
+    use crate::demo::text_style::Palette;
     use crate::golden;
 
     fn picture() -> Picture {

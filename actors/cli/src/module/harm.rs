@@ -1,7 +1,7 @@
 //! How an object of the demonstration is harmed on command, and what remembers it.
 
 use super::messages::{Harm, Noise, Poke, Wound};
-use crate::demo::moment::Moment;
+use crate::demo::machine_instant::Moment;
 use blastema::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -135,7 +135,7 @@ macro_rules! vulnerable {
 
         impl Handle<$crate::module::messages::Noise> for $component {
             async fn handle(&mut self, _: $crate::module::messages::Noise, _: &mut Context<Self>) {
-                $crate::module::wounds::endure().await;
+                $crate::module::harm::endure().await;
             }
         }
     };

@@ -5,11 +5,11 @@
 
 use super::chaos::{Chaos, Dice, FLOOD_MESSAGES, HANG_MILLIS};
 use super::injection::{Injection, Judgement};
-use super::known::Known;
-use super::moment::Moment;
+use super::machine_instant::Moment;
 use super::protocol::{Event, FaultNote, Sabotage};
 use super::report::{NOTES, Report, Row, counted};
 use super::robot::{CABLES, Module};
+use super::robot_state::Known;
 use super::trial::{Deed, Patience, Trial};
 use blastema::core::Place;
 use std::collections::{BTreeMap, VecDeque};

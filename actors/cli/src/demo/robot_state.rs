@@ -1,7 +1,7 @@
 //! What the director knows of the robot at a moment.
 
-use super::ledger::Ledger;
-use super::moment::Moment;
+use super::flow_accounting::Ledger;
+use super::machine_instant::Moment;
 use super::protocol::{Event, Snapshot, SourceState};
 use super::robot::{CABLES, Cable, Module};
 use super::timings::Timings;

@@ -1,8 +1,9 @@
 //! What is aboard a module: its node, its cables, its objects.
 
 use super::cell::Cell;
-use super::gauges::Gauges;
+use super::harm::Wounds;
 use super::laser::Laser;
+use super::measurements::Gauges;
 use super::messages::{Pose, Velocity};
 use super::motors::Motors;
 use super::odometry::Odometry;
@@ -12,7 +13,6 @@ use super::planner::Planner;
 use super::safety::Safety;
 use super::stopwatch::{Answerer, ECHO, Stopwatch};
 use super::ticker::{ChoosyListener, Listener, Ticker};
-use super::wounds::Wounds;
 use crate::demo::robot::{FLOWS, Module, SIGN_OF_LIFE_MILLIS, skin};
 use crate::demo::wiring::{CableEnd, Wiring};
 use blastema::core::detection::Pull;

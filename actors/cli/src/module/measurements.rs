@@ -1,11 +1,11 @@
 //! The measuring apparatus of a module. It stands outside of the objects, so that their restarts do
 //! not touch it.
 
-use super::wounds::Scar;
-use crate::demo::moment::Moment;
+use super::harm::Scar;
+use crate::demo::flow_receiver::{Sample, Tally};
+use crate::demo::machine_instant::Moment;
 use crate::demo::protocol::{Event, Snapshot, SourceState};
 use crate::demo::robot::{FLOWS, Flow, Module};
-use crate::demo::tally::{Sample, Tally};
 use crate::demo::timings::Timings;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
