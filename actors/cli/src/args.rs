@@ -1,6 +1,6 @@
 //! What the command line may say.
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser};
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -43,22 +43,22 @@ const WITHIN: RangeInclusive<Duration> = Duration::from_millis(10)..=Duration::f
 pub(crate) struct Arguments {
     /// What is to be done; the demonstration, if nothing is said.
     #[command(subcommand)]
-    job: Option<Job>,
+    subcommand: Option<Subcommand>,
     /// The demonstration's options may stand without its name.
     #[command(flatten)]
     demo: DemoOptions,
 }
 
 impl Arguments {
-    /// The job that is meant.
-    pub(crate) fn into_job(self) -> Job {
-        self.job.unwrap_or(Job::Demo(self.demo))
+    /// The subcommand that is meant.
+    pub(crate) fn into_subcommand(self) -> Subcommand {
+        self.subcommand.unwrap_or(Subcommand::Demo(self.demo))
     }
 }
 
 /// What the program can do.
-#[derive(Clone, Debug, PartialEq, Subcommand)]
-pub(crate) enum Job {
+#[derive(Clone, Debug, PartialEq, clap::Subcommand)]
+pub(crate) enum Subcommand {
     /// Start a robot of three processes, kill, hang and unplug parts of it, and show how it recovers
     ///
     /// Three processes, module1 to module3, on two networks on loopback addresses and free ports, with
@@ -167,9 +167,9 @@ mod tests {
     use super::*;
     use clap::CommandFactory;
 
-    fn parse(line: &str) -> Result<Job, String> {
+    fn parse(line: &str) -> Result<Subcommand, String> {
         Arguments::try_parse_from(line.split_whitespace())
-            .map(Arguments::into_job)
+            .map(Arguments::into_subcommand)
             .map_err(|error| error.to_string())
     }
 
@@ -181,7 +181,7 @@ mod tests {
     #[test]
     fn no_argument_means_the_demonstration_as_it_comes() {
         let usual = DemoOptions { json: false, seed: 1, length: None, chaos: false };
-        assert_eq!(parse("blastema"), Ok(Job::Demo(usual)));
+        assert_eq!(parse("blastema"), Ok(Subcommand::Demo(usual)));
         assert_eq!(parse("blastema demo"), parse("blastema"));
         assert_eq!(parse("blastema --json --seed 7"), parse("blastema demo --json --seed 7"));
         assert!(parse("blastema --json demo").is_err());
@@ -198,7 +198,7 @@ mod tests {
 
         assert_eq!(
             parse("blastema demo --json --seed 42 --for 60s --chaos"),
-            Ok(Job::Demo(wanted))
+            Ok(Subcommand::Demo(wanted))
         );
     }
 
@@ -277,12 +277,12 @@ mod tests {
         let windows = ["/run/a", "/run/b"].map(PathBuf::from).to_vec();
         let within = Duration::from_secs(10);
         let wanted = MonitorOptions { windows: windows.clone(), json: true, within };
-        assert_eq!(parse("blastema monitor --json /run/a /run/b"), Ok(Job::Monitor(wanted)));
+        assert_eq!(parse("blastema monitor --json /run/a /run/b"), Ok(Subcommand::Monitor(wanted)));
         let within = Duration::from_millis(500);
         let wanted = MonitorOptions { windows, json: false, within };
         assert_eq!(
             parse("blastema monitor --within 500ms /run/a /run/b"),
-            Ok(Job::Monitor(wanted))
+            Ok(Subcommand::Monitor(wanted))
         );
         for (wrong, told) in [("10", "mean 10s?"), ("0s", "10ms and 1h"), ("2h", "10ms and 1h")] {
             let refusal = parse(&format!("blastema monitor /a --within {wrong}")).expect_err(wrong);

@@ -55,19 +55,19 @@ pub(crate) enum ControlError {
 
 /// Where modules come in.
 #[derive(Debug)]
-pub(crate) struct Door {
+pub(crate) struct ControlListener {
     listener: UnixListener,
     path: PathBuf,
     // Removes the folder when it is dropped.
     _folder: TempDir,
 }
 
-impl Door {
+impl ControlListener {
     /// Makes the folder and listens in it.
     ///
     /// # Errors
     /// See [`ControlError`].
-    pub(crate) fn open() -> Result<Door, ControlError> {
+    pub(crate) fn open() -> Result<ControlListener, ControlError> {
         let base = std::env::temp_dir();
         sweep(&base);
         let prefix = format!("{PREFIX}{}-", std::process::id());
@@ -79,7 +79,7 @@ impl Door {
             return Err(ControlError::PathTooLong { path });
         }
         let listener = UnixListener::bind(&path)?;
-        Ok(Door { listener, path, _folder: folder })
+        Ok(ControlListener { listener, path, _folder: folder })
     }
 
     /// Where modules are to connect.
@@ -91,7 +91,7 @@ impl Door {
     ///
     /// # Errors
     /// The socket failed.
-    pub(crate) async fn admit(&self) -> io::Result<(i32, Reader, Writer)> {
+    pub(crate) async fn admit(&self) -> io::Result<(i32, LineReader, LineWriter)> {
         loop {
             let (stream, _) = self.listener.accept().await?;
             if let Ok(Some(process)) = check_user(&stream) {
@@ -106,7 +106,10 @@ impl Door {
 ///
 /// # Errors
 /// Nobody listens, or it is not `parent` of our user who listens.
-pub(crate) async fn enter(path: &Path, parent: u32) -> Result<(Reader, Writer), ControlError> {
+pub(crate) async fn enter(
+    path: &Path,
+    parent: u32,
+) -> Result<(LineReader, LineWriter), ControlError> {
     let stream = UnixStream::connect(path).await?;
     let process = check_user(&stream)?;
     if process.and_then(|process| u32::try_from(process).ok()) != Some(parent) {
@@ -118,13 +121,13 @@ pub(crate) async fn enter(path: &Path, parent: u32) -> Result<(Reader, Writer), 
 
 /// Receives lines.
 #[derive(Debug)]
-pub(crate) struct Reader(BufReader<OwnedReadHalf>);
+pub(crate) struct LineReader(BufReader<OwnedReadHalf>);
 
 /// Sends lines.
 #[derive(Debug)]
-pub(crate) struct Writer(OwnedWriteHalf);
+pub(crate) struct LineWriter(OwnedWriteHalf);
 
-impl Reader {
+impl LineReader {
     /// The next message; `None` when the other side is gone.
     ///
     /// # Errors
@@ -143,7 +146,7 @@ impl Reader {
     }
 }
 
-impl Writer {
+impl LineWriter {
     /// Sends a message.
     ///
     /// # Errors
@@ -153,9 +156,9 @@ impl Writer {
     }
 }
 
-fn split(stream: UnixStream) -> (Reader, Writer) {
+fn split(stream: UnixStream) -> (LineReader, LineWriter) {
     let (reader, writer) = stream.into_split();
-    (Reader(BufReader::new(reader)), Writer(writer))
+    (LineReader(BufReader::new(reader)), LineWriter(writer))
 }
 
 /// The peer's process, if its user is ours.
@@ -191,44 +194,44 @@ fn owner_of(name: &str) -> Option<&str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::protocol::{Command, Event};
+    use crate::demo::protocol::{DirectorCommand, ModuleEvent};
 
     #[tokio::test]
     async fn both_sides_know_each_other_and_talk_in_lines() {
-        let door = Door::open().expect("a folder can be made");
-        let path = door.path().to_owned();
+        let listener = ControlListener::open().expect("a folder can be made");
+        let path = listener.path().to_owned();
         let own = std::process::id();
 
-        let (inside, outside) = tokio::join!(door.admit(), enter(&path, own));
+        let (inside, outside) = tokio::join!(listener.admit(), enter(&path, own));
         let (process, mut from_module, mut to_module) = inside.expect("somebody came");
-        let (mut from_director, mut to_director) = outside.expect("the door is open");
-        to_module.send(&Command::Status).await.expect("the module is there");
-        to_director.send(&Event::Ready).await.expect("the director is there");
+        let (mut from_director, mut to_director) = outside.expect("the listener is open");
+        to_module.send(&DirectorCommand::Status).await.expect("the module is there");
+        to_director.send(&ModuleEvent::Ready).await.expect("the director is there");
         drop(to_director);
-        drop(from_director.next::<Command>().await);
+        drop(from_director.next::<DirectorCommand>().await);
         drop(from_director);
 
         assert_eq!(u32::try_from(process).ok(), Some(own));
-        assert_eq!(from_module.next().await.expect("a line"), Some(Event::Ready));
-        assert_eq!(from_module.next::<Event>().await.expect("the end"), None);
+        assert_eq!(from_module.next().await.expect("a line"), Some(ModuleEvent::Ready));
+        assert_eq!(from_module.next::<ModuleEvent>().await.expect("the end"), None);
     }
 
     #[tokio::test]
     async fn a_module_does_not_obey_a_process_that_did_not_start_it() {
-        let door = Door::open().expect("a folder can be made");
-        let path = door.path().to_owned();
+        let listener = ControlListener::open().expect("a folder can be made");
+        let path = listener.path().to_owned();
 
-        let (_, outside) = tokio::join!(door.admit(), enter(&path, 1));
+        let (_, outside) = tokio::join!(listener.admit(), enter(&path, 1));
 
         assert!(matches!(outside, Err(ControlError::Stranger { .. })), "{outside:?}");
     }
 
     #[tokio::test]
     async fn the_folder_is_private_and_goes_with_the_door() {
-        let door = Door::open().expect("a folder can be made");
-        let folder = door.path().parent().expect("the socket is in a folder").to_owned();
+        let listener = ControlListener::open().expect("a folder can be made");
+        let folder = listener.path().parent().expect("the socket is in a folder").to_owned();
         let mode = fs::metadata(&folder).expect("it exists").permissions().mode();
-        drop(door);
+        drop(listener);
 
         assert_eq!(mode & 0o777, 0o700);
         assert!(!folder.exists());
@@ -244,7 +247,7 @@ mod tests {
             let _ = writer.0.write_all(&vec![b'x'; 2 * LINE_LIMIT]).await;
         };
 
-        let (_, read) = tokio::join!(flood, async move { reader.next::<Event>().await });
+        let (_, read) = tokio::join!(flood, async move { reader.next::<ModuleEvent>().await });
 
         assert!(read.is_err_and(|error| error.to_string().contains("too long")));
     }

@@ -1,15 +1,15 @@
-//! Carries the story out on three real processes.
+//! Carries the scenario out on three real processes.
 
-use super::control::{ControlError, Door, Reader, Writer};
-use super::display::{Display, Mode, NobodyReads};
+use super::control::{ControlError, ControlListener, LineReader, LineWriter};
+use super::display::{Display, Mode, OutputClosed};
 use super::launcher::{Ended, Process};
-use super::machine_instant::Moment;
-use super::protocol::{Command, Event, VERSION};
+use super::machine_instant::MachineInstant;
+use super::protocol::{DirectorCommand, ModuleEvent, VERSION};
 use super::report::Report;
 use super::robot::Module;
-use super::scenario::{News, Output, Plan, Story};
-use super::trial::Deed;
-use super::view::{NEWS_LIMIT, Picture};
+use super::scenario::{ProgressLine, Scenario, ScenarioOutput, ScenarioPlan};
+use super::trial::TrialOutput;
+use super::view::{DemoView, NEWS_LIMIT};
 use super::wiring::Wiring;
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
@@ -73,29 +73,29 @@ pub(crate) enum DemoError {
     /// A person, or the system, ended it.
     #[error("ended by {0} before its time; all processes are ended")]
     Interrupted(&'static str),
-    /// See [`NobodyReads`].
+    /// See [`OutputClosed`].
     #[error(transparent)]
-    NobodyReads(#[from] NobodyReads),
+    OutputClosed(#[from] OutputClosed),
 }
 
 /// What happens to the director.
 enum Happening {
     Said(Said),
     Ended(Ended),
-    Entered(i32, Reader, Writer),
+    Entered(i32, LineReader, LineWriter),
     EntryFailed(io::Error),
     Due,
     Frame,
     Interrupted(&'static str),
 }
 
-/// Carries out the story and keeps its processes.
+/// Carries out the scenario and keeps its processes.
 pub(crate) struct Director {
-    story: Story,
-    news: VecDeque<News>,
+    scenario: Scenario,
+    news: VecDeque<ProgressLine>,
     wiring: Wiring,
     rewired: u32,
-    door: Option<Door>,
+    listener: Option<ControlListener>,
     crew: BTreeMap<Module, Member>,
     said: (Sender<Said>, Receiver<Said>),
     ended: (Sender<Ended>, Receiver<Ended>),
@@ -106,13 +106,13 @@ pub(crate) struct Director {
 struct Said {
     module: Module,
     process: i32,
-    event: Event,
+    event: ModuleEvent,
 }
 
 /// One module's process, as the director keeps it.
 struct Member {
     process: Process,
-    commands: Option<Sender<Command>>,
+    commands: Option<Sender<DirectorCommand>>,
     entry_due: Instant,
     failures: u32,
     reason: String,
@@ -131,7 +131,7 @@ impl Director {
     ///
     /// # Errors
     /// See [`DemoError`].
-    pub(crate) fn start(plan: Plan) -> Result<Director, DemoError> {
+    pub(crate) fn start(plan: ScenarioPlan) -> Result<Director, DemoError> {
         let files = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
         if let Some(files) = files.filter(|files| *files < FILES) {
             return Err(DemoError::Files(files));
@@ -141,11 +141,11 @@ impl Director {
         let wiring = Wiring::choose()
             .map_err(system("the loopback addresses cannot be used (is the interface lo up?)"))?;
         let mut director = Director {
-            story: Story::new(plan, Moment::now()),
+            scenario: Scenario::new(plan, MachineInstant::now()),
             news: VecDeque::new(),
             wiring,
             rewired: 0,
-            door: None,
+            listener: None,
             crew: BTreeMap::new(),
             said: channel(QUEUE),
             ended: channel(QUEUE),
@@ -157,26 +157,26 @@ impl Director {
         Ok(director)
     }
 
-    /// Runs the story to its end, and ends all processes.
+    /// Runs the scenario to its end, and ends all processes.
     ///
     /// # Errors
     /// See [`DemoError`]; the processes are ended all the same.
     pub(crate) async fn run(mut self, display: &Display) -> (Report, Result<(), DemoError>) {
         let outcome = self.direct(display).await;
         self.dismiss().await;
-        (self.story.report(), outcome)
+        (self.scenario.report(), outcome)
     }
 
     async fn direct(&mut self, display: &Display) -> Result<(), DemoError> {
         let mut frames = interval(FRAME);
         frames.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {
-            while let Some(output) = self.story.poll_output() {
+            while let Some(output) = self.scenario.poll_output() {
                 match output {
-                    Output::Do(deed) => self.carry_out(deed),
-                    Output::Tell(news) => self.tell(news, display)?,
-                    Output::Finished => return Ok(()),
-                    Output::Stillborn(text) => return Err(self.not_together(text)),
+                    ScenarioOutput::Do(output) => self.carry_out(output),
+                    ScenarioOutput::Tell(news) => self.tell(news, display)?,
+                    ScenarioOutput::Finished => return Ok(()),
+                    ScenarioOutput::Stillborn(text) => return Err(self.not_together(text)),
                 }
             }
             let due = self.next_due();
@@ -185,7 +185,7 @@ impl Director {
                 name = self.signals.next() => Happening::Interrupted(name),
                 Some(said) = self.said.1.recv() => Happening::Said(said),
                 Some(ended) = self.ended.1.recv() => Happening::Ended(ended),
-                entered = admit(self.door.as_ref()) => match entered {
+                entered = admit(self.listener.as_ref()) => match entered {
                     Ok((process, reader, writer)) => Happening::Entered(process, reader, writer),
                     Err(error) => Happening::EntryFailed(error),
                 },
@@ -197,7 +197,7 @@ impl Director {
     }
 
     fn handle(&mut self, happening: Happening, display: &Display) -> Result<(), DemoError> {
-        let now = Moment::now();
+        let now = MachineInstant::now();
         match happening {
             Happening::Said(said) => self.handle_said(&said, now)?,
             Happening::Ended(ended) => self.handle_ended(ended, now)?,
@@ -205,12 +205,12 @@ impl Director {
             Happening::EntryFailed(error) => return Err(ControlError::Socket(error).into()),
             Happening::Due => {
                 self.kill_the_mute();
-                self.story.handle_timeout(now);
+                self.scenario.handle_timeout(now);
             }
             Happening::Frame => {
                 self.kill_the_quiet();
                 if display.mode() == Mode::Live {
-                    display.picture(Picture::new(&self.story, &self.news, now))?;
+                    display.picture(DemoView::new(&self.scenario, &self.news, now))?;
                 }
             }
             Happening::Interrupted(name) => return Err(DemoError::Interrupted(name)),
@@ -218,7 +218,7 @@ impl Director {
         Ok(())
     }
 
-    fn handle_said(&mut self, said: &Said, now: Moment) -> Result<(), DemoError> {
+    fn handle_said(&mut self, said: &Said, now: MachineInstant) -> Result<(), DemoError> {
         let &Said { module, process, ref event } = said;
         let member = self.crew.get_mut(&module).filter(|member| member.process.id == process);
         let Some(member) = member else {
@@ -227,23 +227,25 @@ impl Director {
         };
         member.quiet = 0;
         match event {
-            Event::Hello { name, version } if name != module.name() || *version != VERSION => {
+            ModuleEvent::Hello { name, version }
+                if name != module.name() || *version != VERSION =>
+            {
                 let reason = "its executable is not the director's; start anew".into();
                 return Err(DemoError::Module { module, reason });
             }
-            Event::StartFailed { reason, address_taken } => {
+            ModuleEvent::StartFailed { reason, address_taken } => {
                 member.reason.clone_from(reason);
                 if *address_taken {
                     self.rewire()?;
                 }
             }
-            Event::Ready => {
+            ModuleEvent::Ready => {
                 member.failures = 0;
                 member.reason.clear();
             }
             _ => {}
         }
-        self.story.handle_event(module, event, now);
+        self.scenario.handle_event(module, event, now);
         Ok(())
     }
 
@@ -257,12 +259,12 @@ impl Director {
         Ok(())
     }
 
-    fn handle_ended(&mut self, ended: Ended, now: Moment) -> Result<(), DemoError> {
+    fn handle_ended(&mut self, ended: Ended, now: MachineInstant) -> Result<(), DemoError> {
         let Ended { module, id, how } = ended;
         let Some(member) = self.crew.get(&module).filter(|member| member.process.id == id) else {
             return Ok(());
         };
-        let was_ready = self.story.known.module(module).is_some_and(|known| known.ready);
+        let was_ready = self.scenario.robot.module(module).is_some_and(|module| module.ready);
         let failures = match (was_ready, member.process.is_killed()) {
             (true, _) => 0,
             (false, true) => member.failures,
@@ -279,7 +281,7 @@ impl Director {
             return Err(DemoError::Module { module, reason });
         }
         let reason = member.reason.clone();
-        self.story.handle_exit(module, unasked, now);
+        self.scenario.handle_exit(module, unasked, now);
         // The director is the launcher of its modules: whatever ended is started again.
         self.launch(module, failures)?;
         self.crew.entry(module).and_modify(|member| member.reason = reason);
@@ -287,10 +289,11 @@ impl Director {
     }
 
     fn launch(&mut self, module: Module, failures: u32) -> Result<(), DemoError> {
-        if self.door.is_none() {
-            self.door = Some(Door::open()?);
+        if self.listener.is_none() {
+            self.listener = Some(ControlListener::open()?);
         }
-        let path = self.door.as_ref().map(|door| door.path().to_owned()).unwrap_or_default();
+        let path =
+            self.listener.as_ref().map(|listener| listener.path().to_owned()).unwrap_or_default();
         let process = Process::launch(module, &path, self.ended.0.clone())
             .map_err(system("a module's process cannot be started"))?;
         let entry_due = Instant::now() + ENTRY;
@@ -300,7 +303,7 @@ impl Director {
         Ok(())
     }
 
-    fn enter(&mut self, process: i32, reader: Reader, writer: Writer) {
+    fn enter(&mut self, process: i32, reader: LineReader, writer: LineWriter) {
         let found = self.crew.iter_mut().find(|(_, member)| member.process.id == process);
         // Of the same user, but none of ours: it is turned away.
         let Some((&module, member)) = found else { return };
@@ -311,30 +314,30 @@ impl Director {
         member.commands = Some(commands);
         if self.crew.values().all(|member| member.commands.is_some()) {
             // From here on nothing of ours lies in the file system.
-            self.door = None;
+            self.listener = None;
         }
     }
 
-    fn carry_out(&mut self, deed: Deed) {
-        match deed {
-            Deed::Send(module, command) => {
+    fn carry_out(&mut self, output: TrialOutput) {
+        match output {
+            TrialOutput::Send(module, command) => {
                 let member = self.crew.get(&module);
                 // A module that does not read is about to be found lost; what it was told is void.
                 let _ = member
                     .and_then(|member| member.commands.as_ref())
                     .map(|commands| commands.try_send(command));
             }
-            Deed::Kill(module) => {
-                let at = Moment::now();
+            TrialOutput::Kill(module) => {
+                let at = MachineInstant::now();
                 if let Some(member) = self.crew.get_mut(&module) {
                     member.process.kill();
                 }
-                self.story.handle_killed(at, at);
+                self.scenario.handle_killed(at, at);
             }
         }
     }
 
-    fn tell(&mut self, news: News, display: &Display) -> Result<(), DemoError> {
+    fn tell(&mut self, news: ProgressLine, display: &Display) -> Result<(), DemoError> {
         if self.news.len() == NEWS_LIMIT {
             self.news.pop_front();
         }
@@ -344,8 +347,9 @@ impl Director {
 
     fn next_due(&self) -> Option<Instant> {
         let entry = self.crew.values().filter(|member| member.commands.is_none());
-        let story = self.story.poll_timeout().map(|at| Instant::now() + (at - Moment::now()));
-        entry.map(|member| member.entry_due).chain(story).min()
+        let scenario =
+            self.scenario.poll_timeout().map(|at| Instant::now() + (at - MachineInstant::now()));
+        entry.map(|member| member.entry_due).chain(scenario).min()
     }
 
     fn kill_the_mute(&mut self) {
@@ -362,7 +366,7 @@ impl Director {
 
     fn kill_the_quiet(&mut self) {
         for (module, member) in &mut self.crew {
-            if self.story.known.module(*module).is_some_and(|known| known.ready) {
+            if self.scenario.robot.module(*module).is_some_and(|module| module.ready) {
                 member.quiet = member.quiet.saturating_add(1);
             }
             if member.quiet == QUIET_FRAMES {
@@ -376,7 +380,7 @@ impl Director {
         let said = self.crew.iter().filter(|(_, member)| !member.reason.is_empty());
         let said = said.map(|(module, member)| format!("{module}: {}", member.reason));
         let is_mute = |module: &Module, member: &Member| {
-            let ready = self.story.known.module(*module).is_some_and(|known| known.ready);
+            let ready = self.scenario.robot.module(*module).is_some_and(|module| module.ready);
             member.reason.is_empty() && !ready
         };
         let mute = self.crew.iter().filter(|(module, member)| is_mute(module, member));
@@ -391,7 +395,7 @@ impl Director {
     async fn dismiss(&mut self) {
         for member in self.crew.values_mut() {
             match &member.commands {
-                Some(commands) if commands.try_send(Command::Shutdown).is_ok() => {}
+                Some(commands) if commands.try_send(DirectorCommand::Shutdown).is_ok() => {}
                 _ => member.process.kill(),
             }
         }
@@ -405,7 +409,7 @@ impl Director {
         // Signal 9 cannot be refused; the bound is for a kernel in trouble.
         let end = all_ended(&mut self.crew, &mut self.ended.1, &mut self.said.1);
         let _ = timeout(FAREWELL, end).await;
-        self.door = None;
+        self.listener = None;
     }
 }
 
@@ -428,9 +432,14 @@ async fn all_ended(
 }
 
 /// Sends what the director wants of a module, beginning with its start.
-async fn speak(mut writer: Writer, mut queue: Receiver<Command>, wiring: Wiring, delay: Duration) {
+async fn speak(
+    mut writer: LineWriter,
+    mut queue: Receiver<DirectorCommand>,
+    wiring: Wiring,
+    delay: Duration,
+) {
     sleep(delay).await;
-    let mut command = Some(Command::Start { wiring });
+    let mut command = Some(DirectorCommand::Start { wiring });
     while let Some(next) = command {
         // A module that is gone is reported by its end.
         if writer.send(&next).await.is_err() {
@@ -441,7 +450,7 @@ async fn speak(mut writer: Writer, mut queue: Receiver<Command>, wiring: Wiring,
 }
 
 /// Takes in what a module says, until it ends.
-async fn listen(module: Module, process: i32, mut reader: Reader, said: Sender<Said>) {
+async fn listen(module: Module, process: i32, mut reader: LineReader, said: Sender<Said>) {
     // A channel that fails is closed; the module notices and ends, which is reported.
     while let Ok(Some(event)) = reader.next().await {
         if said.send(Said { module, process, event }).await.is_err() {
@@ -450,9 +459,9 @@ async fn listen(module: Module, process: i32, mut reader: Reader, said: Sender<S
     }
 }
 
-async fn admit(door: Option<&Door>) -> io::Result<(i32, Reader, Writer)> {
-    match door {
-        Some(door) => door.admit().await,
+async fn admit(listener: Option<&ControlListener>) -> io::Result<(i32, LineReader, LineWriter)> {
+    match listener {
+        Some(listener) => listener.admit().await,
         None => std::future::pending().await,
     }
 }

@@ -1,8 +1,8 @@
 //! What is shown, on a thread of its own: a terminal that stands still holds nobody up.
 
-use super::scenario::News;
-use super::text_style::{Line, Palette};
-use super::view::{Picture, Size, plain_news};
+use super::scenario::ProgressLine;
+use super::text_style::{Palette, StyledLine};
+use super::view::{DemoView, Size, plain_news};
 use std::io::{self, IsTerminal, Write};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
@@ -33,13 +33,13 @@ pub(crate) enum Mode {
 /// Nobody reads what is shown any more.
 #[derive(Debug, thiserror::Error)]
 #[error("nobody reads the output any more")]
-pub(crate) struct NobodyReads;
+pub(crate) struct OutputClosed;
 
 #[derive(Debug)]
 enum Show {
-    Picture(Box<Picture>),
-    News(News),
-    End(Vec<Line>),
+    View(Box<DemoView>),
+    Progress(ProgressLine),
+    End(Vec<StyledLine>),
     Document(String),
 }
 
@@ -76,21 +76,21 @@ impl Display {
     /// Shows how things stand; left out if the terminal is behind.
     ///
     /// # Errors
-    /// [`NobodyReads`].
-    pub(crate) fn picture(&self, picture: Picture) -> Result<(), NobodyReads> {
-        self.show(Show::Picture(Box::new(picture)))
+    /// [`OutputClosed`].
+    pub(crate) fn picture(&self, picture: DemoView) -> Result<(), OutputClosed> {
+        self.show(Show::View(Box::new(picture)))
     }
 
     /// Shows a piece of news; left out if the reader is far behind.
     ///
     /// # Errors
-    /// [`NobodyReads`].
-    pub(crate) fn news(&self, news: News) -> Result<(), NobodyReads> {
-        self.show(Show::News(news))
+    /// [`OutputClosed`].
+    pub(crate) fn news(&self, news: ProgressLine) -> Result<(), OutputClosed> {
+        self.show(Show::Progress(news))
     }
 
     /// Shows the end of a run, whole, and gives the terminal back.
-    pub(crate) fn end(mut self, lines: Vec<Line>) {
+    pub(crate) fn end(mut self, lines: Vec<StyledLine>) {
         self.finish_with(Show::End(lines));
     }
 
@@ -104,9 +104,9 @@ impl Display {
         size().columns
     }
 
-    fn show(&self, show: Show) -> Result<(), NobodyReads> {
+    fn show(&self, show: Show) -> Result<(), OutputClosed> {
         match self.queue.as_ref().map(|queue| queue.try_send(show)) {
-            Some(Err(TrySendError::Disconnected(_))) => Err(NobodyReads),
+            Some(Err(TrySendError::Disconnected(_))) => Err(OutputClosed),
             _ => Ok(()),
         }
     }
@@ -144,14 +144,14 @@ impl Screen {
     fn show_all(mut self, shows: &Receiver<Show>) -> io::Result<()> {
         while let Ok(show) = shows.recv() {
             let text = match show {
-                Show::Picture(picture) if self.mode == Mode::Live => self.redrawn(&picture, size()),
-                Show::News(news) if self.mode == Mode::Lines => plain_news(&news) + "\n",
+                Show::View(picture) if self.mode == Mode::Live => self.redrawn(&picture, size()),
+                Show::Progress(news) if self.mode == Mode::Lines => plain_news(&news) + "\n",
                 Show::End(lines) => {
                     let lines = lines.iter().map(|line| line.paint(self.palette) + "\n");
                     lines.collect()
                 }
                 Show::Document(text) => text,
-                Show::Picture(_) | Show::News(_) => continue,
+                Show::View(_) | Show::Progress(_) => continue,
             };
             write(&text)?;
         }
@@ -160,7 +160,7 @@ impl Screen {
 
     /// The picture in the place of the one before it. Each line is cleared behind its end; the
     /// terminal shows all of it at once if it can.
-    fn redrawn(&mut self, picture: &Picture, size: Size) -> String {
+    fn redrawn(&mut self, picture: &DemoView, size: Size) -> String {
         let mut text = String::from("\x1b[?2026h\x1b[?25l");
         if self.size.is_some_and(|old| old != size) {
             // What was drawn is wrapped differently now; nobody knows where it begins.
@@ -206,13 +206,13 @@ fn size() -> Size {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::machine_instant::Moment;
-    use crate::demo::scenario::{Plan, Story};
+    use crate::demo::machine_instant::MachineInstant;
+    use crate::demo::scenario::{Scenario, ScenarioPlan};
     use std::collections::VecDeque;
 
-    fn picture() -> Picture {
-        let story = Story::new(Plan::default(), Moment::default());
-        Picture::new(&story, &VecDeque::new(), Moment::default())
+    fn picture() -> DemoView {
+        let scenario = Scenario::new(ScenarioPlan::default(), MachineInstant::default());
+        DemoView::new(&scenario, &VecDeque::new(), MachineInstant::default())
     }
 
     #[test]

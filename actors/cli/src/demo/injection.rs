@@ -1,7 +1,7 @@
 //! A fault that the demonstration makes, and what it expects to be told about it.
 
-use super::protocol::{Command, FaultNote, OrderId, Sabotage};
-use super::robot::{CABLES, Cable, FLOWS, Flow, Module, address};
+use super::protocol::{DirectorCommand, FaultNote, ObjectFault, OrderId};
+use super::robot::{CABLES, DemoCable, FLOWS, Flow, Module, address};
 use blastema::core::{FaultKind, ObjectName, Place};
 use std::fmt;
 
@@ -15,12 +15,12 @@ pub(crate) enum Injection {
         /// Its name.
         object: String,
         /// What is done to it.
-        sabotage: Sabotage,
+        fault: ObjectFault,
     },
     /// One cable is cut.
     Cut {
         /// The cable.
-        cable: Cable,
+        cable: DemoCable,
         /// It is plugged in again at the end of the step, rather than left to a later one.
         returns: bool,
     },
@@ -43,7 +43,7 @@ pub(crate) enum Injection {
 
 /// What a fault that was told has to do with what was done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Judgement {
+pub(crate) enum FaultMatch {
     /// It is what was done, where it was done.
     Named,
     /// It came along with it, or is marked as a symptom.
@@ -54,7 +54,7 @@ pub(crate) enum Judgement {
 
 /// How one knows that service is back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Return {
+pub(crate) enum ServiceRestored {
     /// The object answers.
     Service,
     /// Messages sent later than the fault (or its repair) arrive on the flows concerned.
@@ -67,13 +67,13 @@ impl Injection {
     /// What is done, for the table.
     pub(crate) fn title(&self) -> &'static str {
         match self {
-            Injection::Object { sabotage, .. } => match sabotage {
-                Sabotage::Panic => "panic",
-                Sabotage::Hang { .. } => "hang",
-                Sabotage::ErrorState => "error state",
-                Sabotage::FailInitialization => "failed initialisation",
-                Sabotage::Silence => "silent object",
-                Sabotage::Flood { .. } => "flood",
+            Injection::Object { fault, .. } => match fault {
+                ObjectFault::Panic => "panic",
+                ObjectFault::Hang { .. } => "hang",
+                ObjectFault::ErrorState => "error state",
+                ObjectFault::FailInitialization => "failed initialisation",
+                ObjectFault::Silence => "silent object",
+                ObjectFault::Flood { .. } => "flood",
             },
             Injection::Cut { .. } => "cable cut",
             Injection::Blackout { .. } => "both cables cut, return",
@@ -96,21 +96,21 @@ impl Injection {
     }
 
     /// The commands that do it; a kill is none.
-    pub(crate) fn strike(&self, order: OrderId) -> Vec<(Module, Command)> {
+    pub(crate) fn strike(&self, order: OrderId) -> Vec<(Module, DirectorCommand)> {
         match self {
-            Injection::Object { module, object, sabotage } => {
+            Injection::Object { module, object, fault } => {
                 let object = ObjectName::new(object).expect("the objects' names are names");
-                vec![(*module, Command::Strike { order, object, sabotage: *sabotage })]
+                vec![(*module, DirectorCommand::Strike { order, object, fault: *fault })]
             }
             Injection::Cut { cable, .. } => at_both_ends(&[*cable], cut(order)),
             Injection::Blackout { far } => at_both_ends(&cables_to(*far), cut(order)),
-            Injection::Router { module } => vec![(*module, Command::PanicRouter { order })],
+            Injection::Router { module } => vec![(*module, DirectorCommand::PanicRouter { order })],
             Injection::Kill { .. } => vec![],
         }
     }
 
     /// The commands without which service cannot come back.
-    pub(crate) fn repair(&self, order: OrderId) -> Vec<(Module, Command)> {
+    pub(crate) fn repair(&self, order: OrderId) -> Vec<(Module, DirectorCommand)> {
         match self {
             Injection::Blackout { far } => at_both_ends(&cables_to(*far), restore(order)),
             _ => vec![],
@@ -118,7 +118,7 @@ impl Injection {
     }
 
     /// The commands that put things as they were, after the step.
-    pub(crate) fn clean_up(&self, order: OrderId) -> Vec<(Module, Command)> {
+    pub(crate) fn clean_up(&self, order: OrderId) -> Vec<(Module, DirectorCommand)> {
         match self {
             Injection::Cut { cable, returns: true } => at_both_ends(&[*cable], restore(order)),
             _ => vec![],
@@ -126,13 +126,13 @@ impl Injection {
     }
 
     /// How one knows that service is back.
-    pub(crate) fn comes_back_by(&self) -> Return {
+    pub(crate) fn comes_back_by(&self) -> ServiceRestored {
         match self {
-            Injection::Object { .. } => Return::Service,
+            Injection::Object { .. } => ServiceRestored::Service,
             Injection::Cut { .. } | Injection::Blackout { .. } | Injection::Router { .. } => {
-                Return::Traffic
+                ServiceRestored::Traffic
             }
-            Injection::Kill { .. } => Return::Rejoining,
+            Injection::Kill { .. } => ServiceRestored::Rejoining,
         }
     }
 
@@ -148,12 +148,12 @@ impl Injection {
     }
 
     /// What a fault that was told has to do with it.
-    pub(crate) fn judge(&self, note: &FaultNote) -> Judgement {
+    pub(crate) fn judge(&self, note: &FaultNote) -> FaultMatch {
         let (named, touched) = match self {
-            Injection::Object { module, object, sabotage } => {
+            Injection::Object { module, object, fault } => {
                 let here = note.place == Place::Object(address(*module, object));
-                let comes_along = companions_of(*sabotage).contains(&note.kind);
-                (here && note.kind == kind_of(*sabotage), here && comes_along)
+                let comes_along = companions_of(*fault).contains(&note.kind);
+                (here && note.kind == kind_of(*fault), here && comes_along)
             }
             Injection::Cut { cable, .. } => {
                 let here = is_cable(&note.place, cable);
@@ -176,16 +176,16 @@ impl Injection {
             }
         };
         match (named, touched || note.is_warning() || note.symptom_of.is_some()) {
-            (true, _) => Judgement::Named,
-            (false, true) => Judgement::Companion,
-            (false, false) => Judgement::Foreign,
+            (true, _) => FaultMatch::Named,
+            (false, true) => FaultMatch::Companion,
+            (false, false) => FaultMatch::Foreign,
         }
     }
 
     fn concerns(&self, flow: &Flow) -> bool {
         match self {
             Injection::Object { .. } => false,
-            Injection::Cut { cable: Cable { far, .. }, .. } | Injection::Blackout { far } => {
+            Injection::Cut { cable: DemoCable { far, .. }, .. } | Injection::Blackout { far } => {
                 flow.crosses(*far)
             }
             Injection::Router { module } | Injection::Kill { module } => {
@@ -202,44 +202,47 @@ impl fmt::Display for Injection {
 }
 
 /// Every cable to a module.
-pub(crate) fn cables_to(far: Module) -> Vec<Cable> {
+pub(crate) fn cables_to(far: Module) -> Vec<DemoCable> {
     CABLES.into_iter().filter(|cable| cable.far == far).collect()
 }
 
-fn kind_of(sabotage: Sabotage) -> FaultKind {
-    match sabotage {
-        Sabotage::Panic => FaultKind::Panic,
-        Sabotage::Hang { .. } => FaultKind::Hang,
-        Sabotage::ErrorState => FaultKind::ErrorState,
-        Sabotage::FailInitialization => FaultKind::InitializationFailed,
-        Sabotage::Silence => FaultKind::Silence,
-        Sabotage::Flood { .. } => FaultKind::Overload,
+fn kind_of(fault: ObjectFault) -> FaultKind {
+    match fault {
+        ObjectFault::Panic => FaultKind::Panic,
+        ObjectFault::Hang { .. } => FaultKind::Hang,
+        ObjectFault::ErrorState => FaultKind::ErrorState,
+        ObjectFault::FailInitialization => FaultKind::InitializationFailed,
+        ObjectFault::Silence => FaultKind::Silence,
+        ObjectFault::Flood { .. } => FaultKind::Overload,
     }
 }
 
 /// What an object may rightly be said to suffer besides.
-fn companions_of(sabotage: Sabotage) -> &'static [FaultKind] {
-    match sabotage {
+fn companions_of(fault: ObjectFault) -> &'static [FaultKind] {
+    match fault {
         // That is how it is made to start anew.
-        Sabotage::FailInitialization => &[FaultKind::Panic],
+        ObjectFault::FailInitialization => &[FaultKind::Panic],
         // Who hangs is silent, too.
-        Sabotage::Hang { .. } => &[FaultKind::Silence],
-        Sabotage::Panic | Sabotage::ErrorState | Sabotage::Silence | Sabotage::Flood { .. } => &[],
+        ObjectFault::Hang { .. } => &[FaultKind::Silence],
+        ObjectFault::Panic
+        | ObjectFault::ErrorState
+        | ObjectFault::Silence
+        | ObjectFault::Flood { .. } => &[],
     }
 }
 
-fn cut(order: OrderId) -> impl Fn(Vec<String>) -> Command {
-    move |cables| Command::Cut { order, cables }
+fn cut(order: OrderId) -> impl Fn(Vec<String>) -> DirectorCommand {
+    move |cables| DirectorCommand::Cut { order, cables }
 }
 
-fn restore(order: OrderId) -> impl Fn(Vec<String>) -> Command {
-    move |cables| Command::Restore { order, cables }
+fn restore(order: OrderId) -> impl Fn(Vec<String>) -> DirectorCommand {
+    move |cables| DirectorCommand::Restore { order, cables }
 }
 
 fn at_both_ends(
-    cables: &[Cable],
-    command: impl Fn(Vec<String>) -> Command,
-) -> Vec<(Module, Command)> {
+    cables: &[DemoCable],
+    command: impl Fn(Vec<String>) -> DirectorCommand,
+) -> Vec<(Module, DirectorCommand)> {
     let here = |module| {
         let touching = cables.iter().filter(move |cable| cable.touches(module));
         touching.map(|cable| cable.name.to_owned()).collect::<Vec<_>>()
@@ -254,7 +257,7 @@ fn is_node(name: &str, module: Module) -> bool {
     name == module.name()
 }
 
-fn is_cable(place: &Place, cable: &Cable) -> bool {
+fn is_cable(place: &Place, cable: &DemoCable) -> bool {
     matches!(place, Place::Link { link, .. } if **link == *cable.name)
 }
 
@@ -272,12 +275,19 @@ fn touches(place: &Place, module: Module) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::machine_instant::Moment;
+    use crate::demo::machine_instant::MachineInstant;
     use blastema::core::NodeName;
 
     fn note(kind: FaultKind, place: Place) -> FaultNote {
         let detail = String::new();
-        FaultNote { id: 1, kind, place, found_at: Moment::default(), detail, symptom_of: None }
+        FaultNote {
+            id: 1,
+            kind,
+            place,
+            found_at: MachineInstant::default(),
+            detail,
+            symptom_of: None,
+        }
     }
 
     fn object(module: Module, object: &str) -> Place {
@@ -289,25 +299,25 @@ mod tests {
         Place::Link { node, link: link.into(), neighbour: None }
     }
 
-    fn strike(sabotage: Sabotage) -> Injection {
-        Injection::Object { module: Module::Module1, object: "planner".into(), sabotage }
+    fn strike(fault: ObjectFault) -> Injection {
+        Injection::Object { module: Module::Module1, object: "planner".into(), fault }
     }
 
     #[test]
     fn the_struck_object_is_named_and_its_innocent_neighbour_is_not() {
-        let hang = strike(Sabotage::Hang { millis: 1 });
+        let hang = strike(ObjectFault::Hang { millis: 1 });
         let check = |kind, place, wanted| {
             assert_eq!(hang.judge(&note(kind, place)), wanted);
         };
-        check(FaultKind::Hang, object(Module::Module1, "planner"), Judgement::Named);
-        check(FaultKind::Silence, object(Module::Module1, "planner"), Judgement::Companion);
-        check(FaultKind::Panic, object(Module::Module1, "planner"), Judgement::Foreign);
-        check(FaultKind::Hang, object(Module::Module1, "safety"), Judgement::Foreign);
-        check(FaultKind::Hang, object(Module::Module2, "planner"), Judgement::Foreign);
+        check(FaultKind::Hang, object(Module::Module1, "planner"), FaultMatch::Named);
+        check(FaultKind::Silence, object(Module::Module1, "planner"), FaultMatch::Companion);
+        check(FaultKind::Panic, object(Module::Module1, "planner"), FaultMatch::Foreign);
+        check(FaultKind::Hang, object(Module::Module1, "safety"), FaultMatch::Foreign);
+        check(FaultKind::Hang, object(Module::Module2, "planner"), FaultMatch::Foreign);
 
         let mut victim = note(FaultKind::Silence, object(Module::Module1, "safety"));
         victim.symptom_of = Some(1);
-        assert_eq!(hang.judge(&victim), Judgement::Companion);
+        assert_eq!(hang.judge(&victim), FaultMatch::Companion);
     }
 
     #[test]
@@ -316,9 +326,9 @@ mod tests {
         let check = |place, wanted| {
             assert_eq!(cut.judge(&note(FaultKind::LinkDown, place)), wanted);
         };
-        check(link("module1", "ethernet"), Judgement::Named);
-        check(link("module2", "ethernet"), Judgement::Named);
-        check(link("module1", "ieee1394-b"), Judgement::Foreign);
+        check(link("module1", "ethernet"), FaultMatch::Named);
+        check(link("module2", "ethernet"), FaultMatch::Named);
+        check(link("module1", "ieee1394-b"), FaultMatch::Foreign);
     }
 
     #[test]
@@ -328,11 +338,11 @@ mod tests {
         let check = |kind, place, wanted| {
             assert_eq!(kill.judge(&note(kind, place)), wanted);
         };
-        check(FaultKind::NodeLost, node("module3"), Judgement::Named);
-        check(FaultKind::NodeLost, node("module2"), Judgement::Foreign);
-        check(FaultKind::LinkDown, link("module1", "ieee1394"), Judgement::Companion);
-        check(FaultKind::LinkDown, link("module1", "ethernet"), Judgement::Foreign);
-        check(FaultKind::Silence, object(Module::Module3, "motors"), Judgement::Companion);
+        check(FaultKind::NodeLost, node("module3"), FaultMatch::Named);
+        check(FaultKind::NodeLost, node("module2"), FaultMatch::Foreign);
+        check(FaultKind::LinkDown, link("module1", "ieee1394"), FaultMatch::Companion);
+        check(FaultKind::LinkDown, link("module1", "ethernet"), FaultMatch::Foreign);
+        check(FaultKind::Silence, object(Module::Module3, "motors"), FaultMatch::Companion);
     }
 
     #[test]
@@ -340,7 +350,7 @@ mod tests {
         let commands = Injection::Blackout { far: Module::Module2 }.strike(OrderId(3));
 
         let cables = vec!["ethernet".to_owned(), "ieee1394-b".to_owned()];
-        let wanted = Command::Cut { order: OrderId(3), cables };
+        let wanted = DirectorCommand::Cut { order: OrderId(3), cables };
         assert_eq!(commands, [(Module::Module1, wanted.clone()), (Module::Module2, wanted)],);
     }
 
@@ -348,6 +358,6 @@ mod tests {
     fn all_that_passes_through_module1_waits_for_its_router() {
         assert_eq!(Injection::Router { module: Module::Module1 }.flows().len(), FLOWS.len());
         assert_eq!(Injection::Kill { module: Module::Module3 }.flows().len(), 3);
-        assert!(strike(Sabotage::Panic).flows().is_empty());
+        assert!(strike(ObjectFault::Panic).flows().is_empty());
     }
 }

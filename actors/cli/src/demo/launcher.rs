@@ -96,7 +96,7 @@ async fn follow(child: &mut Child, killed: oneshot::Receiver<()>) -> String {
     let status = tokio::select! {
         status = child.wait() => status,
         Ok(()) = killed => {
-            // It may have ended in the same moment.
+            // It may have ended in the same instant.
             let _ = child.start_kill();
             child.wait().await
         }

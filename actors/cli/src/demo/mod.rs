@@ -1,15 +1,15 @@
 //! The main job: a robot of three processes that is killed, hung and unplugged, and grows back.
 //!
 //! ```text
-//!   Story (what next? was all well?)           module::run, in three child processes
+//!   Scenario (what next? was all well?)           module::run, in three child processes
 //!     ▲ │                                          ▲
 //!     │ ▼                                          │
 //!   Director ── Launcher, Control ── JSON lines ───┘
 //!     │
-//!     └──► Display (a thread): Picture or lines, in the end the table
+//!     └──► Display (a thread): DemoView or lines, in the end the table
 //! ```
 //!
-//! The story is a pure machine; the director is its body and, for the modules, what the init system
+//! The scenario is a pure machine; the director is its body and, for the modules, what the init system
 //! of a robot's computers would be: it starts again what ended.
 
 mod chaos;
@@ -38,7 +38,7 @@ pub(crate) mod wiring;
 use crate::args::DemoOptions;
 use director::{DemoError, Director};
 use display::{Display, Mode};
-use scenario::Plan;
+use scenario::ScenarioPlan;
 use std::io;
 use std::time::Duration;
 
@@ -54,11 +54,11 @@ pub(crate) fn run(options: &DemoOptions) -> Result<bool, DemoError> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(system("no runtime"))?;
     let display = Display::start(Mode::choose(options.json)).map_err(system("no thread"))?;
-    let plan = Plan {
+    let plan = ScenarioPlan {
         chaos: options.chaos,
         seed: options.seed,
         length: options.length.or(options.chaos.then_some(CHAOS)),
-        ..Plan::default()
+        ..ScenarioPlan::default()
     };
     // The thread that starts the processes is this one: they end with it.
     let (report, outcome) = runtime

@@ -1,6 +1,6 @@
 //! What came of a demonstration.
 
-use super::flow_accounting::Losses;
+use super::flow_accounting::FlowLosses;
 use super::protocol::FaultNote;
 use super::robot::Module;
 use super::robot_state::Measured;
@@ -17,36 +17,36 @@ pub(crate) struct Report {
     pub(crate) finished: bool,
     /// The seed of the run.
     pub(crate) seed: u64,
-    /// Random faults instead of the story.
+    /// Random faults instead of the scenario.
     pub(crate) chaos: bool,
     /// From the first process's start to the last row.
     #[serde(rename = "took_ms", serialize_with = "as_millis")]
     pub(crate) took: Duration,
     /// One row for each fault.
-    pub(crate) rows: Vec<Row>,
+    pub(crate) rows: Vec<FaultRow>,
     /// Rows of a long run that are not listed; nothing broke in them.
     pub(crate) rows_left_out: u64,
     /// What broke outside any row.
     pub(crate) problems: Vec<String>,
     /// Reliable messages over the whole run.
-    pub(crate) messages: Losses,
+    pub(crate) messages: FlowLosses,
     /// How many of them stand as lost in a row, because they were late, and came after all.
     pub(crate) late: u64,
     /// How many of them the sinks' last processes received.
     pub(crate) received: u64,
     /// How often a message was given back to its source, which offered it again.
     pub(crate) given_back: u64,
-    /// Response times between modules, ours and the paper's.
-    pub(crate) responses: Vec<Response>,
-    /// Delivery of events within a module.
-    pub(crate) events: Vec<Delivery>,
+    /// ResponseTimes times between modules, ours and the paper's.
+    pub(crate) responses: Vec<ResponseTimes>,
+    /// DeliveryTimes of events within a module.
+    pub(crate) events: Vec<DeliveryTimes>,
     /// How the figures were taken.
     pub(crate) notes: Vec<&'static str>,
 }
 
 /// One fault and what came of it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Row {
+pub(crate) struct FaultRow {
     /// Its number in the run, from 1.
     pub(crate) number: u32,
     /// What was done.
@@ -55,7 +55,7 @@ pub(crate) struct Row {
     #[serde(rename = "where")]
     pub(crate) place: String,
     /// How the middleware named it.
-    pub(crate) named: Option<Named>,
+    pub(crate) named: Option<ReportedFault>,
     /// From the fault to its finding.
     #[serde(rename = "detected_after_ms", serialize_with = "maybe_as_millis")]
     pub(crate) detected_after: Option<Duration>,
@@ -78,7 +78,7 @@ pub(crate) struct Row {
 
 /// A fault as the middleware named it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Named {
+pub(crate) struct ReportedFault {
     /// The code in the fault list.
     pub(crate) code: String,
     /// What a person understands.
@@ -90,9 +90,9 @@ pub(crate) struct Named {
     pub(crate) detail: String,
 }
 
-impl From<&FaultNote> for Named {
+impl From<&FaultNote> for ReportedFault {
     fn from(note: &FaultNote) -> Self {
-        Named {
+        ReportedFault {
             code: note.kind.code().to_owned(),
             text: note.kind.text().to_owned(),
             place: note.place.to_string(),
@@ -103,31 +103,31 @@ impl From<&FaultNote> for Named {
 
 /// The time from a request to its reply between two modules.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Response {
+pub(crate) struct ResponseTimes {
     /// The two modules.
     pub(crate) modules: [&'static str; 2],
     /// The networks between them.
     pub(crate) over: &'static str,
     /// Ours.
     #[serde(flatten)]
-    pub(crate) figures: Figures,
+    pub(crate) figures: LatencySummary,
     /// The mean in the paper's table 1, in milliseconds.
     pub(crate) paper_mean_ms: f64,
 }
 
 /// The time from a publisher to a listener in the same module.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Delivery {
+pub(crate) struct DeliveryTimes {
     /// Whether the listener gave a condition.
     pub(crate) filtered: bool,
     /// Ours.
     #[serde(flatten)]
-    pub(crate) figures: Figures,
+    pub(crate) figures: LatencySummary,
 }
 
 /// Timings in figures.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub(crate) struct Figures {
+pub(crate) struct LatencySummary {
     /// How many.
     pub(crate) count: u64,
     /// The mean.
@@ -147,9 +147,9 @@ pub(crate) struct Figures {
     pub(crate) worst: Option<Duration>,
 }
 
-impl From<&Timings> for Figures {
+impl From<&Timings> for LatencySummary {
     fn from(timings: &Timings) -> Self {
-        Figures {
+        LatencySummary {
             count: timings.count(),
             mean: timings.mean(),
             median: timings.quantile(500),
@@ -199,13 +199,13 @@ impl Report {
         self.responses = PAPER_RESPONSES
             .map(|([one, other], over, paper_mean_ms)| {
                 let timings = measured.responses.get(&(one, other));
-                let figures = timings.map(Figures::from).unwrap_or_default();
-                Response { modules: [one.name(), other.name()], over, figures, paper_mean_ms }
+                let figures = timings.map(LatencySummary::from).unwrap_or_default();
+                ResponseTimes { modules: [one.name(), other.name()], over, figures, paper_mean_ms }
             })
             .into();
         self.events = vec![
-            Delivery { filtered: false, figures: Figures::from(&measured.unfiltered) },
-            Delivery { filtered: true, figures: Figures::from(&measured.filtered) },
+            DeliveryTimes { filtered: false, figures: LatencySummary::from(&measured.unfiltered) },
+            DeliveryTimes { filtered: true, figures: LatencySummary::from(&measured.filtered) },
         ];
     }
 }

@@ -1,7 +1,9 @@
 //! The table at the end, beside the paper's figures.
 
-use super::report::{Delivery, Figures, Report, Response, Row, counted, millis};
-use super::text_style::{Ink, Line};
+use super::report::{
+    DeliveryTimes, FaultRow, LatencySummary, Report, ResponseTimes, counted, millis,
+};
+use super::text_style::{StyledLine, TextStyle};
 use std::time::Duration;
 
 /// What the wide form takes; narrower terminals get a paragraph for each row.
@@ -11,10 +13,10 @@ const WIDE: usize = 124;
 const NARROWEST: usize = 40;
 
 /// The table as lines; none is wider than `columns` where that can be.
-pub(crate) fn draw(report: &Report, columns: usize) -> Vec<Line> {
-    let mut lines = vec![Line::default()];
+pub(crate) fn draw(report: &Report, columns: usize) -> Vec<StyledLine> {
+    let mut lines = vec![StyledLine::default()];
     if columns >= WIDE {
-        lines.push(Line::of(Ink::Strong, wide_heading()));
+        lines.push(StyledLine::of(TextStyle::Strong, wide_heading()));
         lines.extend(report.rows.iter().flat_map(wide_row));
     } else {
         lines.extend(report.rows.iter().flat_map(narrow_row));
@@ -22,21 +24,26 @@ pub(crate) fn draw(report: &Report, columns: usize) -> Vec<Line> {
     if report.rows_left_out > 0 {
         let rows = counted(report.rows_left_out, "earlier row");
         let text = format!("({rows} in which nothing broke)");
-        lines.push(Line::of(Ink::Faint, text));
+        lines.push(StyledLine::of(TextStyle::Faint, text));
     }
-    lines.extend(report.problems.iter().map(|problem| Line::of(Ink::Bad, format!("! {problem}"))));
-    lines.push(Line::default());
+    lines.extend(
+        report
+            .problems
+            .iter()
+            .map(|problem| StyledLine::of(TextStyle::Bad, format!("! {problem}"))),
+    );
+    lines.push(StyledLine::default());
     lines.extend(responses(&report.responses));
     lines.extend(events(&report.events));
-    lines.push(Line::default());
+    lines.push(StyledLine::default());
     for note in &report.notes {
         lines.extend(
             wrapped(note, columns.clamp(NARROWEST, WIDE))
                 .into_iter()
-                .map(|text| Line::of(Ink::Faint, text)),
+                .map(|text| StyledLine::of(TextStyle::Faint, text)),
         );
     }
-    lines.push(Line::default());
+    lines.push(StyledLine::default());
     lines.extend(verdict(report, columns));
     lines
 }
@@ -48,9 +55,9 @@ fn wide_heading() -> String {
     )
 }
 
-fn wide_row(row: &Row) -> Vec<Line> {
-    let figures = Line::of(
-        Ink::Plain,
+fn wide_row(row: &FaultRow) -> Vec<StyledLine> {
+    let figures = StyledLine::of(
+        TextStyle::Plain,
         format!(
             "{:>3}  {:<24} {:<30} {:<24} {:>9} {:>10}{} ",
             row.number,
@@ -64,16 +71,20 @@ fn wide_row(row: &Row) -> Vec<Line> {
     )
     .and(count_ink(row.lost), format!("{:>5}", row.lost))
     .and(count_ink(row.doubled), format!("{:>9}", row.doubled))
-    .and(Ink::Plain, format!("  {}{}", perished(row), row.paper.unwrap_or_default()));
-    let problems = row.problems.iter().map(|text| Line::of(Ink::Bad, format!("     ! {text}")));
+    .and(TextStyle::Plain, format!("  {}{}", perished(row), row.paper.unwrap_or_default()));
+    let problems =
+        row.problems.iter().map(|text| StyledLine::of(TextStyle::Bad, format!("     ! {text}")));
     std::iter::once(figures).chain(problems).collect()
 }
 
-fn narrow_row(row: &Row) -> Vec<Line> {
+fn narrow_row(row: &FaultRow) -> Vec<StyledLine> {
     let mut lines = vec![
-        Line::of(Ink::Strong, format!("{:>3} {} in {}", row.number, row.fault, row.place)),
-        Line::of(
-            Ink::Plain,
+        StyledLine::of(
+            TextStyle::Strong,
+            format!("{:>3} {} in {}", row.number, row.fault, row.place),
+        ),
+        StyledLine::of(
+            TextStyle::Plain,
             format!(
                 "    {}, detected {}, recovered {}{}",
                 name(row),
@@ -82,41 +93,48 @@ fn narrow_row(row: &Row) -> Vec<Line> {
                 if row.from_repair { " r" } else { "" },
             ),
         ),
-        Line::of(count_ink(row.lost), format!("    lost {}, ", row.lost))
+        StyledLine::of(count_ink(row.lost), format!("    lost {}, ", row.lost))
             .and(count_ink(row.doubled), format!("doubled {}", row.doubled))
-            .and(Ink::Plain, format!("  {}", perished(row))),
+            .and(TextStyle::Plain, format!("  {}", perished(row))),
     ];
     if let Some(paper) = row.paper {
-        lines.push(Line::of(Ink::Plain, format!("    paper: {paper}")));
+        lines.push(StyledLine::of(TextStyle::Plain, format!("    paper: {paper}")));
     }
-    lines.extend(row.problems.iter().map(|text| Line::of(Ink::Bad, format!("    ! {text}"))));
+    lines.extend(
+        row.problems.iter().map(|text| StyledLine::of(TextStyle::Bad, format!("    ! {text}"))),
+    );
     lines
 }
 
-fn responses(responses: &[Response]) -> Vec<Line> {
+fn responses(responses: &[ResponseTimes]) -> Vec<StyledLine> {
     let heading = format!(
         "{:<18} {:<9} {:>8} {:>9} {:>9} {:>9} {:>9}  {}",
         "response time", "over", "times", "mean", "median", "99 %", "worst", "paper's mean c"
     );
-    let line = |response: &Response| {
+    let line = |response: &ResponseTimes| {
         let [one, other] = response.modules;
         let between = format!("{one}-{other}");
         let text = format!("{:<18} {:<9} {}", between, response.over, row_of(&response.figures));
-        Line::of(Ink::Plain, format!("{text}  {:.3}", response.paper_mean_ms))
+        StyledLine::of(TextStyle::Plain, format!("{text}  {:.3}", response.paper_mean_ms))
     };
-    std::iter::once(Line::of(Ink::Strong, heading)).chain(responses.iter().map(line)).collect()
+    std::iter::once(StyledLine::of(TextStyle::Strong, heading))
+        .chain(responses.iter().map(line))
+        .collect()
 }
 
-fn events(events: &[Delivery]) -> Vec<Line> {
-    let line = |delivery: &Delivery| {
+fn events(events: &[DeliveryTimes]) -> Vec<StyledLine> {
+    let line = |delivery: &DeliveryTimes| {
         let what = if delivery.filtered { "filtered" } else { "unfiltered" };
         let figures = row_of(&delivery.figures);
-        Line::of(Ink::Plain, format!("{:<28} {figures}", format!("event delivery, {what}")))
+        StyledLine::of(
+            TextStyle::Plain,
+            format!("{:<28} {figures}", format!("event delivery, {what}")),
+        )
     };
     events.iter().map(line).collect()
 }
 
-fn row_of(figures: &Figures) -> String {
+fn row_of(figures: &LatencySummary) -> String {
     format!(
         "{:>8} {:>9} {:>9} {:>9} {:>9}",
         figures.count,
@@ -127,15 +145,15 @@ fn row_of(figures: &Figures) -> String {
     )
 }
 
-fn verdict(report: &Report, columns: usize) -> Vec<Line> {
+fn verdict(report: &Report, columns: usize) -> Vec<StyledLine> {
     let sum = &report.messages;
     let rows = report.rows.len() as u64 + report.rows_left_out;
     let is_broken =
         !report.problems.is_empty() || report.rows.iter().any(|row| !row.problems.is_empty());
-    let (ink, verdict) = match (report.promises_kept, report.finished) {
-        (true, _) => (Ink::Good, "Every promise was kept"),
-        (false, false) if !is_broken => (Ink::Strong, "Not run to its end"),
-        (false, _) => (Ink::Bad, "A promise was broken"),
+    let (style, verdict) = match (report.promises_kept, report.finished) {
+        (true, _) => (TextStyle::Good, "Every promise was kept"),
+        (false, false) if !is_broken => (TextStyle::Strong, "Not run to its end"),
+        (false, _) => (TextStyle::Bad, "A promise was broken"),
     };
     let late = match report.late {
         0 => String::new(),
@@ -150,22 +168,22 @@ fn verdict(report: &Report, columns: usize) -> Vec<Line> {
         sum.doubled
     );
     let lines = wrapped(&text, columns.clamp(NARROWEST, WIDE));
-    lines.into_iter().map(|line| Line::of(ink, line)).collect()
+    lines.into_iter().map(|line| StyledLine::of(style, line)).collect()
 }
 
-fn name(row: &Row) -> String {
+fn name(row: &FaultRow) -> String {
     match &row.named {
         Some(named) => format!("{} {}", named.code, named.text),
         None => "-".into(),
     }
 }
 
-fn perished(row: &Row) -> String {
+fn perished(row: &FaultRow) -> String {
     if row.perished == 0 { String::new() } else { format!("{} p ", row.perished) }
 }
 
-fn count_ink(count: u64) -> Ink {
-    if count == 0 { Ink::Plain } else { Ink::Bad }
+fn count_ink(count: u64) -> TextStyle {
+    if count == 0 { TextStyle::Plain } else { TextStyle::Bad }
 }
 
 /// Milliseconds, with as many places as say something.
@@ -197,21 +215,21 @@ fn wrapped(text: &str, columns: usize) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::flow_accounting::Losses;
-    use crate::demo::report::{NOTES, Named, paper_figure};
+    use crate::demo::flow_accounting::FlowLosses;
+    use crate::demo::report::{NOTES, ReportedFault, paper_figure};
     use crate::demo::robot::Module;
     use crate::demo::robot_state::Measured;
     use crate::demo::text_style::Palette;
     use crate::demo::timings::Timings;
     use crate::golden;
 
-    fn row(number: u32, fault: &'static str, place: &str, named: (&str, &str)) -> Row {
+    fn row(number: u32, fault: &'static str, place: &str, named: (&str, &str)) -> FaultRow {
         let (code, text) = named;
-        Row {
+        FaultRow {
             number,
             fault,
             place: place.into(),
-            named: Some(Named {
+            named: Some(ReportedFault {
                 code: code.into(),
                 text: text.into(),
                 place: place.into(),
@@ -259,7 +277,7 @@ mod tests {
             rows,
             rows_left_out: 3,
             problems: vec!["module2 named hang in module2:laser, where nothing was done".into()],
-            messages: Losses { lost: 2, doubled: 0, perished: 14 },
+            messages: FlowLosses { lost: 2, doubled: 0, perished: 14 },
             late: 0,
             received: 9_000,
             given_back: 5,

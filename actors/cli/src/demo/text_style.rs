@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 /// What a piece of text means; its colour follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Ink {
+pub(crate) enum TextStyle {
     /// Nothing special.
     Plain,
     /// All is well.
@@ -30,23 +30,23 @@ pub(crate) enum Palette {
 
 /// One line, made of pieces.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Line(Vec<(Ink, String)>);
+pub(crate) struct StyledLine(Vec<(TextStyle, String)>);
 
-impl Line {
+impl StyledLine {
     /// Of one piece.
-    pub(crate) fn of(ink: Ink, text: impl Into<String>) -> Line {
-        Line(vec![(ink, text.into())])
+    pub(crate) fn of(style: TextStyle, text: impl Into<String>) -> StyledLine {
+        StyledLine(vec![(style, text.into())])
     }
 
     /// Adds a piece.
     #[must_use]
-    pub(crate) fn and(mut self, ink: Ink, text: impl Into<String>) -> Line {
-        self.0.push((ink, text.into()));
+    pub(crate) fn and(mut self, style: TextStyle, text: impl Into<String>) -> StyledLine {
+        self.0.push((style, text.into()));
         self
     }
 
     /// Adds all pieces of another.
-    pub(crate) fn append(&mut self, other: Line) {
+    pub(crate) fn append(&mut self, other: StyledLine) {
         self.0.extend(other.0);
     }
 
@@ -57,30 +57,30 @@ impl Line {
 
     /// Exactly so wide: cut, or filled up with spaces.
     #[must_use]
-    pub(crate) fn exactly(self, width: usize) -> Line {
+    pub(crate) fn exactly(self, width: usize) -> StyledLine {
         let mut line = self.at_most(width);
         let missing = width - line.width();
-        line.0.push((Ink::Plain, " ".repeat(missing)));
+        line.0.push((TextStyle::Plain, " ".repeat(missing)));
         line
     }
 
     /// Cut to the width.
     #[must_use]
-    pub(crate) fn at_most(self, width: usize) -> Line {
+    pub(crate) fn at_most(self, width: usize) -> StyledLine {
         let mut left = width;
-        let cut = |(ink, text): (Ink, String)| {
+        let cut = |(style, text): (TextStyle, String)| {
             let part: String = text.chars().filter(|c| !c.is_control()).take(left).collect();
             left -= part.chars().count();
-            (ink, part)
+            (style, part)
         };
-        Line(self.0.into_iter().map(cut).collect())
+        StyledLine(self.0.into_iter().map(cut).collect())
     }
 
     /// The text, with or without colours, without spaces at its end.
     pub(crate) fn paint(&self, palette: Palette) -> String {
         let mut text = String::new();
-        for (ink, piece) in self.0.iter().filter(|(_, piece)| !piece.is_empty()) {
-            match (palette, ink.code()) {
+        for (style, piece) in self.0.iter().filter(|(_, piece)| !piece.is_empty()) {
+            match (palette, style.code()) {
                 (Palette::Colours, Some(code)) => {
                     // Writing into a string cannot fail.
                     let _ = write!(text, "\x1b[{code}m{piece}\x1b[0m");
@@ -93,15 +93,15 @@ impl Line {
     }
 }
 
-impl Ink {
+impl TextStyle {
     fn code(self) -> Option<&'static str> {
         match self {
-            Ink::Plain => None,
-            Ink::Good => Some("32"),
-            Ink::Warning => Some("33"),
-            Ink::Bad => Some("1;31"),
-            Ink::Faint => Some("2"),
-            Ink::Strong => Some("1"),
+            TextStyle::Plain => None,
+            TextStyle::Good => Some("32"),
+            TextStyle::Warning => Some("33"),
+            TextStyle::Bad => Some("1;31"),
+            TextStyle::Faint => Some("2"),
+            TextStyle::Strong => Some("1"),
         }
     }
 }
@@ -112,7 +112,7 @@ mod tests {
 
     #[test]
     fn a_line_is_cut_by_characters_and_never_within_a_colour() {
-        let line = Line::of(Ink::Good, "●●●").and(Ink::Bad, "✗✗");
+        let line = StyledLine::of(TextStyle::Good, "●●●").and(TextStyle::Bad, "✗✗");
 
         assert_eq!(line.width(), 5);
         assert_eq!(line.clone().at_most(4).paint(Palette::Plain), "●●●✗");
@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     fn what_a_module_says_cannot_move_the_cursor() {
-        let line = Line::of(Ink::Plain, "a\x1b[2Jb\nc").at_most(80);
+        let line = StyledLine::of(TextStyle::Plain, "a\x1b[2Jb\nc").at_most(80);
 
         assert_eq!(line.paint(Palette::Plain), "a[2Jbc");
     }

@@ -3,28 +3,28 @@
 //! Wide terminals get boxes, narrow ones a list, and of a short one the beginning is shown. What was
 //! not heard of lately is not shown as current.
 
-use super::flow_accounting::Losses;
-use super::machine_instant::Moment;
-use super::protocol::{ObjectState, Opinion};
-use super::robot::{CABLES, Cable, Module};
-use super::robot_state::Known;
-use super::scenario::{News, Story, Tone};
-use super::text_style::{Ink, Line};
+use super::flow_accounting::FlowLosses;
+use super::machine_instant::MachineInstant;
+use super::protocol::{ObjectOpinion, ObjectState};
+use super::robot::{CABLES, DemoCable, Module};
+use super::robot_state::RobotState;
+use super::scenario::{LineTone, ProgressLine, Scenario};
+use super::text_style::{StyledLine, TextStyle};
 use blastema::core::Lifecycle;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// What a person sees at a moment.
+/// What a person sees at a instant.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Picture {
+pub(crate) struct DemoView {
     elapsed: Duration,
     caption: String,
     steps: Option<usize>,
     modules: [ModuleView; 3],
-    cables: Vec<(Cable, Look)>,
-    messages: Losses,
+    cables: Vec<(DemoCable, Look)>,
+    messages: FlowLosses,
     received: u64,
-    news: Vec<News>,
+    news: Vec<ProgressLine>,
 }
 
 /// How large the terminal is.
@@ -62,33 +62,37 @@ const GAP: usize = 12;
 const WIDE: usize = 3 * BOX + 2 * GAP;
 /// The skin's cells in a line of a box.
 const CELLS: usize = 12;
-/// News that are kept for the picture; no terminal that people use is higher.
+/// ProgressLine that are kept for the picture; no terminal that people use is higher.
 pub(crate) const NEWS_LIMIT: usize = 60;
 
-impl Picture {
+impl DemoView {
     /// How things stand.
-    pub(crate) fn new(story: &Story, news: &VecDeque<News>, now: Moment) -> Picture {
-        let known = &story.known;
-        Picture {
-            elapsed: now - story.began_at(),
-            caption: story.caption(),
-            steps: story.steps(),
+    pub(crate) fn new(
+        scenario: &Scenario,
+        news: &VecDeque<ProgressLine>,
+        now: MachineInstant,
+    ) -> DemoView {
+        let robot = &scenario.robot;
+        DemoView {
+            elapsed: now - scenario.began_at(),
+            caption: scenario.caption(),
+            steps: scenario.steps(),
             modules: [Module::Module2, Module::Module1, Module::Module3]
-                .map(|module| ModuleView::new(known, module, now)),
-            cables: CABLES.iter().map(|cable| (*cable, look_of_cable(known, cable, now))).collect(),
-            messages: known.ledger.losses(),
-            received: known.ledger.received(),
+                .map(|module| ModuleView::new(robot, module, now)),
+            cables: CABLES.iter().map(|cable| (*cable, look_of_cable(robot, cable, now))).collect(),
+            messages: robot.accounting.losses(),
+            received: robot.accounting.received(),
             news: news.iter().cloned().collect(),
         }
     }
 
     /// The lines, none wider and no more than the terminal takes.
-    pub(crate) fn draw(&self, size: Size) -> Vec<Line> {
+    pub(crate) fn draw(&self, size: Size) -> Vec<StyledLine> {
         let mut lines = vec![self.title(), self.caption_line()];
         if size.columns >= WIDE && size.rows >= 14 {
-            lines.push(Line::default());
+            lines.push(StyledLine::default());
             lines.extend(self.boxes());
-            lines.push(Line::default());
+            lines.push(StyledLine::default());
         } else {
             lines.extend(self.modules.iter().map(ModuleView::line));
             lines.extend(self.cables.iter().map(cable_line));
@@ -103,34 +107,35 @@ impl Picture {
         lines.into_iter().map(|line| line.at_most(size.columns)).collect()
     }
 
-    fn title(&self) -> Line {
+    fn title(&self) -> StyledLine {
         let steps = self.steps.map(|steps| format!(" · {steps} faults")).unwrap_or_default();
         let text = format!(" · {:5.1} s{steps}", self.elapsed.as_secs_f64());
-        Line::of(Ink::Strong, "Blastema, a robot of three processes").and(Ink::Plain, text)
+        StyledLine::of(TextStyle::Strong, "Blastema, a robot of three processes")
+            .and(TextStyle::Plain, text)
     }
 
-    fn caption_line(&self) -> Line {
-        Line::of(Ink::Warning, format!("▶ {}", self.caption))
+    fn caption_line(&self) -> StyledLine {
+        StyledLine::of(TextStyle::Warning, format!("▶ {}", self.caption))
     }
 
-    fn traffic(&self) -> Line {
-        let Losses { lost, doubled, perished } = self.messages;
-        let ink = |count| if count == 0 { Ink::Good } else { Ink::Bad };
-        Line::of(Ink::Plain, format!("reliable messages: {} received, ", self.received))
-            .and(ink(lost), format!("{lost} lost"))
-            .and(Ink::Plain, ", ")
-            .and(ink(doubled), format!("{doubled} doubled"))
-            .and(Ink::Faint, format!(", {perished} perished"))
+    fn traffic(&self) -> StyledLine {
+        let FlowLosses { lost, doubled, perished } = self.messages;
+        let style = |count| if count == 0 { TextStyle::Good } else { TextStyle::Bad };
+        StyledLine::of(TextStyle::Plain, format!("reliable messages: {} received, ", self.received))
+            .and(style(lost), format!("{lost} lost"))
+            .and(TextStyle::Plain, ", ")
+            .and(style(doubled), format!("{doubled} doubled"))
+            .and(TextStyle::Faint, format!(", {perished} perished"))
     }
 
-    fn boxes(&self) -> Vec<Line> {
+    fn boxes(&self) -> Vec<StyledLine> {
         let [left, middle, right] = self.modules.each_ref().map(ModuleView::framed);
         let cables = [Module::Module2, Module::Module3].map(|far| self.between(far));
         let columns =
             [(&left, BOX), (&cables[0], GAP), (&middle, BOX), (&cables[1], GAP), (&right, BOX)];
         let height = columns.iter().map(|(lines, _)| lines.len()).max().unwrap_or_default();
         let row = |at: usize| {
-            let mut line = Line::default();
+            let mut line = StyledLine::default();
             for (column, width) in columns {
                 line.append(column.get(at).cloned().unwrap_or_default().exactly(width));
             }
@@ -139,21 +144,21 @@ impl Picture {
         (0..height).map(row).collect()
     }
 
-    fn between(&self, far: Module) -> Vec<Line> {
-        let mut lines = vec![Line::default()];
+    fn between(&self, far: Module) -> Vec<StyledLine> {
+        let mut lines = vec![StyledLine::default()];
         for (cable, look) in self.cables.iter().filter(|(cable, _)| cable.far == far) {
-            lines.push(Line::of(Ink::Faint, format!("{:^GAP$}", cable.name)));
-            lines.push(Line::of(look.ink(), wire(*look)));
-            lines.push(Line::default());
+            lines.push(StyledLine::of(TextStyle::Faint, format!("{:^GAP$}", cable.name)));
+            lines.push(StyledLine::of(look.style(), wire(*look)));
+            lines.push(StyledLine::default());
         }
         lines
     }
 }
 
 impl ModuleView {
-    fn new(known: &Known, module: Module, now: Moment) -> ModuleView {
-        let state = known.module(module);
-        let age = known.heard_at(module).map(|at| now - at);
+    fn new(robot: &RobotState, module: Module, now: MachineInstant) -> ModuleView {
+        let state = robot.module(module);
+        let age = robot.heard_at(module).map(|at| now - at);
         let is_heard = age.is_some_and(|age| age < STALE);
         let look = match state {
             None => Look::Unknown,
@@ -175,59 +180,61 @@ impl ModuleView {
     }
 
     /// In a box.
-    fn framed(&self) -> Vec<Line> {
+    fn framed(&self) -> Vec<StyledLine> {
         let inner = BOX - 4;
         let heading = format!("─ {} ", self.module);
         let rest = "─".repeat(BOX - 2 - heading.chars().count());
-        let ink = self.look.ink();
-        let mut lines = vec![Line::of(ink, format!("┌{heading}{rest}┐"))];
-        let mut put = |content: Line| {
-            let mut line = Line::of(ink, "│ ");
+        let style = self.look.style();
+        let mut lines = vec![StyledLine::of(style, format!("┌{heading}{rest}┐"))];
+        let mut put = |content: StyledLine| {
+            let mut line = StyledLine::of(style, "│ ");
             line.append(content.exactly(inner));
-            lines.push(line.and(ink, " │"));
+            lines.push(line.and(style, " │"));
         };
         for (name, look) in &self.components {
-            put(Line::of(look.ink(), look.glyph()).and(Ink::Plain, format!(" {name}")));
+            put(StyledLine::of(look.style(), look.glyph())
+                .and(TextStyle::Plain, format!(" {name}")));
         }
         for cells in self.skin.chunks(CELLS) {
-            let mut line = Line::of(Ink::Plain, " ");
+            let mut line = StyledLine::of(TextStyle::Plain, " ");
             for look in cells {
-                line = line.and(look.ink(), look.glyph());
+                line = line.and(look.style(), look.glyph());
             }
             put(line);
         }
-        lines.push(Line::of(ink, format!("└{}┘", "─".repeat(BOX - 2))));
+        lines.push(StyledLine::of(style, format!("└{}┘", "─".repeat(BOX - 2))));
         lines
     }
 
     /// In one line.
-    fn line(&self) -> Line {
-        let mut line = Line::of(self.look.ink(), format!("{} {}", self.look.glyph(), self.module));
+    fn line(&self) -> StyledLine {
+        let mut line =
+            StyledLine::of(self.look.style(), format!("{} {}", self.look.glyph(), self.module));
         for (name, look) in &self.components {
-            line = line.and(look.ink(), format!("  {} {name}", look.glyph()));
+            line = line.and(look.style(), format!("  {} {name}", look.glyph()));
         }
         let well = self.skin.iter().filter(|look| **look == Look::Well).count();
-        let ink = if well == self.skin.len() { Ink::Good } else { Ink::Warning };
-        line.and(ink, format!("  skin {well}/{}", self.skin.len()))
+        let style = if well == self.skin.len() { TextStyle::Good } else { TextStyle::Warning };
+        line.and(style, format!("  skin {well}/{}", self.skin.len()))
     }
 }
 
 impl Look {
     fn of(object: &ObjectState) -> Look {
         match (object.opinion, object.state) {
-            (Opinion::Trusted, Lifecycle::Active) => Look::Well,
-            (Opinion::Suspect, _) => Look::Suspect,
-            (Opinion::Failed, _) | (_, Lifecycle::Error | Lifecycle::Fatal) => Look::Down,
-            (Opinion::Trusted, _) => Look::Suspect,
+            (ObjectOpinion::Trusted, Lifecycle::Active) => Look::Well,
+            (ObjectOpinion::Suspect, _) => Look::Suspect,
+            (ObjectOpinion::Failed, _) | (_, Lifecycle::Error | Lifecycle::Fatal) => Look::Down,
+            (ObjectOpinion::Trusted, _) => Look::Suspect,
         }
     }
 
-    fn ink(self) -> Ink {
+    fn style(self) -> TextStyle {
         match self {
-            Look::Well => Ink::Good,
-            Look::Suspect => Ink::Warning,
-            Look::Down => Ink::Bad,
-            Look::Unknown => Ink::Faint,
+            Look::Well => TextStyle::Good,
+            Look::Suspect => TextStyle::Warning,
+            Look::Down => TextStyle::Bad,
+            Look::Unknown => TextStyle::Faint,
         }
     }
 
@@ -241,9 +248,9 @@ impl Look {
     }
 }
 
-fn look_of_cable(known: &Known, cable: &Cable, now: Moment) -> Look {
-    let is_heard = |end: &Module| known.heard_at(*end).is_some_and(|at| now - at < STALE);
-    match (cable.ends().iter().any(is_heard), known.is_up(cable)) {
+fn look_of_cable(robot: &RobotState, cable: &DemoCable, now: MachineInstant) -> Look {
+    let is_heard = |end: &Module| robot.heard_at(*end).is_some_and(|at| now - at < STALE);
+    match (cable.ends().iter().any(is_heard), robot.is_up(cable)) {
         (false, _) => Look::Unknown,
         (true, true) => Look::Well,
         (true, false) => Look::Down,
@@ -258,30 +265,31 @@ fn wire(look: Look) -> &'static str {
     }
 }
 
-fn cable_line((cable, look): &(Cable, Look)) -> Line {
+fn cable_line((cable, look): &(DemoCable, Look)) -> StyledLine {
     let text = format!("{} {} {}", look.glyph(), cable.name, Module::Module1);
-    Line::of(look.ink(), format!("{text} to {}", cable.far))
+    StyledLine::of(look.style(), format!("{text} to {}", cable.far))
 }
 
-fn news_line(news: &News) -> Line {
-    let ink = match news.tone {
-        Tone::Deed => Ink::Warning,
-        Tone::Finding => Ink::Plain,
-        Tone::Relief => Ink::Good,
-        Tone::Alarm => Ink::Bad,
-        Tone::Remark => Ink::Faint,
+fn news_line(news: &ProgressLine) -> StyledLine {
+    let style = match news.tone {
+        LineTone::Injection => TextStyle::Warning,
+        LineTone::Finding => TextStyle::Plain,
+        LineTone::Relief => TextStyle::Good,
+        LineTone::Alarm => TextStyle::Bad,
+        LineTone::Remark => TextStyle::Faint,
     };
-    Line::of(Ink::Faint, format!("{:7.3}  ", news.after.as_secs_f64())).and(ink, news.text.clone())
+    StyledLine::of(TextStyle::Faint, format!("{:7.3}  ", news.after.as_secs_f64()))
+        .and(style, news.text.clone())
 }
 
 /// A piece of news as a line of its own, where there is no terminal.
-pub(crate) fn plain_news(news: &News) -> String {
+pub(crate) fn plain_news(news: &ProgressLine) -> String {
     let mark = match news.tone {
-        Tone::Deed => ">",
-        Tone::Finding => "!",
-        Tone::Relief => "+",
-        Tone::Alarm => "X",
-        Tone::Remark => " ",
+        LineTone::Injection => ">",
+        LineTone::Finding => "!",
+        LineTone::Relief => "+",
+        LineTone::Alarm => "X",
+        LineTone::Remark => " ",
     };
     let text: String = news.text.chars().filter(|c| !c.is_control()).collect();
     format!("{:8.3} {mark} {text}", news.after.as_secs_f64())
@@ -293,7 +301,7 @@ mod tests {
     use crate::demo::text_style::Palette;
     use crate::golden;
 
-    fn picture() -> Picture {
+    fn picture() -> DemoView {
         let view = |module: Module, look| ModuleView {
             module,
             look,
@@ -310,23 +318,23 @@ mod tests {
         modules[2].skin.fill(Look::Unknown);
         let mut cables: Vec<_> = CABLES.iter().map(|cable| (*cable, Look::Well)).collect();
         cables[0].1 = Look::Down;
-        let news = |millis, tone, text: &str| News {
+        let news = |millis, tone, text: &str| ProgressLine {
             after: Duration::from_millis(millis),
             tone,
             text: text.into(),
         };
-        Picture {
+        DemoView {
             elapsed: Duration::from_millis(4_321),
             caption: "2: hang in module2:laser".into(),
             steps: Some(10),
             modules,
             cables,
-            messages: Losses { lost: 0, doubled: 1, perished: 7 },
+            messages: FlowLosses { lost: 0, doubled: 1, perished: 7 },
             received: 1_234,
             news: vec![
-                news(3_000, Tone::Relief, "recovered after 61.0µs"),
-                news(4_100, Tone::Deed, "hang in module2:laser"),
-                news(4_300, Tone::Finding, "module2 found B03 hang in module2:laser"),
+                news(3_000, LineTone::Relief, "recovered after 61.0µs"),
+                news(4_100, LineTone::Injection, "hang in module2:laser"),
+                news(4_300, LineTone::Finding, "module2 found B03 hang in module2:laser"),
             ],
         }
     }
@@ -362,15 +370,15 @@ mod tests {
 
     #[test]
     fn what_was_not_heard_of_lately_does_not_look_current() {
-        let known = crate::demo::fake::known();
-        let heard = known.heard_at(Module::Module1).expect("it was just told");
+        let robot = crate::demo::fake::robot_state();
+        let heard = robot.heard_at(Module::Module1).expect("it was just told");
 
-        let fresh = ModuleView::new(&known, Module::Module1, heard);
-        let stale = ModuleView::new(&known, Module::Module1, heard + STALE);
+        let fresh = ModuleView::new(&robot, Module::Module1, heard);
+        let stale = ModuleView::new(&robot, Module::Module1, heard + STALE);
 
         assert_eq!((fresh.look, stale.look), (Look::Well, Look::Suspect));
-        assert_eq!(look_of_cable(&known, &CABLES[0], heard), Look::Well);
-        assert_eq!(look_of_cable(&known, &CABLES[0], heard + STALE), Look::Unknown);
+        assert_eq!(look_of_cable(&robot, &CABLES[0], heard), Look::Well);
+        assert_eq!(look_of_cable(&robot, &CABLES[0], heard + STALE), Look::Unknown);
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! Where the module stands at its post: between the director and the node.
 
-use super::fault_target::Duty;
-use super::measurements::Gauges;
+use super::fault_target::FaultTarget;
+use super::measurements::Measurements;
 use super::module_node;
 use super::report::{event_of, links_of, objects_of};
-use crate::demo::machine_instant::Moment;
-use crate::demo::protocol::{Command, Event, OrderId, Snapshot};
+use crate::demo::machine_instant::MachineInstant;
+use crate::demo::protocol::{DirectorCommand, ModuleEvent, OrderId, Snapshot};
 use crate::demo::robot::Module;
 use crate::demo::wiring::Wiring;
 use blastema::prelude::*;
@@ -24,34 +24,34 @@ const LAST_WORD: Duration = Duration::from_millis(50);
 
 /// A module at work.
 #[derive(Debug)]
-pub(super) struct Post {
+pub(super) struct ModuleAgent {
     module: Module,
-    gauges: Gauges,
+    measurements: Measurements,
 }
 
-impl Post {
+impl ModuleAgent {
     /// What it finds goes to `events`.
-    pub(super) fn new(module: Module, events: Queue<Event>) -> Post {
-        Post { module, gauges: Gauges::new(module, events) }
+    pub(super) fn new(module: Module, events: Queue<ModuleEvent>) -> ModuleAgent {
+        ModuleAgent { module, measurements: Measurements::new(module, events) }
     }
 
     /// Runs the node, and does what it is told until nobody tells it anything any more.
-    pub(super) async fn hold(self, wiring: Wiring, mut commands: Receiver<Command>) {
+    pub(super) async fn hold(self, wiring: Wiring, mut commands: Receiver<DirectorCommand>) {
         let (node, mut faults) = match self.start(&wiring).await {
             Ok(started) => started,
             Err(event) => {
-                self.gauges.tell(event);
+                self.measurements.tell(event);
                 sleep(LAST_WORD).await;
                 return;
             }
         };
-        self.gauges.tell(Event::Ready);
+        self.measurements.tell(ModuleEvent::Ready);
         let mut snapshots = interval(SNAPSHOT);
         snapshots.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {
             tokio::select! {
                 command = commands.recv() => match command {
-                    None | Some(Command::Shutdown) => break,
+                    None | Some(DirectorCommand::Shutdown) => break,
                     Some(command) => self.obey(&node, command).await,
                 },
                 Some(step) = faults.next() => self.pass_on(step),
@@ -63,12 +63,11 @@ impl Post {
     }
 
     /// Starts the node, or says why it cannot be started.
-    async fn start(&self, wiring: &Wiring) -> Result<(Node, FaultEvents), Event> {
-        module_node::check_addresses(self.module, wiring).map_err(|error| Event::StartFailed {
-            reason: error.to_string(),
-            address_taken: true,
+    async fn start(&self, wiring: &Wiring) -> Result<(Node, FaultEvents), ModuleEvent> {
+        module_node::check_addresses(self.module, wiring).map_err(|error| {
+            ModuleEvent::StartFailed { reason: error.to_string(), address_taken: true }
         })?;
-        let mut builder = module_node::build(self.module, wiring, &self.gauges);
+        let mut builder = module_node::build(self.module, wiring, &self.measurements);
         let mut faults = builder.fault_events();
         let mut starting = pin!(builder.start());
         // What is found meanwhile says why a node does not come up.
@@ -78,7 +77,7 @@ impl Post {
                 Some(step) = faults.next() => self.pass_on(step),
             }
         };
-        let failed = |error: StartError| Event::StartFailed {
+        let failed = |error: StartError| ModuleEvent::StartFailed {
             reason: error.to_string(),
             address_taken: false,
         };
@@ -87,52 +86,54 @@ impl Post {
 
     fn pass_on(&self, step: FaultEvent) {
         if let Some(event) = event_of(step) {
-            self.gauges.tell(event);
+            self.measurements.tell(event);
         }
     }
 
-    async fn obey(&self, node: &Node, command: Command) {
+    async fn obey(&self, node: &Node, command: DirectorCommand) {
         match command {
-            Command::Strike { order, object, sabotage } => {
-                match Duty::new(node, &self.gauges, order, object.as_str()) {
-                    Ok(duty) => drop(tokio::spawn(duty.carry_out(sabotage))),
+            DirectorCommand::Strike { order, object, fault } => {
+                match FaultTarget::new(node, &self.measurements, order, object.as_str()) {
+                    Ok(duty) => drop(tokio::spawn(duty.carry_out(fault))),
                     Err(why) => self.refuse(order, why.to_string()),
                 }
             }
-            Command::Cut { order, cables } => {
+            DirectorCommand::Cut { order, cables } => {
                 let cut = |cable: &String| module_node::cut(node, cable);
                 self.answer(order, cables.iter().try_for_each(cut));
             }
-            Command::Restore { order, cables } => {
+            DirectorCommand::Restore { order, cables } => {
                 let restore = |cable: &String| module_node::restore(node, cable);
                 self.answer(order, cables.iter().try_for_each(restore));
             }
-            Command::PanicRouter { order } => {
-                let at = Moment::now();
+            DirectorCommand::PanicRouter { order } => {
+                let at = MachineInstant::now();
                 node.panic_router();
-                self.gauges.tell(Event::CarriedOut { order, at });
+                self.measurements.tell(ModuleEvent::CarriedOut { order, at });
             }
-            Command::Watch { since } => self.gauges.watch(since),
-            Command::Status => self.report(node).await,
-            Command::Start { .. } | Command::Shutdown => {}
+            DirectorCommand::Watch { since } => self.measurements.watch(since),
+            DirectorCommand::Status => self.report(node).await,
+            DirectorCommand::Start { .. } | DirectorCommand::Shutdown => {}
         }
     }
 
     async fn report(&self, node: &Node) {
         let table = node.table().await;
         let (objects, links) = (objects_of(&table), links_of(&table));
-        let snapshot = Snapshot { objects, links, ..self.gauges.snapshot() };
-        self.gauges.tell(Event::Snapshot(Box::new(snapshot)));
+        let snapshot = Snapshot { objects, links, ..self.measurements.snapshot() };
+        self.measurements.tell(ModuleEvent::Snapshot(Box::new(snapshot)));
     }
 
     fn answer(&self, order: OrderId, outcome: Result<(), Why>) {
         match outcome {
-            Ok(()) => self.gauges.tell(Event::CarriedOut { order, at: Moment::now() }),
+            Ok(()) => {
+                self.measurements.tell(ModuleEvent::CarriedOut { order, at: MachineInstant::now() })
+            }
             Err(why) => self.refuse(order, why.to_string()),
         }
     }
 
     fn refuse(&self, order: OrderId, reason: String) {
-        self.gauges.tell(Event::Refused { order, reason });
+        self.measurements.tell(ModuleEvent::Refused { order, reason });
     }
 }

@@ -1,10 +1,10 @@
 //! Carries out what the director wants done to an object, and tells when the object answers again.
 
-use super::harm::Scar;
-use super::measurements::Gauges;
-use super::messages::{Harm, Noise, Poke, Wound};
-use crate::demo::machine_instant::Moment;
-use crate::demo::protocol::{Event, OrderId, Sabotage};
+use super::harm::HarmRecord;
+use super::measurements::Measurements;
+use super::messages::{FloodMessage, InjectFault, ObjectHarm, Probe};
+use crate::demo::machine_instant::MachineInstant;
+use crate::demo::protocol::{ModuleEvent, ObjectFault, OrderId};
 use blastema::prelude::*;
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,7 +13,7 @@ use tokio::time::{sleep, timeout};
 
 /// How long a harmed object may take until the fault is there.
 const ONSET: Duration = Duration::from_secs(2);
-/// For one poke: about what a person would call at once.
+/// For one probe: about what a person would call at once.
 const ANSWER: Duration = Duration::from_millis(100);
 /// Between two pokes of an object that does not answer, or whose old life does.
 const BETWEEN_POKES: Duration = Duration::from_millis(1);
@@ -28,65 +28,65 @@ const BETWEEN_BURSTS: Duration = Duration::from_millis(1);
 
 /// One object that is to be harmed.
 #[derive(Debug)]
-pub(super) struct Duty {
-    gauges: Gauges,
+pub(super) struct FaultTarget {
+    measurements: Measurements,
     order: OrderId,
-    scar: Arc<Scar>,
-    harm: Sender<Harm>,
-    poke: Sender<Poke>,
-    noise: Sender<Noise>,
+    record: Arc<HarmRecord>,
+    inject: Sender<InjectFault>,
+    probe: Sender<Probe>,
+    flood_queue: Sender<FloodMessage>,
 }
 
-impl Duty {
+impl FaultTarget {
     /// Finds the object.
     ///
     /// # Errors
     /// There is none of this name.
     pub(super) fn new(
         node: &Node,
-        gauges: &Gauges,
+        measurements: &Measurements,
         order: OrderId,
         object: &str,
-    ) -> Result<Duty, Why> {
-        Ok(Duty {
-            gauges: gauges.clone(),
+    ) -> Result<FaultTarget, Why> {
+        Ok(FaultTarget {
+            measurements: measurements.clone(),
             order,
-            scar: gauges.scar(object),
-            harm: node.sender(object)?,
-            poke: node.sender(object)?,
-            noise: node.sender(object)?,
+            record: measurements.record(object),
+            inject: node.sender(object)?,
+            probe: node.sender(object)?,
+            flood_queue: node.sender(object)?,
         })
     }
 
     /// Does it, and tells the director.
-    pub(super) async fn carry_out(self, sabotage: Sabotage) {
-        let Ok(life) = self.poke.ask_within(Poke {}, ONSET).await else {
+    pub(super) async fn carry_out(self, fault: ObjectFault) {
+        let Ok(life) = self.probe.ask_within(Probe {}, ONSET).await else {
             self.refuse("the object does not answer before anything is done to it".into());
             return;
         };
-        self.scar.heal();
-        let wound = match sabotage {
-            Sabotage::Panic => Wound::Panic,
-            Sabotage::Hang { millis } => Wound::Hang { millis },
-            Sabotage::ErrorState => Wound::Error,
-            Sabotage::FailInitialization => Wound::FailInitialization,
-            Sabotage::Silence => Wound::Silence,
-            Sabotage::Flood { messages } => {
-                self.scar.strike();
+        self.record.heal();
+        let wound = match fault {
+            ObjectFault::Panic => ObjectHarm::Panic,
+            ObjectFault::Hang { millis } => ObjectHarm::Hang { millis },
+            ObjectFault::ErrorState => ObjectHarm::Error,
+            ObjectFault::FailInitialization => ObjectHarm::FailInitialization,
+            ObjectFault::Silence => ObjectHarm::Silence,
+            ObjectFault::Flood { messages } => {
+                self.record.strike();
                 self.announce().await;
                 self.flood(messages).await;
                 self.await_service(0).await;
                 return;
             }
         };
-        if let Err(error) = self.harm.tell(Harm { wound }) {
+        if let Err(error) = self.inject.tell(InjectFault { wound }) {
             self.refuse(error.to_string());
             return;
         }
-        match sabotage {
+        match fault {
             // A reset brings back the same life: what answers before the error has struck does not
             // count.
-            Sabotage::ErrorState => {
+            ObjectFault::ErrorState => {
                 self.announce().await;
                 self.await_service(life).await;
             }
@@ -98,8 +98,8 @@ impl Duty {
 
     /// Tells when the fault was there.
     async fn announce(&self) {
-        match timeout(ONSET, self.scar.struck()).await {
-            Ok(at) => self.gauges.tell(Event::CarriedOut { order: self.order, at }),
+        match timeout(ONSET, self.record.struck()).await {
+            Ok(at) => self.measurements.tell(ModuleEvent::CarriedOut { order: self.order, at }),
             Err(_) => self.refuse("the fault did not set in".into()),
         }
     }
@@ -109,7 +109,7 @@ impl Duty {
         let answered = timeout(PATIENCE, async {
             let mut pokes = 0;
             loop {
-                match self.poke.ask_within(Poke {}, ANSWER).await {
+                match self.probe.ask_within(Probe {}, ANSWER).await {
                     Ok(answering) if answering >= life => return answering,
                     _ if pokes < EAGER_POKES => yield_now().await,
                     _ => sleep(BETWEEN_POKES).await,
@@ -118,7 +118,11 @@ impl Duty {
             }
         });
         if let Ok(life) = answered.await {
-            self.gauges.tell(Event::Served { order: self.order, at: Moment::now(), life });
+            self.measurements.tell(ModuleEvent::Served {
+                order: self.order,
+                at: MachineInstant::now(),
+                life,
+            });
         }
     }
 
@@ -126,13 +130,13 @@ impl Duty {
         for _ in 0..messages / BURST {
             for _ in 0..BURST {
                 // What does not fit is refused: that is what a flood is about.
-                let _ = self.noise.tell(Noise {});
+                let _ = self.flood_queue.tell(FloodMessage {});
             }
             sleep(BETWEEN_BURSTS).await;
         }
     }
 
     fn refuse(&self, reason: String) {
-        self.gauges.tell(Event::Refused { order: self.order, reason });
+        self.measurements.tell(ModuleEvent::Refused { order: self.order, reason });
     }
 }

@@ -1,7 +1,7 @@
 //! How an object of the demonstration is harmed on command, and what remembers it.
 
-use super::messages::{Harm, Noise, Poke, Wound};
-use crate::demo::machine_instant::Moment;
+use super::messages::{FloodMessage, InjectFault, ObjectHarm, Probe};
+use crate::demo::machine_instant::MachineInstant;
 use blastema::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -13,20 +13,20 @@ const NOISE: Duration = Duration::from_micros(200);
 
 /// What stays of a wound when the life that suffered it is over. One for each object.
 #[derive(Debug, Default)]
-pub(super) struct Scar {
+pub(super) struct HarmRecord {
     struck_ns: AtomicU64,
     fails_to_initialize: AtomicBool,
     struck: Notify,
 }
 
-/// The wounds of one life.
+/// The harm of one life.
 #[derive(Debug)]
-pub(super) struct Wounds {
-    scar: Arc<Scar>,
+pub(super) struct HarmState {
+    record: Arc<HarmRecord>,
     is_in_error: bool,
 }
 
-impl Scar {
+impl HarmRecord {
     /// Forgets the last wound.
     pub(super) fn heal(&self) {
         self.struck_ns.store(0, Ordering::SeqCst);
@@ -34,31 +34,31 @@ impl Scar {
 
     /// The fault is there, now.
     pub(super) fn strike(&self) {
-        self.struck_ns.store(Moment::now().as_nanos(), Ordering::SeqCst);
+        self.struck_ns.store(MachineInstant::now().as_nanos(), Ordering::SeqCst);
         self.struck.notify_one();
     }
 
     /// Waits until the fault is there; when that was.
-    pub(super) async fn struck(&self) -> Moment {
+    pub(super) async fn struck(&self) -> MachineInstant {
         loop {
             match self.struck_ns.load(Ordering::SeqCst) {
                 0 => self.struck.notified().await,
-                nanos => return Moment::from_nanos(nanos),
+                nanos => return MachineInstant::from_nanos(nanos),
             }
         }
     }
 }
 
-impl Wounds {
+impl HarmState {
     /// None yet.
-    pub(super) fn new(scar: &Arc<Scar>) -> Wounds {
-        Wounds { scar: scar.clone(), is_in_error: false }
+    pub(super) fn new(record: &Arc<HarmRecord>) -> HarmState {
+        HarmState { record: record.clone(), is_in_error: false }
     }
 
     /// Belongs into `on_initialize`.
     pub(super) fn initialize(&self) -> Result<(), Failure> {
-        if self.scar.fails_to_initialize.swap(false, Ordering::SeqCst) {
-            self.scar.strike();
+        if self.record.fails_to_initialize.swap(false, Ordering::SeqCst) {
+            self.record.strike();
             return Err("the device does not answer, as ordered".into());
         }
         Ok(())
@@ -67,7 +67,7 @@ impl Wounds {
     /// Belongs into `on_execute`.
     pub(super) fn execute(&mut self) -> Result<(), Failure> {
         if std::mem::take(&mut self.is_in_error) {
-            self.scar.strike();
+            self.record.strike();
             return Err("the device reports an error, as ordered".into());
         }
         Ok(())
@@ -77,23 +77,23 @@ impl Wounds {
     ///
     /// # Panics
     /// If that is the wound.
-    pub(super) fn suffer<C: Component>(&mut self, wound: Wound, cx: &mut Context<C>) {
+    pub(super) fn suffer<C: Component>(&mut self, wound: ObjectHarm, cx: &mut Context<C>) {
         match wound {
-            Wound::Panic => {
-                self.scar.strike();
+            ObjectHarm::Panic => {
+                self.record.strike();
                 panic!("as ordered");
             }
-            Wound::Hang { millis } => {
-                self.scar.strike();
+            ObjectHarm::Hang { millis } => {
+                self.record.strike();
                 std::thread::sleep(Duration::from_millis(millis));
             }
-            Wound::Error => self.is_in_error = true,
-            Wound::FailInitialization => {
-                self.scar.fails_to_initialize.store(true, Ordering::SeqCst);
+            ObjectHarm::Error => self.is_in_error = true,
+            ObjectHarm::FailInitialization => {
+                self.record.fails_to_initialize.store(true, Ordering::SeqCst);
                 panic!("as ordered, to be initialised anew");
             }
-            Wound::Silence => {
-                self.scar.strike();
+            ObjectHarm::Silence => {
+                self.record.strike();
                 cx.set_interval(None);
             }
         }
@@ -101,8 +101,10 @@ impl Wounds {
 }
 
 /// The ports that every object of the demonstration has beside its own.
-pub(super) fn declare<C: Handle<Harm> + Handle<Poke> + Handle<Noise>>(ports: &mut Ports<C>) {
-    ports.serve::<Harm>().serve::<Poke>().accept::<Noise>();
+pub(super) fn declare<C: Handle<InjectFault> + Handle<Probe> + Handle<FloodMessage>>(
+    ports: &mut Ports<C>,
+) {
+    ports.serve::<InjectFault>().serve::<Probe>().accept::<FloodMessage>();
 }
 
 /// Serves one message of a flood.
@@ -110,31 +112,35 @@ pub(super) async fn endure() {
     tokio::time::sleep(NOISE).await;
 }
 
-/// Lets a component with a field `wounds` take what [`declare`] declares.
+/// Lets a component with a field `harm` take what [`declare`] declares.
 macro_rules! vulnerable {
     ($component:ty) => {
-        impl Handle<$crate::module::messages::Harm> for $component {
+        impl Handle<$crate::module::messages::InjectFault> for $component {
             async fn handle(
                 &mut self,
-                harm: $crate::module::messages::Harm,
+                harm: $crate::module::messages::InjectFault,
                 cx: &mut Context<Self>,
             ) {
-                self.wounds.suffer(harm.wound, cx);
+                self.harm.suffer(harm.wound, cx);
             }
         }
 
-        impl Handle<$crate::module::messages::Poke> for $component {
+        impl Handle<$crate::module::messages::Probe> for $component {
             async fn handle(
                 &mut self,
-                _: $crate::module::messages::Poke,
+                _: $crate::module::messages::Probe,
                 cx: &mut Context<Self>,
             ) -> u64 {
                 cx.incarnation().0
             }
         }
 
-        impl Handle<$crate::module::messages::Noise> for $component {
-            async fn handle(&mut self, _: $crate::module::messages::Noise, _: &mut Context<Self>) {
+        impl Handle<$crate::module::messages::FloodMessage> for $component {
+            async fn handle(
+                &mut self,
+                _: $crate::module::messages::FloodMessage,
+                _: &mut Context<Self>,
+            ) {
                 $crate::module::harm::endure().await;
             }
         }

@@ -86,7 +86,7 @@ pub(super) struct Numbered {
 /// A question that is answered at once, to measure response times.
 #[derive(Clone, Copy, Debug, Request)]
 #[contract(name = "demo/echo", reply = u64)]
-pub(super) struct Echo {
+pub(super) struct EchoRequest {
     /// Comes back.
     pub(super) number: u64,
 }
@@ -104,14 +104,14 @@ pub(super) struct Tick {
 /// Do yourself harm.
 #[derive(Clone, Copy, Debug, Request)]
 #[contract(name = "demo/harm", reply = ())]
-pub(super) struct Harm {
+pub(super) struct InjectFault {
     /// Which.
-    pub(super) wound: Wound,
+    pub(super) wound: ObjectHarm,
 }
 
 /// The harm that an object can do to itself.
 #[derive(Clone, Copy, Debug, Structure)]
-pub(super) enum Wound {
+pub(super) enum ObjectHarm {
     /// Panic.
     Panic,
     /// Block the thread.
@@ -131,9 +131,9 @@ pub(super) enum Wound {
 /// Who answers?
 #[derive(Clone, Copy, Debug, Request)]
 #[contract(name = "demo/poke", reply = u64)]
-pub(super) struct Poke {}
+pub(super) struct Probe {}
 
 /// One message of a flood: of no use to anybody.
 #[derive(Clone, Copy, Debug, Event)]
 #[contract(name = "demo/noise")]
-pub(super) struct Noise {}
+pub(super) struct FloodMessage {}

@@ -2,8 +2,8 @@
 //! director says and tells what it finds.
 //!
 //! ```text
-//!  director ── commands ──► Post ──► Duty ──► objects (each handles its own harm)
-//!           ◄── events ──── Gauges ◄── flows, echoes, ticks; fault history; monitor's table
+//!  director ── commands ──► ModuleAgent ──► FaultTarget ──► objects (each handles its own harm)
+//!           ◄── events ──── Measurements ◄── flows, echoes, ticks; fault history; monitor's table
 //! ```
 //!
 //! The gauges stand outside of the objects, so that what is measured survives what is done to them.
@@ -28,9 +28,9 @@ mod ticker;
 
 use crate::args::ModuleOptions;
 use crate::demo::control::{ControlError, enter};
-use crate::demo::protocol::{Command, Event, VERSION};
+use crate::demo::protocol::{DirectorCommand, ModuleEvent, VERSION};
 use crate::demo::robot::Module;
-use agent::Post;
+use agent::ModuleAgent;
 use std::io;
 use tokio::sync::mpsc::channel;
 
@@ -65,11 +65,11 @@ pub(crate) fn run(options: &ModuleOptions) -> Result<(), ModuleError> {
 
 async fn serve(module: Module, options: &ModuleOptions) -> Result<(), ModuleError> {
     let (mut reader, mut writer) = enter(&options.control, options.parent).await?;
-    let hello = Event::Hello { name: module.name().into(), version: VERSION };
+    let hello = ModuleEvent::Hello { name: module.name().into(), version: VERSION };
     writer.send(&hello).await?;
-    let Some(Command::Start { wiring }) = reader.next().await? else { return Ok(()) };
+    let Some(DirectorCommand::Start { wiring }) = reader.next().await? else { return Ok(()) };
 
-    let (events, mut told) = channel::<Event>(QUEUE);
+    let (events, mut told) = channel::<ModuleEvent>(QUEUE);
     tokio::spawn(async move {
         while let Some(event) = told.recv().await {
             // A director that is gone is noticed by the reader.
@@ -78,7 +78,7 @@ async fn serve(module: Module, options: &ModuleOptions) -> Result<(), ModuleErro
             }
         }
     });
-    let (heard, commands) = channel::<Command>(QUEUE);
+    let (heard, commands) = channel::<DirectorCommand>(QUEUE);
     tokio::spawn(async move {
         // An end of the channel is an end of the module; so is a line that cannot be understood.
         while let Ok(Some(command)) = reader.next().await {
@@ -87,6 +87,6 @@ async fn serve(module: Module, options: &ModuleOptions) -> Result<(), ModuleErro
             }
         }
     });
-    Post::new(module, events).hold(wiring, commands).await;
+    ModuleAgent::new(module, events).hold(wiring, commands).await;
     Ok(())
 }

@@ -1,9 +1,9 @@
 //! What is aboard a module: its node, its cables, its objects.
 
 use super::cell::Cell;
-use super::harm::Wounds;
+use super::harm::HarmState;
 use super::laser::Laser;
-use super::measurements::Gauges;
+use super::measurements::Measurements;
 use super::messages::{Pose, Velocity};
 use super::motors::Motors;
 use super::odometry::Odometry;
@@ -53,11 +53,11 @@ const ECHOES_HZ: f64 = 100.0;
 const TICKS_HZ: f64 = 100.0;
 
 /// The robot's work, and what measures it, in the order of their start.
-pub(super) fn build(module: Module, wiring: &Wiring, gauges: &Gauges) -> NodeBuilder {
+pub(super) fn build(module: Module, wiring: &Wiring, measurements: &Measurements) -> NodeBuilder {
     let mut node = Node::builder(module.name())
-        .supervisor(work_of(module, gauges))
-        .supervisor(skin_of(module, gauges))
-        .supervisor(measurements_of(module, gauges));
+        .supervisor(work_of(module, measurements))
+        .supervisor(skin_of(module, measurements))
+        .supervisor(measurements_of(module, measurements));
     for end in wiring.ends_of(module) {
         node = node.network(network(&end));
     }
@@ -129,34 +129,34 @@ fn passive<C: Component>(
         .watch(Watch::Pull(Pull { patience: PATIENCE, ..Pull::default() }))
 }
 
-fn skin_of(module: Module, gauges: &Gauges) -> SupervisorSpec {
+fn skin_of(module: Module, measurements: &Measurements) -> SupervisorSpec {
     let mut cells = supervisor("skin");
     for name in module.skin().map(skin) {
-        let (scar, gauges) = (gauges.scar(&name), gauges.clone());
+        let (record, measurements) = (measurements.record(&name), measurements.clone());
         let flow = FLOWS.iter().find(|flow| flow.to == module && flow.sink == name);
         let queue = if flow.is_some() { FLOW_QUEUE } else { QUEUE };
         let cell = move || {
-            let (wounds, gauges) = (Wounds::new(&scar), gauges.clone());
-            Cell { wounds, gauges, flow, pressure: 0.0 }
+            let (harm, measurements) = (HarmState::new(&record), measurements.clone());
+            Cell { harm, measurements, flow, pressure: 0.0 }
         };
         cells = cells.child(active(&name, 10.0, cell).queue(queue, WhenFull::Refuse));
     }
     cells
 }
 
-fn work_of(module: Module, gauges: &Gauges) -> SupervisorSpec {
-    let wounds = |name: &str| {
-        let scar = gauges.scar(name);
-        move || Wounds::new(&scar)
+fn work_of(module: Module, measurements: &Measurements) -> SupervisorSpec {
+    let harm = |name: &str| {
+        let record = measurements.record(name);
+        move || HarmState::new(&record)
     };
     let work = supervisor("work");
     match module {
         Module::Module1 => {
-            let (planner, safety) = (wounds("planner"), wounds("safety"));
+            let (planner, safety) = (harm("planner"), harm("safety"));
             let motors = "module3:motors";
-            work.child(active("safety", 50.0, move || Safety { wounds: safety(), motors })).child(
+            work.child(active("safety", 50.0, move || Safety { harm: safety(), motors })).child(
                 passive("planner", 20.0, move || Planner {
-                    wounds: planner(),
+                    harm: planner(),
                     motors,
                     pose: None,
                     goal: None,
@@ -165,52 +165,52 @@ fn work_of(module: Module, gauges: &Gauges) -> SupervisorSpec {
             )
         }
         Module::Module2 => {
-            let (laser, operator) = (wounds("laser"), wounds("operator"));
-            work.child(active("laser", 20.0, move || Laser { wounds: laser(), sweeps: 0 })).child(
-                passive("operator", 10.0, move || Operator { wounds: operator(), corner: 0 }),
-            )
+            let (laser, operator) = (harm("laser"), harm("operator"));
+            work.child(active("laser", 20.0, move || Laser { harm: laser(), sweeps: 0 }))
+                .child(passive("operator", 10.0, move || Operator { harm: operator(), corner: 0 }))
         }
         Module::Module3 => {
-            let (motors, odometry) = (wounds("motors"), wounds("odometry"));
+            let (motors, odometry) = (harm("motors"), harm("odometry"));
             let velocity = Velocity::default();
             work.child(active("motors", 100.0, move || Motors {
-                wounds: motors(),
+                harm: motors(),
                 velocity,
                 rounds_since: 0,
             }))
             .child(active("odometry", 50.0, move || Odometry {
-                wounds: odometry(),
+                harm: odometry(),
                 pose: Pose::default(),
             }))
         }
     }
 }
 
-fn measurements_of(module: Module, gauges: &Gauges) -> SupervisorSpec {
-    let mut measurements = supervisor("measure").child(ChildSpec::new(ECHO, || Answerer));
+fn measurements_of(module: Module, measurements: &Measurements) -> SupervisorSpec {
+    let mut instruments = supervisor("measure").child(ChildSpec::new(ECHO, || Answerer));
     for flow in FLOWS.iter().filter(|flow| flow.from == module) {
-        let gauges = gauges.clone();
-        let pacer = move || Pacer { gauges: gauges.clone(), flow };
+        let measurements = measurements.clone();
+        let pacer = move || Pacer { measurements: measurements.clone(), flow };
         let spec = ChildSpec::new(flow.name, pacer).rate_hz(f64::from(flow.rate_hz));
-        measurements = measurements.child(spec);
+        instruments = instruments.child(spec);
     }
     for of in asked_by(module) {
-        let gauges = gauges.clone();
-        let stopwatch = move || Stopwatch { gauges: gauges.clone(), of: *of, number: 0 };
+        let measurements = measurements.clone();
+        let stopwatch =
+            move || Stopwatch { measurements: measurements.clone(), of: *of, number: 0 };
         let spec = ChildSpec::new(&format!("measure/{of}"), stopwatch).rate_hz(ECHOES_HZ);
-        measurements = measurements.child(spec);
+        instruments = instruments.child(spec);
     }
     // In one module only: listeners elsewhere would have the events sent over the network.
     if module == Module::Module1 {
-        let (plain, choosy) = (gauges.clone(), gauges.clone());
-        let plain = move || Listener { gauges: plain.clone() };
-        let choosy = move || ChoosyListener { gauges: choosy.clone() };
-        measurements = measurements
+        let (plain, choosy) = (measurements.clone(), measurements.clone());
+        let plain = move || Listener { measurements: plain.clone() };
+        let choosy = move || ChoosyListener { measurements: choosy.clone() };
+        instruments = instruments
             .child(ChildSpec::new("measure/listener", plain))
             .child(ChildSpec::new("measure/choosy", choosy))
             .child(ChildSpec::new("measure/ticker", || Ticker { number: 0 }).rate_hz(TICKS_HZ));
     }
-    measurements
+    instruments
 }
 
 /// Whose response times a module measures, so that each pair is measured once and, in the story, by

@@ -1,16 +1,16 @@
 //! How the module's monitor and detector see it, in the words of the control channel.
 
-use crate::demo::machine_instant::Moment;
-use crate::demo::protocol::{Event, FaultNote, LinkState, ObjectState, Opinion};
+use crate::demo::machine_instant::MachineInstant;
+use crate::demo::protocol::{CableState, FaultNote, ModuleEvent, ObjectOpinion, ObjectState};
 use blastema::core::detection::{self, ObjectKind, Row, Turn};
 use blastema::{FaultEvent, Lifecycle, Place};
 
 /// One step in the history of a fault, if it is one that is told.
-pub(super) fn event_of(step: FaultEvent) -> Option<Event> {
+pub(super) fn event_of(step: FaultEvent) -> Option<ModuleEvent> {
     let FaultEvent { fault, at, turn } = step;
     let id = fault.id.0;
     Some(match turn {
-        Turn::Found => Event::Found(FaultNote {
+        Turn::Found => ModuleEvent::Found(FaultNote {
             id,
             kind: fault.kind,
             place: fault.place,
@@ -18,14 +18,14 @@ pub(super) fn event_of(step: FaultEvent) -> Option<Event> {
             detail: fault.detail,
             symptom_of: fault.symptom_of.map(|root| root.0),
         }),
-        Turn::Repeated => Event::Repeated { id, count: fault.count },
+        Turn::Repeated => ModuleEvent::Repeated { id, count: fault.count },
         Turn::Explained => {
-            Event::Explained { id, symptom_of: fault.symptom_of.map_or(id, |r| r.0) }
+            ModuleEvent::Explained { id, symptom_of: fault.symptom_of.map_or(id, |r| r.0) }
         }
-        Turn::Decided { measure } => Event::Decided { id, measure },
-        Turn::Recovered => Event::Recovered { id, at: Moment::from(at) },
-        Turn::GaveUp { reason } => Event::GaveUp { id, reason },
-        Turn::Cleared => Event::Cleared { id },
+        Turn::Decided { measure } => ModuleEvent::Decided { id, measure },
+        Turn::Recovered => ModuleEvent::Recovered { id, at: MachineInstant::from(at) },
+        Turn::GaveUp { reason } => ModuleEvent::GaveUp { id, reason },
+        Turn::Cleared => ModuleEvent::Cleared { id },
         _ => return None,
     })
 }
@@ -45,9 +45,9 @@ pub(super) fn objects_of(table: &[Row]) -> Vec<ObjectState> {
 }
 
 /// The cables of the table.
-pub(super) fn links_of(table: &[Row]) -> Vec<LinkState> {
+pub(super) fn links_of(table: &[Row]) -> Vec<CableState> {
     let link = |row: &Row| match &row.place {
-        Place::Link { link, .. } => Some(LinkState {
+        Place::Link { link, .. } => Some(CableState {
             cable: link.to_string(),
             up: row.opinion == detection::Opinion::Trusted,
         }),
@@ -56,10 +56,10 @@ pub(super) fn links_of(table: &[Row]) -> Vec<LinkState> {
     table.iter().filter_map(link).collect()
 }
 
-fn opinion_of(opinion: detection::Opinion) -> Opinion {
+fn opinion_of(opinion: detection::Opinion) -> ObjectOpinion {
     match opinion {
-        detection::Opinion::Trusted => Opinion::Trusted,
-        detection::Opinion::Failed => Opinion::Failed,
-        _ => Opinion::Suspect,
+        detection::Opinion::Trusted => ObjectOpinion::Trusted,
+        detection::Opinion::Failed => ObjectOpinion::Failed,
+        _ => ObjectOpinion::Suspect,
     }
 }

@@ -20,7 +20,7 @@ const PAUSE: Duration = Duration::from_millis(10);
 
 /// Why a node cannot be shown.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum LookError {
+pub(crate) enum InspectError {
     /// Nobody shows anything there.
     #[error("no node answers at {}: {reason}", path.display())]
     Nobody {
@@ -58,7 +58,7 @@ fn span(within: &Duration) -> String {
 }
 
 /// What a node shows of itself: as it was sent, and as a document.
-pub(super) struct Seen {
+pub(super) struct ReceivedSnapshot {
     pub(super) text: String,
     pub(super) picture: Value,
 }
@@ -76,7 +76,7 @@ enum Peer {
 ///
 /// # Errors
 /// What is there instead of a node, and what to do.
-pub(super) async fn look(path: &Path, within: Duration) -> Result<Seen, LookError> {
+pub(super) async fn look(path: &Path, within: Duration) -> Result<ReceivedSnapshot, InspectError> {
     let mut peer = Peer::Unreached;
     let looked = timeout(within, async {
         let window = connect(path).await?;
@@ -88,13 +88,13 @@ pub(super) async fn look(path: &Path, within: Duration) -> Result<Seen, LookErro
     });
     match looked.await {
         Ok(Ok(bytes)) => {
-            read(bytes).map_err(|reason| LookError::NoNode { path: path.to_owned(), reason })
+            read(bytes).map_err(|reason| InspectError::NoNode { path: path.to_owned(), reason })
         }
         Ok(Err(error)) => {
-            Err(LookError::Nobody { path: path.to_owned(), reason: explain(path, &error) })
+            Err(InspectError::Nobody { path: path.to_owned(), reason: explain(path, &error) })
         }
         Err(_) => {
-            Err(LookError::Silent { path: path.to_owned(), within, reason: silence_of(peer) })
+            Err(InspectError::Silent { path: path.to_owned(), within, reason: silence_of(peer) })
         }
     }
 }
@@ -109,7 +109,7 @@ async fn connect(path: &Path) -> io::Result<UnixStream> {
     }
 }
 
-fn read(bytes: Vec<u8>) -> Result<Seen, String> {
+fn read(bytes: Vec<u8>) -> Result<ReceivedSnapshot, String> {
     if bytes.is_empty() {
         return Err("nothing".to_owned());
     }
@@ -120,7 +120,7 @@ fn read(bytes: Vec<u8>) -> Result<Seen, String> {
     let picture: Value = serde_json::from_str(&text)
         .map_err(|error| format!("what is no JSON document ({error})"))?;
     match lacking(&picture) {
-        None => Ok(Seen { text, picture }),
+        None => Ok(ReceivedSnapshot { text, picture }),
         Some(lacking) => Err(format!("a document without {lacking:?}")),
     }
 }

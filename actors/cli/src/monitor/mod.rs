@@ -3,7 +3,7 @@
 mod client;
 mod tables;
 
-use self::client::{LookError, look};
+use self::client::{InspectError, look};
 use crate::args::MonitorOptions;
 use std::io::{self, Write};
 
@@ -12,7 +12,7 @@ use std::io::{self, Write};
 pub(crate) enum MonitorError {
     /// One of them is not to be seen.
     #[error(transparent)]
-    Look(#[from] LookError),
+    Look(#[from] InspectError),
     /// Nobody reads what is printed.
     #[error("the picture could not be printed: {0}")]
     Print(io::Error),
