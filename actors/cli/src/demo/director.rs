@@ -1,4 +1,4 @@
-//! Carries the scenario out on three real processes.
+//! Runs the scenario on three processes.
 
 use super::control::{ControlError, ControlListener, LineReader, LineWriter};
 use super::display::{Display, Mode, OutputClosed};
@@ -9,7 +9,7 @@ use super::report::Report;
 use super::robot::Module;
 use super::scenario::{ProgressLine, Scenario, ScenarioOutput, ScenarioPlan};
 use super::trial::TrialOutput;
-use super::view::{DemoView, NEWS_LIMIT};
+use super::view::{DemoView, LINE_LIMIT};
 use super::wiring::Wiring;
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
@@ -18,67 +18,66 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, sleep_until, timeout};
 
-/// How often the picture is drawn.
+/// How often the live view is drawn.
 const FRAME: Duration = Duration::from_millis(100);
-/// What may wait between a module and the director: a second's worth of events in a storm.
+/// Events that may wait between a module and the director: those of one second at the highest rate.
 const QUEUE: usize = 1_024;
-/// How long a module may take from its start to its first line.
-const ENTRY: Duration = Duration::from_secs(5);
+/// How long a module may take from its start to its first line, on a busy machine.
+const ENTRY: Duration = Duration::from_secs(10);
 /// How long modules may take to end in order before they are killed.
 const FAREWELL: Duration = Duration::from_secs(2);
 /// Files that a module's process must be able to open: about forty for its threads and cables, and
 /// reserve.
 const FILES: u64 = 64;
-/// A module that was never ready is started so often before the run is given up; also how often
-/// ports are chosen anew.
+/// How often a module that was never ready is started, and how often ports are chosen again.
 const ATTEMPTS: u32 = 5;
-/// A module that was ready and says nothing for so many frames is killed and started anew, as an init
-/// system's watchdog would: three seconds, thirty times what lies between its snapshots. Frames are
-/// counted, not time, so that a director that was stopped itself blames nobody.
+/// After this many frames without an event of a ready module its process is killed and restarted,
+/// as the watchdog of an init system would do: three seconds, thirty times the interval of its
+/// snapshots. Frames are counted instead of time, so that a stopped director kills no module.
 const QUIET_FRAMES: u32 = 30;
-/// Between two starts of a module that does not get ready.
+/// The pause between two starts of a module that is not ready.
 const BETWEEN_ATTEMPTS: Duration = Duration::from_millis(200);
 
-/// Why the demonstration was not run to its end.
+/// The reason why the demonstration was not run to its end.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum DemoError {
     /// See [`ControlError`].
     #[error(transparent)]
     Control(#[from] ControlError),
-    /// The operating system refuses something that the demonstration cannot do without.
+    /// The operating system refuses a required resource.
     #[error("{what}: {source}")]
     System {
-        /// What was tried.
+        /// The operation.
         what: &'static str,
-        /// What the system says.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// A module's process does not come up.
+    /// The process of a module does not become ready.
     #[error("{module} does not start: {reason}")]
     Module {
-        /// Which module.
+        /// The module.
         module: Module,
-        /// What it said last.
+        /// Its last message.
         reason: String,
     },
-    /// The processes may open fewer files than they need.
+    /// The limit of open files is too low.
     #[error(
         "a process may open {0} files here, and a module needs {FILES}: raise the limit, as with \
          `ulimit -n {FILES}`"
     )]
     Files(u64),
-    /// Its processes run, and do not find each other or do not get ready.
-    #[error("the robot did not come together: {0}")]
+    /// The processes run, and do not connect or do not become ready.
+    #[error("the robot was not assembled: {0}")]
     NotTogether(String),
-    /// A person, or the system, ended it.
-    #[error("ended by {0} before its time; all processes are ended")]
+    /// A signal ended the run.
+    #[error("interrupted by {0}; all processes have ended")]
     Interrupted(&'static str),
     /// See [`OutputClosed`].
     #[error(transparent)]
     OutputClosed(#[from] OutputClosed),
 }
 
-/// What happens to the director.
+/// An input of the director.
 enum Happening {
     Said(Said),
     Ended(Ended),
@@ -89,10 +88,10 @@ enum Happening {
     Interrupted(&'static str),
 }
 
-/// Carries out the scenario and keeps its processes.
+/// Runs the scenario and supervises its processes.
 pub(crate) struct Director {
     scenario: Scenario,
-    news: VecDeque<ProgressLine>,
+    lines: VecDeque<ProgressLine>,
     wiring: Wiring,
     rewired: u32,
     listener: Option<ControlListener>,
@@ -102,7 +101,7 @@ pub(crate) struct Director {
     signals: Signals,
 }
 
-/// What a module's process said.
+/// An event from the process of a module.
 struct Said {
     module: Module,
     process: i32,
@@ -116,7 +115,7 @@ struct Member {
     entry_due: Instant,
     failures: u32,
     reason: String,
-    /// Frames since it last said something.
+    /// Frames since its last event.
     quiet: u32,
 }
 
@@ -136,13 +135,13 @@ impl Director {
         if let Some(files) = files.filter(|files| *files < FILES) {
             return Err(DemoError::Files(files));
         }
-        // First of all, so that no signal finds processes that nobody would end.
+        // Signals are caught before the first process is started, so that none is left behind.
         let signals = Signals::catch()?;
         let wiring = Wiring::choose()
             .map_err(system("the loopback addresses cannot be used (is the interface lo up?)"))?;
         let mut director = Director {
             scenario: Scenario::new(plan, MachineInstant::now()),
-            news: VecDeque::new(),
+            lines: VecDeque::new(),
             wiring,
             rewired: 0,
             listener: None,
@@ -157,10 +156,10 @@ impl Director {
         Ok(director)
     }
 
-    /// Runs the scenario to its end, and ends all processes.
+    /// Runs the scenario to its end and ends all processes.
     ///
     /// # Errors
-    /// See [`DemoError`]; the processes are ended all the same.
+    /// See [`DemoError`]; the processes have ended in any case.
     pub(crate) async fn run(mut self, display: &Display) -> (Report, Result<(), DemoError>) {
         let outcome = self.direct(display).await;
         self.dismiss().await;
@@ -174,7 +173,7 @@ impl Director {
             while let Some(output) = self.scenario.poll_output() {
                 match output {
                     ScenarioOutput::Do(output) => self.carry_out(output),
-                    ScenarioOutput::Tell(news) => self.tell(news, display)?,
+                    ScenarioOutput::Tell(line) => self.tell(line, display)?,
                     ScenarioOutput::Finished => return Ok(()),
                     ScenarioOutput::Stillborn(text) => return Err(self.not_together(text)),
                 }
@@ -210,7 +209,7 @@ impl Director {
             Happening::Frame => {
                 self.kill_the_quiet();
                 if display.mode() == Mode::Live {
-                    display.picture(DemoView::new(&self.scenario, &self.news, now))?;
+                    display.view(DemoView::new(&self.scenario, &self.lines, now))?;
                 }
             }
             Happening::Interrupted(name) => return Err(DemoError::Interrupted(name)),
@@ -222,7 +221,7 @@ impl Director {
         let &Said { module, process, ref event } = said;
         let member = self.crew.get_mut(&module).filter(|member| member.process.id == process);
         let Some(member) = member else {
-            // The last words of a process that is gone.
+            // The event comes from a process that has ended.
             return Ok(());
         };
         member.quiet = 0;
@@ -230,7 +229,7 @@ impl Director {
             ModuleEvent::Hello { name, version }
                 if name != module.name() || *version != VERSION =>
             {
-                let reason = "its executable is not the director's; start anew".into();
+                let reason = "its executable is not the director's; run the command again".into();
                 return Err(DemoError::Module { module, reason });
             }
             ModuleEvent::StartFailed { reason, address_taken } => {
@@ -249,7 +248,7 @@ impl Director {
         Ok(())
     }
 
-    /// Somebody took a port between its choice and its use: all begin again with other ports.
+    /// Another program took a port between its choice and its use: all modules restart with others.
     fn rewire(&mut self) -> Result<(), DemoError> {
         self.rewired += 1;
         if self.rewired <= ATTEMPTS {
@@ -282,7 +281,7 @@ impl Director {
         }
         let reason = member.reason.clone();
         self.scenario.handle_exit(module, unasked, now);
-        // The director is the launcher of its modules: whatever ended is started again.
+        // A process that has ended is restarted.
         self.launch(module, failures)?;
         self.crew.entry(module).and_modify(|member| member.reason = reason);
         Ok(())
@@ -305,7 +304,7 @@ impl Director {
 
     fn enter(&mut self, process: i32, reader: LineReader, writer: LineWriter) {
         let found = self.crew.iter_mut().find(|(_, member)| member.process.id == process);
-        // Of the same user, but none of ours: it is turned away.
+        // A process of the same user that the director has not started: it is refused.
         let Some((&module, member)) = found else { return };
         let delay = if member.failures == 0 { Duration::ZERO } else { BETWEEN_ATTEMPTS };
         let (commands, queue) = channel(QUEUE);
@@ -313,7 +312,7 @@ impl Director {
         tokio::spawn(listen(module, process, reader, self.said.0.clone()));
         member.commands = Some(commands);
         if self.crew.values().all(|member| member.commands.is_some()) {
-            // From here on nothing of ours lies in the file system.
+            // From here on the file system holds nothing of the run.
             self.listener = None;
         }
     }
@@ -322,7 +321,7 @@ impl Director {
         match output {
             TrialOutput::Send(module, command) => {
                 let member = self.crew.get(&module);
-                // A module that does not read is about to be found lost; what it was told is void.
+                // A module that does not read will be found lost; its commands are void.
                 let _ = member
                     .and_then(|member| member.commands.as_ref())
                     .map(|commands| commands.try_send(command));
@@ -337,12 +336,12 @@ impl Director {
         }
     }
 
-    fn tell(&mut self, news: ProgressLine, display: &Display) -> Result<(), DemoError> {
-        if self.news.len() == NEWS_LIMIT {
-            self.news.pop_front();
+    fn tell(&mut self, line: ProgressLine, display: &Display) -> Result<(), DemoError> {
+        if self.lines.len() == LINE_LIMIT {
+            self.lines.pop_front();
         }
-        self.news.push_back(news.clone());
-        Ok(display.news(news)?)
+        self.lines.push_back(line.clone());
+        Ok(display.progress(line)?)
     }
 
     fn next_due(&self) -> Option<Instant> {
@@ -375,7 +374,7 @@ impl Director {
         }
     }
 
-    /// What is missing, and what modules said last, as far as they said why.
+    /// Describes what is missing, with the last reason of each module that has sent one.
     fn not_together(&self, text: String) -> DemoError {
         let said = self.crew.iter().filter(|(_, member)| !member.reason.is_empty());
         let said = said.map(|(module, member)| format!("{module}: {}", member.reason));
@@ -385,13 +384,13 @@ impl Director {
         };
         let mute = self.crew.iter().filter(|(module, member)| is_mute(module, member));
         let mute = mute.map(|(module, _)| {
-            format!("{module} cannot say why: see whether `ulimit -u` leaves it threads")
+            format!("{module} has sent no reason: check whether `ulimit -u` permits its threads")
         });
         let said = said.chain(mute);
         DemoError::NotTogether(std::iter::once(text).chain(said).collect::<Vec<_>>().join("; "))
     }
 
-    /// Ends all processes, in order if they can.
+    /// Shuts all modules down and kills those that do not end in time.
     async fn dismiss(&mut self) {
         for member in self.crew.values_mut() {
             match &member.commands {
@@ -399,14 +398,14 @@ impl Director {
                 _ => member.process.kill(),
             }
         }
-        // A second signal shortens the farewell.
+        // A second signal ends the wait.
         tokio::select! {
             () = all_ended(&mut self.crew, &mut self.ended.1, &mut self.said.1) => {}
             () = sleep(FAREWELL) => {}
             _ = self.signals.next() => {}
         }
         self.crew.values_mut().for_each(|member| member.process.kill());
-        // Signal 9 cannot be refused; the bound is for a kernel in trouble.
+        // A process cannot refuse signal 9; the limit protects against a kernel that does not kill.
         let end = all_ended(&mut self.crew, &mut self.ended.1, &mut self.said.1);
         let _ = timeout(FAREWELL, end).await;
         self.listener = None;
@@ -425,13 +424,13 @@ async fn all_ended(
                     crew.remove(&module);
                 }
             }
-            // What is said now interests nobody, but must not stop the module's writer.
+            // Events are discarded, so that they do not block the module's writer.
             Some(_) = said.recv() => {}
         }
     }
 }
 
-/// Sends what the director wants of a module, beginning with its start.
+/// Sends the commands of the director to a module, beginning with `Start`.
 async fn speak(
     mut writer: LineWriter,
     mut queue: Receiver<DirectorCommand>,
@@ -441,7 +440,7 @@ async fn speak(
     sleep(delay).await;
     let mut command = Some(DirectorCommand::Start { wiring });
     while let Some(next) = command {
-        // A module that is gone is reported by its end.
+        // The end of the process reports a module that has ended.
         if writer.send(&next).await.is_err() {
             break;
         }
@@ -449,9 +448,9 @@ async fn speak(
     }
 }
 
-/// Takes in what a module says, until it ends.
+/// Receives the events of a module until it ends.
 async fn listen(module: Module, process: i32, mut reader: LineReader, said: Sender<Said>) {
-    // A channel that fails is closed; the module notices and ends, which is reported.
+    // A failed channel is closed; the module then ends, which is reported.
     while let Ok(Some(event)) = reader.next().await {
         if said.send(Said { module, process, event }).await.is_err() {
             break;

@@ -1,4 +1,4 @@
-//! A robot that keeps every promise, or breaks one, without processes and in no time: for tests.
+//! A simulated robot in virtual time, which keeps every promise or breaks one: for tests.
 
 use super::injection::cables_to;
 use super::machine_instant::MachineInstant;
@@ -15,7 +15,7 @@ use blastema::core::{FaultKind, NodeName, Place};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-/// What the fake robot does wrong.
+/// The promise that the simulated robot breaks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Flaw {
     None,
@@ -33,7 +33,7 @@ pub(crate) enum Flaw {
     ComesLate,
 }
 
-/// The fake robot, with its own time.
+/// The simulated robot with its virtual time.
 pub(crate) struct FakeRobot {
     flaw: Flaw,
     now: MachineInstant,
@@ -75,7 +75,7 @@ impl FakeRobot {
         }
     }
 
-    /// Lives through the whole scenario.
+    /// Runs the whole scenario.
     pub(crate) fn perform(mut self, mut scenario: Scenario) -> Report {
         for module in Module::ALL {
             if self.flaw != Flaw::NeverTogether || module != Module::Module3 {
@@ -232,7 +232,7 @@ impl FakeRobot {
             return;
         }
         if self.flaw == Flaw::StopsForGood && kind == FaultKind::Hang {
-            // It is there, and says nothing any more.
+            // The process runs and sends no events.
             self.dead.insert(module);
             return;
         }
@@ -293,7 +293,6 @@ impl FakeRobot {
             flow: flow.name.into(),
             epoch: self.lives[&module],
             sent: self.sent(flow),
-            given_back: 0,
         });
         let sinks = FLOWS.iter().filter(|flow| flow.to == module && self.passes(flow));
         Snapshot {
@@ -364,7 +363,7 @@ fn object(module: Module, name: &str) -> Place {
     Place::Object(address(module, name))
 }
 
-/// A robot that is together.
+/// Returns the state of an assembled robot.
 pub(crate) fn robot_state() -> RobotState {
     let robot = FakeRobot::new(Flaw::None);
     let mut state = RobotState::default();

@@ -1,4 +1,7 @@
-//! Reconciles what the flows' sources sent with what their sinks received.
+//! Compares the messages that the flows' sources sent with those that their sinks received.
+//!
+//! Dead letters and session counters state what the middleware has noticed. A message that it loses
+//! or doubles without noticing is in neither; the numbers of the flows show it.
 
 use super::machine_instant::MachineInstant;
 use super::protocol::{SinkState, Snapshot, SourceState};
@@ -7,27 +10,27 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::Sub;
 
-/// The books of all flows.
+/// The accounts of all flows.
 #[derive(Debug)]
 pub(crate) struct FlowAccounting {
     accounts: BTreeMap<&'static str, Account>,
 }
 
-/// What became of reliable messages.
+/// Losses of reliable messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub(crate) struct FlowLosses {
-    /// Accepted, and never delivered, though both ends lived: a broken promise.
+    /// Accepted and not delivered, although both processes ran: a broken promise.
     pub(crate) lost: u64,
     /// Delivered more than once: a broken promise.
     pub(crate) doubled: u64,
-    /// Went down with the process that held them; at most so many.
+    /// Lost with the killed process that held them, at most.
     pub(crate) perished: u64,
 }
 
 impl Sub for FlowLosses {
     type Output = FlowLosses;
 
-    /// What came after `earlier`. What was late then and has come since is no gain.
+    /// The losses since `earlier`. A message that arrived late does not make a count negative.
     fn sub(self, earlier: FlowLosses) -> FlowLosses {
         FlowLosses {
             lost: self.lost.saturating_sub(earlier.lost),
@@ -41,9 +44,9 @@ impl Sub for FlowLosses {
 struct Account {
     source: SourceState,
     sink: SinkState,
-    /// Of the sink's processes that are gone.
+    /// The losses of the sink's former processes.
     closed: FlowLosses,
-    /// How far the source's last process had come when it ended.
+    /// The last number of the source's former process.
     old_epoch_sent: u64,
     settling: Settling,
 }
@@ -52,7 +55,7 @@ struct Account {
 enum Settling {
     #[default]
     No,
-    /// The source is to say how far it has come, later than this.
+    /// Waits for a report of the source that is later than this.
     Asked { since: MachineInstant },
     /// All up to this number of this epoch must have arrived.
     Until { epoch: u64, number: u64 },
@@ -65,7 +68,7 @@ impl Default for FlowAccounting {
 }
 
 impl FlowAccounting {
-    /// Takes over what one module tells about the ends of flows.
+    /// Handles the snapshot of one module.
     pub(crate) fn handle_snapshot(&mut self, snapshot: &Snapshot) {
         for source in &snapshot.sources {
             if let Some(account) = self.accounts.get_mut(source.flow.as_str()) {
@@ -79,7 +82,8 @@ impl FlowAccounting {
         }
     }
 
-    /// From now on [`is_settled`](Self::is_settled) tells whether all that was sent up to now arrived.
+    /// From now on [`is_settled`](Self::is_settled) tells whether all that was sent up to now
+    /// arrived.
     pub(crate) fn settle(&mut self, now: MachineInstant) {
         for account in self.accounts.values_mut() {
             account.settling = Settling::Asked { since: now };
@@ -123,7 +127,7 @@ impl Account {
     fn handle_source(&mut self, source: &SourceState, at: MachineInstant) {
         if source.epoch != self.source.epoch {
             self.old_epoch_sent = self.source.sent;
-            // What an ended process had sent has come or perished: it is awaited no more.
+            // Messages of an ended process have arrived or are lost: they are not awaited.
             if let Settling::Until { .. } = self.settling {
                 self.settling = Settling::Until { epoch: source.epoch, number: 0 };
             }
@@ -137,7 +141,7 @@ impl Account {
     }
 
     fn handle_sink(&mut self, sink: &SinkState) {
-        // A process that has received nothing yet has nothing to say about its predecessor.
+        // Before its first message, a process gives no evidence about its predecessor.
         if sink.epoch == 0 {
             return;
         }
@@ -152,7 +156,7 @@ impl Account {
         }
         if old.epoch != 0 && sink.epoch != old.epoch {
             self.closed.perished += self.old_epoch_sent.saturating_sub(old.highest);
-            // The new source's first messages were sent to a sink that lived.
+            // The first messages of the new source were sent to a running sink.
             self.closed.lost += sink.first.saturating_sub(1);
         }
         self.sink.clone_from(sink);
@@ -201,7 +205,7 @@ mod tests {
     const FLOW: &str = "flow/2-3";
 
     fn source(epoch: u64, sent: u64) -> SourceState {
-        SourceState { flow: FLOW.into(), epoch, sent, given_back: 0 }
+        SourceState { flow: FLOW.into(), epoch, sent }
     }
 
     fn sink(process: u64, epoch: u64, first: u64, highest: u64) -> SinkState {

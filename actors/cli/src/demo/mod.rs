@@ -1,16 +1,16 @@
-//! The main job: a robot of three processes that is killed, hung and unplugged, and grows back.
+//! The demonstration: a robot of three processes that is killed, hung and unplugged, and recovers.
 //!
 //! ```text
-//!   Scenario (what next? was all well?)           module::run, in three child processes
+//!   Scenario (next fault; promises kept?)    module::run, in three child processes
 //!     ▲ │                                          ▲
 //!     │ ▼                                          │
 //!   Director ── Launcher, Control ── JSON lines ───┘
 //!     │
-//!     └──► Display (a thread): DemoView or lines, in the end the table
+//!     └──► Display (a thread): live view or lines, at the end the tables
 //! ```
 //!
-//! The scenario is a pure machine; the director is its body and, for the modules, what the init system
-//! of a robot's computers would be: it starts again what ended.
+//! The scenario is a pure state machine, which the director drives. For the modules the director is
+//! what the init system is on a robot's computers: it restarts a process that has ended.
 
 mod chaos;
 pub(crate) mod control;
@@ -29,7 +29,6 @@ pub(crate) mod robot;
 mod robot_state;
 mod scenario;
 mod table;
-mod text_style;
 pub(crate) mod timings;
 mod trial;
 mod view;
@@ -42,13 +41,13 @@ use scenario::ScenarioPlan;
 use std::io;
 use std::time::Duration;
 
-/// How long chaos goes on if nothing is said.
+/// The default duration of a run with random faults.
 const CHAOS: Duration = Duration::from_secs(60);
 
-/// Runs the demonstration; whether every promise was kept.
+/// Runs the demonstration. Returns whether every promise was kept.
 ///
 /// # Errors
-/// It could not be run, or not to its end.
+/// The demonstration cannot be run to its end.
 pub(crate) fn run(options: &DemoOptions) -> Result<bool, DemoError> {
     let system = |what| move |source: io::Error| DemoError::System { what, source };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
@@ -60,15 +59,14 @@ pub(crate) fn run(options: &DemoOptions) -> Result<bool, DemoError> {
         length: options.length.or(options.chaos.then_some(CHAOS)),
         ..ScenarioPlan::default()
     };
-    // The thread that starts the processes is this one: they end with it.
+    // The processes end with the thread that starts them, which is this one.
     let (report, outcome) = runtime
         .block_on(async { Ok::<_, DemoError>(Director::start(plan)?.run(&display).await) })?;
-    if options.json {
-        let document = serde_json::to_string_pretty(&report).expect("a report is plain data");
-        display.document(document + "\n");
+    let end = if options.json {
+        serde_json::to_string_pretty(&report).expect("a report is plain data") + "\n"
     } else {
-        let columns = display.columns();
-        display.end(table::draw(&report, columns));
-    }
+        table::draw(&report, display.columns())
+    };
+    display.end(end);
     outcome.map(|()| report.promises_kept)
 }

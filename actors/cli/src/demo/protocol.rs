@@ -1,4 +1,4 @@
-//! What the director and the modules say to each other: one JSON document in a line.
+//! The protocol between the director and its modules: one JSON document in each line.
 //!
 //! ```text
 //! module   ── Hello ──────────────►  director     the process is the one that was launched
@@ -23,12 +23,12 @@ pub(crate) const VERSION: u32 = 1;
 /// The longest line in bytes. A snapshot takes about 10 kB.
 pub(crate) const LINE_LIMIT: usize = 256 * 1024;
 
-/// The director's number for something it wants done; answers carry it.
+/// The director's number of an order; answers carry it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(transparent)]
 pub(crate) struct OrderId(pub(crate) u64);
 
-/// What the director wants of a module.
+/// A command of the director to a module.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "command", rename_all = "snake_case", deny_unknown_fields)]
 pub(crate) enum DirectorCommand {
@@ -37,7 +37,7 @@ pub(crate) enum DirectorCommand {
         /// The ends of all cables.
         wiring: Wiring,
     },
-    /// Do harm to an object.
+    /// Inject a fault into an object.
     Strike {
         /// Answered by `CarriedOut` when the fault is there, and by `Served` when it is over.
         order: OrderId,
@@ -46,14 +46,14 @@ pub(crate) enum DirectorCommand {
         /// The harm.
         fault: ObjectFault,
     },
-    /// Let nothing through these cables any more, at this end.
+    /// Block these cables at this end.
     Cut {
         /// Answered by `CarriedOut`.
         order: OrderId,
         /// The cables' names.
         cables: Vec<String>,
     },
-    /// Plug these cables in again, at this end.
+    /// Unblock these cables at this end.
     Restore {
         /// Answered by `CarriedOut`.
         order: OrderId,
@@ -72,11 +72,11 @@ pub(crate) enum DirectorCommand {
     },
     /// Send a snapshot at once.
     Status,
-    /// End in order.
+    /// Shut down.
     Shutdown,
 }
 
-/// The harm that can be done to an object.
+/// A fault that can be injected into an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub(crate) enum ObjectFault {
@@ -84,23 +84,23 @@ pub(crate) enum ObjectFault {
     Panic,
     /// Block the thread.
     Hang {
-        /// For so long; then the thread returns, long after it was given up.
+        /// The duration; the thread returns long after it was abandoned.
         millis: u64,
     },
     /// Report an error from the next execution.
     ErrorState,
-    /// Fail the next initialisation; the object is made to restart for that.
+    /// Fail the next initialisation; the object is restarted for that.
     FailInitialization,
-    /// Give no sign of life any more.
+    /// Stop the signs of life.
     Silence,
-    /// Be sent more than the queue holds.
+    /// Receive more messages than the queue holds.
     Flood {
-        /// So many messages.
+        /// The number of messages.
         messages: u32,
     },
 }
 
-/// What a module has to tell.
+/// An event of a module.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case", deny_unknown_fields)]
 pub(crate) enum ModuleEvent {
@@ -140,30 +140,30 @@ pub(crate) enum ModuleEvent {
         order: OrderId,
         /// When the answer came.
         at: MachineInstant,
-        /// Which of its lives answered.
+        /// The incarnation that answered.
         life: u64,
     },
     /// A fault was found.
     Found(FaultNote),
-    /// A fault that is not over was seen again.
+    /// An active fault was found again.
     Repeated {
         /// Its number.
         id: u64,
         /// How often by now.
         count: u32,
     },
-    /// A fault turned out to be a consequence of another.
+    /// A fault was explained as a consequence of another.
     Explained {
         /// Its number.
         id: u64,
         /// The other's.
         symptom_of: u64,
     },
-    /// A measure was chosen.
+    /// A recovery action was chosen.
     Decided {
         /// The fault's number.
         id: u64,
-        /// The measure.
+        /// The recovery action.
         measure: String,
     },
     /// A fault was recovered.
@@ -180,7 +180,7 @@ pub(crate) enum ModuleEvent {
         /// Why.
         reason: String,
     },
-    /// A fault is gone.
+    /// A fault was cleared.
     Cleared {
         /// Its number.
         id: u64,
@@ -194,19 +194,19 @@ pub(crate) enum ModuleEvent {
         /// When it arrived.
         at: MachineInstant,
     },
-    /// How things stand.
+    /// The state of the module.
     Snapshot(Box<Snapshot>),
 }
 
-/// A fault as its finder tells it.
+/// A fault as reported by the module that found it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct FaultNote {
     /// Its number in the finder's record.
     pub(crate) id: u64,
-    /// What it is.
+    /// Its kind.
     pub(crate) kind: FaultKind,
-    /// Where it is.
+    /// Its place.
     pub(crate) place: Place,
     /// When it was found.
     pub(crate) found_at: MachineInstant,
@@ -217,13 +217,13 @@ pub(crate) struct FaultNote {
 }
 
 impl FaultNote {
-    /// A warning accuses nobody: where all three modules share a busy computer, hellos do come late.
+    /// Returns whether it is a warning: on a busy machine hellos arrive late.
     pub(crate) fn is_warning(&self) -> bool {
         self.kind == FaultKind::LinkDegraded
     }
 }
 
-/// How things stand in a module.
+/// The state of a module.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Snapshot {
@@ -245,14 +245,14 @@ pub(crate) struct Snapshot {
     pub(crate) filtered: Timings,
 }
 
-/// What the monitor thinks of an object.
+/// The monitor's opinion of an object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum ObjectOpinion {
     /// All is well.
     #[default]
     Trusted,
-    /// Something may be wrong; nothing is torn down.
+    /// A sign of life is late; the object stays in service.
     Suspect,
     /// It is out of service.
     Failed,
@@ -262,13 +262,13 @@ pub(crate) enum ObjectOpinion {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct ObjectState {
-    /// Who.
+    /// Its name.
     pub(crate) name: String,
-    /// Where it stands.
+    /// Its lifecycle state.
     pub(crate) state: Lifecycle,
-    /// What the monitor thinks.
+    /// The monitor's opinion.
     pub(crate) opinion: ObjectOpinion,
-    /// Which life it is in.
+    /// Its incarnation.
     pub(crate) life: u64,
 }
 
@@ -278,7 +278,7 @@ pub(crate) struct ObjectState {
 pub(crate) struct CableState {
     /// The cable's name.
     pub(crate) cable: String,
-    /// Whether the other end is heard.
+    /// Whether the link is in service.
     pub(crate) up: bool,
 }
 
@@ -290,10 +290,8 @@ pub(crate) struct SourceState {
     pub(crate) flow: String,
     /// Tells this process of the source from an earlier one.
     pub(crate) epoch: u64,
-    /// The last number that the middleware took; the first is 1.
+    /// The last number that the middleware has accepted; the first is 1.
     pub(crate) sent: u64,
-    /// How often it gave a message back, which was then offered again.
-    pub(crate) given_back: u64,
 }
 
 /// A flow where it ends.
@@ -318,9 +316,9 @@ pub(crate) struct SinkState {
     pub(crate) missing_before: u64,
 }
 
-/// A line that cannot be understood.
+/// A line that cannot be decoded.
 #[derive(Debug, thiserror::Error)]
-#[error("a line of the control channel cannot be understood: {0}")]
+#[error("a line of the control channel cannot be decoded: {0}")]
 pub(crate) struct LineError(#[from] serde_json::Error);
 
 /// One line, with its end.

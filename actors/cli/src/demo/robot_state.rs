@@ -2,21 +2,21 @@
 
 use super::flow_accounting::FlowAccounting;
 use super::machine_instant::MachineInstant;
-use super::protocol::{ModuleEvent, Snapshot, SourceState};
+use super::protocol::{ModuleEvent, Snapshot};
 use super::robot::{CABLES, DemoCable, Module};
 use super::timings::Timings;
 use std::collections::BTreeMap;
 
-/// The robot as its modules told it, with the age of what they told.
+/// The last report of each module, with its age.
 #[derive(Debug, Default)]
 pub(crate) struct RobotState {
-    /// The books of the flows.
+    /// The accounting of the flows.
     pub(crate) accounting: FlowAccounting,
     modules: BTreeMap<Module, ModuleState>,
     finished: Measured,
 }
 
-/// What was measured along the way.
+/// The measurements of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Measured {
     /// ResponseTimes times by pair of modules.
@@ -25,21 +25,19 @@ pub(crate) struct Measured {
     pub(crate) unfiltered: Timings,
     /// The same to a listener with a condition.
     pub(crate) filtered: Timings,
-    /// How often the middleware gave a message back to a flow's source, which offered it again.
-    pub(crate) given_back: u64,
 }
 
-/// One module as it told itself.
+/// The last report of one module.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ModuleState {
-    /// Its process has told that its node is started, and has not ended since.
+    /// Its process has reported that its node is started, and has not ended since.
     pub(crate) ready: bool,
     /// The last snapshot of the present or the last process.
     pub(crate) snapshot: Snapshot,
 }
 
 impl RobotState {
-    /// Takes over what a module tells.
+    /// Stores an event of a module.
     pub(crate) fn handle_event(&mut self, from: Module, event: &ModuleEvent) {
         let module = self.modules.entry(from).or_default();
         match event {
@@ -52,7 +50,7 @@ impl RobotState {
         }
     }
 
-    /// A module's process has ended; what it measured is kept.
+    /// Handles the end of a module's process; its measurements are kept.
     pub(crate) fn handle_exit(&mut self, module: Module) {
         let robot = self.modules.entry(module).or_default();
         robot.ready = false;
@@ -60,7 +58,7 @@ impl RobotState {
         robot.snapshot = Snapshot { at: robot.snapshot.at, ..Snapshot::default() };
     }
 
-    /// What was measured in all processes so far.
+    /// Returns the measurements of all processes.
     pub(crate) fn measured(&self) -> Measured {
         let mut sum = self.finished.clone();
         for (module, robot) in &self.modules {
@@ -74,7 +72,7 @@ impl RobotState {
         self.modules.get(&module)
     }
 
-    /// Both ends hear each other.
+    /// Returns whether both ends report the link as in service.
     pub(crate) fn is_up(&self, cable: &DemoCable) -> bool {
         cable.ends().iter().all(|end| {
             let links = self.modules.get(end).map_or(&[][..], |module| &module.snapshot.links);
@@ -93,7 +91,7 @@ impl RobotState {
         up && self.are_ready() && self.accounting.is_flowing()
     }
 
-    /// What is still missing for that, for a person.
+    /// Describes what is missing for that.
     pub(crate) fn missing(&self, wanted: impl Fn(&DemoCable) -> bool) -> String {
         let modules = Module::ALL
             .into_iter()
@@ -108,7 +106,7 @@ impl RobotState {
         parts.join(", ")
     }
 
-    /// When a module was last heard.
+    /// Returns when the last snapshot of a module was taken.
     pub(crate) fn heard_at(&self, module: Module) -> Option<MachineInstant> {
         self.modules.get(&module).map(|module| module.snapshot.at)
     }
@@ -124,7 +122,5 @@ impl Measured {
         }
         self.unfiltered.merge(&snapshot.unfiltered);
         self.filtered.merge(&snapshot.filtered);
-        let given_back = |source: &SourceState| source.given_back;
-        self.given_back += snapshot.sources.iter().map(given_back).sum::<u64>();
     }
 }

@@ -1,7 +1,7 @@
-//! The scenario that the demonstration tells: which fault after which, and whether all was well.
+//! The scenario of the demonstration: the order of the faults, and whether each promise was kept.
 //!
-//! A pure machine: it is given the time and what the modules say, and says what is to be done. A test
-//! tells it a whole run in no time.
+//! A pure state machine: its inputs are the time and the events of the modules, its outputs are
+//! commands and progress lines. A test runs it in virtual time.
 
 use super::chaos::{FLOOD_MESSAGES, HANG_MILLIS, RandomFaults, SeededRandom};
 use super::injection::{FaultMatch, Injection};
@@ -15,29 +15,29 @@ use blastema::core::Place;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-/// Until all three processes have found each other, on a machine that is busy with something else.
-const ASSEMBLY: Duration = Duration::from_secs(15);
-/// A scenario in which something broke ends then, with whatever has not been tried: what it would still
-/// tell is not worth minutes of a person's time.
+/// How long the three processes may take to connect, on a busy machine.
+const ASSEMBLY: Duration = Duration::from_secs(30);
+/// A scenario in which something broke ends then, with whatever has not been tried: what it would
+/// still tell is not worth minutes of a person's time.
 const BROKEN_AT_MOST: Duration = Duration::from_secs(25);
-/// Faults found while the robot should come together that are kept, to say why it does not.
+/// Faults found during the assembly that are kept, to explain a failed assembly.
 const HINDRANCE_LIMIT: usize = 5;
-/// Between two faults at least.
+/// The shortest pause between two faults.
 const PAUSE: Duration = Duration::from_millis(300);
-/// And at most so much more, by chance, so that faults meet timers in every phase.
+/// The random part of the pause, so that faults meet timers in every phase.
 const PAUSE_SPREAD: Duration = Duration::from_millis(200);
-/// Rows that are kept; of more the oldest in which nothing broke are left out.
+/// Rows that are kept. Of more, the oldest rows without a problem are left out.
 const ROW_LIMIT: usize = 1_000;
-/// Problems outside of rows that are kept; the first ones tell.
+/// Problems outside of rows that are kept, beginning with the first.
 const PROBLEM_LIMIT: usize = 100;
 
-/// The machine that tells the scenario.
+/// The state machine of a run.
 #[derive(Debug)]
 pub(crate) struct Scenario {
     plan: ScenarioPlan,
     script: Script,
     random: SeededRandom,
-    /// What the modules told.
+    /// The state of the robot as reported by its modules.
     pub(crate) robot: RobotState,
     scene: Scene,
     began_at: MachineInstant,
@@ -49,58 +49,58 @@ pub(crate) struct Scenario {
     broken: bool,
     finished: bool,
     problems: Vec<String>,
-    /// Faults that nobody made, unless they turn out to be symptoms.
+    /// Faults that were found and not injected, unless they are reported as symptoms later.
     stray: BTreeMap<(Module, u64), String>,
-    /// What was found while the robot should come together.
+    /// Faults found during the assembly.
     hindrances: BTreeMap<Place, String>,
     outputs: VecDeque<ScenarioOutput>,
 }
 
-/// How it is to be told.
+/// The settings of a run.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ScenarioPlan {
     /// Random faults instead of the script.
     pub(crate) chaos: bool,
-    /// Decides over everything random.
+    /// The seed of everything random.
     pub(crate) seed: u64,
-    /// No step begins later than this after the start; `None` for one telling.
+    /// No step begins later than this after the start; `None` runs the scenario once.
     pub(crate) length: Option<Duration>,
     /// The deadlines.
     pub(crate) timeouts: TrialTimeouts,
 }
 
-/// What is to be done or shown.
+/// An output of the scenario.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum ScenarioOutput {
-    /// Do this.
+    /// An action on the robot.
     Do(TrialOutput),
-    /// Tell this to the person who watches.
+    /// A line for the display.
     Tell(ProgressLine),
-    /// It is over.
+    /// The run has ended.
     Finished,
-    /// It cannot be told: the robot does not come together. What is missing, and what was found.
+    /// The robot was not assembled: what is missing, and which faults were found.
     Stillborn(String),
 }
 
-/// A line for the person who watches.
+/// A line of the progress.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ProgressLine {
     /// Since the start.
     pub(crate) after: Duration,
-    /// How it is to be taken.
+    /// Its meaning.
     pub(crate) tone: LineTone,
     /// The text.
     pub(crate) text: String,
 }
 
-/// How a piece of news is to be taken.
+/// The meaning of a progress line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum LineTone {
     /// A fault was injected.
     Injection,
     /// A fault was found.
     Finding,
-    /// All is well again.
+    /// The fault is recovered.
     Relief,
     /// A promise is broken.
     Alarm,
@@ -123,7 +123,7 @@ enum Script {
 }
 
 impl Scenario {
-    /// Begins with the assembly of the robot.
+    /// Starts with the assembly of the robot.
     pub(crate) fn new(plan: ScenarioPlan, now: MachineInstant) -> Scenario {
         let script = if plan.chaos {
             Script::Random(RandomFaults::new(plan.seed))
@@ -151,27 +151,30 @@ impl Scenario {
         }
     }
 
-    /// A module said something.
+    /// Handles an event of a module.
     pub(crate) fn handle_event(&mut self, from: Module, event: &ModuleEvent, now: MachineInstant) {
         self.now = now;
         self.robot.handle_event(from, event);
-        self.tell(from, event);
-        if let ModuleEvent::Explained { id, .. } = event {
-            self.stray.remove(&(from, *id));
+        match event {
+            ModuleEvent::Explained { id, .. } => drop(self.stray.remove(&(from, *id))),
+            ModuleEvent::Ready => self.say(LineTone::Remark, format!("{from} is ready")),
+            _ => {}
         }
         match (&mut self.scene, event) {
             (Scene::Trying(trial), ModuleEvent::Found(note)) => {
                 let late = self.last.as_ref().map(|last| last.judge(note));
                 let belated = matches!(late, Some(FaultMatch::Named | FaultMatch::Companion));
                 if !belated || trial.injection().judge(note) != FaultMatch::Foreign {
-                    trial.handle_event(from, event, &mut self.robot, now);
+                    let line = trial.handle_event(from, event, &mut self.robot, now);
+                    self.say_all(line);
                 }
             }
             (Scene::Trying(trial), event) => {
-                trial.handle_event(from, event, &mut self.robot, now);
+                let line = trial.handle_event(from, event, &mut self.robot, now);
+                self.say_all(line);
             }
             (Scene::Pausing { .. }, ModuleEvent::Found(note)) => self.judge_between(from, note),
-            // Until all have found each other, cables and nodes are rightly missed; objects are not.
+            // During the assembly missing cables and nodes are expected; missing objects are not.
             (Scene::Assembling { .. }, ModuleEvent::Found(note))
                 if matches!(note.place, Place::Object(_)) =>
             {
@@ -184,7 +187,7 @@ impl Scenario {
         self.advance();
     }
 
-    /// A process was killed, as ordered.
+    /// Handles the kill of a process by the scenario.
     pub(crate) fn handle_killed(&mut self, at: MachineInstant, now: MachineInstant) {
         self.now = now;
         if let Scene::Trying(trial) = &mut self.scene {
@@ -193,7 +196,7 @@ impl Scenario {
         self.advance();
     }
 
-    /// A process has ended; `unasked` tells how, unless it had been killed as ordered.
+    /// Handles the end of a process; `unasked` describes an end that was not ordered.
     pub(crate) fn handle_exit(
         &mut self,
         module: Module,
@@ -214,7 +217,7 @@ impl Scenario {
         self.advance();
     }
 
-    /// Acts on what is due.
+    /// Handles the expiry of the timer.
     pub(crate) fn handle_timeout(&mut self, now: MachineInstant) {
         self.now = now;
         if let Scene::Trying(trial) = &mut self.scene {
@@ -223,7 +226,7 @@ impl Scenario {
         self.advance();
     }
 
-    /// What is to be done or shown next.
+    /// Returns the next output.
     pub(crate) fn poll_output(&mut self) -> Option<ScenarioOutput> {
         if let Scene::Trying(trial) = &mut self.scene
             && let Some(output) = trial.poll_output()
@@ -233,7 +236,7 @@ impl Scenario {
         self.outputs.pop_front()
     }
 
-    /// When it wants to be woken.
+    /// Returns when the timer expires.
     pub(crate) fn poll_timeout(&self) -> Option<MachineInstant> {
         match &self.scene {
             Scene::Assembling { due } => Some(*due),
@@ -246,11 +249,11 @@ impl Scenario {
         }
     }
 
-    /// What is being done, for the picture.
+    /// Returns the present step, for the live view.
     pub(crate) fn caption(&self) -> String {
         match &self.scene {
-            Scene::Assembling { .. } => "the robot comes together".into(),
-            Scene::Pausing { .. } => "all is well".into(),
+            Scene::Assembling { .. } => "the robot is being assembled".into(),
+            Scene::Pausing { .. } => "no fault".into(),
             Scene::Trying(trial) => format!("{}: {}", self.number, trial.injection()),
             Scene::Over => "the end".into(),
         }
@@ -266,18 +269,18 @@ impl Scenario {
         }
     }
 
-    /// When it began.
+    /// Returns the start of the run.
     pub(crate) fn began_at(&self) -> MachineInstant {
         self.began_at
     }
 
-    /// What came of it so far.
+    /// Returns the report up to now.
     pub(crate) fn report(&self) -> Report {
         let messages = self.robot.accounting.losses();
         let in_rows = |count: fn(&FaultRow) -> u64| self.rows.iter().map(count).sum::<u64>();
         let mut problems: Vec<String> =
             self.problems.iter().chain(self.stray.values()).cloned().collect();
-        // While a trial is under way, what was sent may still come.
+        // During a trial, messages may still be in flight.
         if !matches!(self.scene, Scene::Trying(_)) {
             let between = [
                 (messages.lost.saturating_sub(in_rows(|row| row.lost)), "lost"),
@@ -300,7 +303,6 @@ impl Scenario {
             late: in_rows(|row| row.lost).saturating_sub(messages.lost),
             messages,
             received: self.robot.accounting.received(),
-            given_back: 0,
             responses: Vec::new(),
             events: Vec::new(),
             notes: NOTES.into(),
@@ -313,14 +315,14 @@ impl Scenario {
         match &self.scene {
             Scene::Assembling { due } => {
                 if self.robot.is_together(|_| true) {
-                    let text = "the robot is together: three processes, four cables";
+                    let text = "the robot is assembled: three processes, four cables";
                     self.say(LineTone::Remark, text.into());
                     self.pause();
                 } else if self.now >= *due {
                     let missing = std::iter::once(self.robot.missing(|_| true));
                     let found = self.hindrances.values().cloned();
                     let text = missing.chain(found).collect::<Vec<_>>().join("; ");
-                    // They say why, and were not made by a scenario that never began.
+                    // They explain the failure, and no fault was injected.
                     self.stray.clear();
                     self.scene = Scene::Over;
                     self.outputs.push_back(ScenarioOutput::Stillborn(text));
@@ -340,7 +342,7 @@ impl Scenario {
         self.scene = Scene::Pausing { until };
     }
 
-    /// When a scenario in which something broke is to end: only one that is told once has an end.
+    /// Returns when a run with a broken promise ends; a run with a fixed length has its own end.
     fn must_end_at(&self, trial: &FaultTrial) -> Option<MachineInstant> {
         let is_broken = self.broken || trial.is_broken();
         (self.plan.length.is_none() && is_broken).then_some(self.began_at + BROKEN_AT_MOST)
@@ -371,7 +373,8 @@ impl Scenario {
             return;
         };
         self.number += 1;
-        self.say(LineTone::Injection, format!("{injection}"));
+        let steps = self.steps().map(|steps| format!(" of {steps}")).unwrap_or_default();
+        self.say(LineTone::Injection, format!("{}{steps}: {injection}", self.number));
         let timeouts = self.plan.timeouts;
         let trial = FaultTrial::new(injection, self.number, timeouts, &self.robot, self.now);
         self.scene = Scene::Trying(Box::new(trial));
@@ -407,16 +410,15 @@ impl Scenario {
         let row = trial.row(&self.robot);
         for problem in &row.problems {
             self.broken = true;
-            let text = format!("{}: {problem}", row.fault);
-            self.outputs.push_back(ScenarioOutput::Tell(ProgressLine {
-                after: self.now - self.began_at,
-                tone: LineTone::Alarm,
-                text,
-            }));
+            self.say(LineTone::Alarm, problem.clone());
         }
         if row.problems.is_empty() {
             let span = row.recovered_after.map(|span| format!(" after {span:.1?}"));
-            self.say(LineTone::Relief, format!("recovered{}", span.unwrap_or_default()));
+            let symptoms = match row.symptoms {
+                0 => String::new(),
+                count => format!(", and {}", counted(count, "symptom")),
+            };
+            self.say(LineTone::Relief, format!("recovered{}{symptoms}", span.unwrap_or_default()));
         }
         if self.rows.len() == ROW_LIMIT {
             let good = self.rows.iter().position(|row| row.problems.is_empty());
@@ -439,7 +441,8 @@ impl Scenario {
         let excused = note.is_warning() || note.symptom_of.is_some();
         if !excused && !self.last.as_ref().is_some_and(belongs) {
             let FaultNote { kind, place, detail, .. } = note;
-            let text = format!("{from} named {kind} in {place}, where nothing was done: {detail}");
+            let text =
+                format!("{from} named {kind} in {place}, where no fault was injected: {detail}");
             if self.stray.len() < PROBLEM_LIMIT {
                 self.stray.insert((from, note.id), text);
             }
@@ -454,22 +457,9 @@ impl Scenario {
         }
     }
 
-    fn tell(&mut self, from: Module, event: &ModuleEvent) {
-        match event {
-            ModuleEvent::Ready => self.say(LineTone::Remark, format!("{from} is ready")),
-            ModuleEvent::Found(FaultNote { kind, place, symptom_of, .. }) => {
-                let symptom = if symptom_of.is_some() { ", a symptom" } else { "" };
-                let code = kind.code();
-                let text = format!("{from} found {code} {kind} in {place}{symptom}");
-                self.say(LineTone::Finding, text);
-            }
-            ModuleEvent::Decided { measure, .. } => {
-                self.say(LineTone::Remark, format!("{from} decided: {measure}"));
-            }
-            ModuleEvent::GaveUp { reason, .. } => {
-                self.say(LineTone::Alarm, format!("{from} gave up: {reason}"));
-            }
-            _ => {}
+    fn say_all(&mut self, line: Option<(LineTone, String)>) {
+        if let Some((tone, text)) = line {
+            self.say(tone, text);
         }
     }
 
@@ -479,7 +469,7 @@ impl Scenario {
     }
 }
 
-/// The ten faults, in their order.
+/// Returns the ten faults in their order.
 fn script() -> Vec<Injection> {
     let object =
         |module, object: &str, fault| Injection::Object { module, object: object.into(), fault };

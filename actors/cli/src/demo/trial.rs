@@ -7,8 +7,8 @@
 //!                                         has come    up again
 //! ```
 //!
-//! A phase that does not end within its deadline is a problem, which breaks the row, and the next
-//! phase begins: one broken promise does not hide the next.
+//! A phase that exceeds its deadline adds a problem to the row. The next phase begins nevertheless,
+//! so that one broken promise does not hide the next.
 
 use super::flow_accounting::FlowLosses;
 use super::injection::{FaultMatch, Injection, ServiceRestored};
@@ -17,41 +17,42 @@ use super::protocol::{DirectorCommand, FaultNote, ModuleEvent, OrderId};
 use super::report::{FaultRow, ReportedFault, counted, paper_figure};
 use super::robot::{DemoCable, Flow, Module};
 use super::robot_state::RobotState;
-use std::collections::{BTreeMap, VecDeque};
+use super::scenario::LineTone;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// How long each phase may take before it counts as broken. Ten times what a healthy robot takes, on a
-/// machine that is busy with something else.
+/// How long each phase may take before the promise counts as broken. The limits are generous: they
+/// end a run in which something is missing, and say nothing about speed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TrialTimeouts {
-    /// Until an order is carried out.
+    /// Until an injection is carried out.
     pub(crate) strike: Duration,
     /// From the fault to the return of service; a process must be started within it.
     pub(crate) recovery: Duration,
-    /// Until what was sent has arrived.
+    /// Until all sent messages have arrived.
     pub(crate) settling: Duration,
-    /// How long a cut that must be repaired is left alone.
+    /// The shortest time between a cut and its repair, which also waits for the detection.
     pub(crate) before_repair: Duration,
-    /// How long a step takes at least, so that a person sees it.
+    /// The shortest step, so that a person can follow it.
     pub(crate) least: Duration,
 }
 
 impl Default for TrialTimeouts {
     fn default() -> Self {
         TrialTimeouts {
-            strike: Duration::from_secs(2),
-            recovery: Duration::from_secs(6),
-            settling: Duration::from_secs(3),
-            before_repair: Duration::from_millis(800),
+            strike: Duration::from_secs(10),
+            recovery: Duration::from_secs(30),
+            settling: Duration::from_secs(30),
+            before_repair: Duration::from_millis(300),
             least: Duration::from_millis(1_200),
         }
     }
 }
 
-/// What a trial wants done.
+/// An output of a trial.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum TrialOutput {
-    /// Say this to a module.
+    /// Send a command to a module.
     Send(Module, DirectorCommand),
     /// Kill a module's process with signal 9.
     Kill(Module),
@@ -71,8 +72,10 @@ pub(crate) struct FaultTrial {
     struck: Option<Struck>,
     repair: Repair,
     named: BTreeMap<(Module, u64), FaultNote>,
-    /// Faults that have nothing to do with what was done, unless they turn out to be symptoms.
+    /// Faults without a relation to the injection, unless they are reported as symptoms later.
     foreign: BTreeMap<(Module, u64), FaultNote>,
+    /// Faults that were reported as consequences, in any module.
+    symptoms: BTreeSet<(Module, u64)>,
     reported: bool,
     served_at: Option<MachineInstant>,
     passed: BTreeMap<&'static str, MachineInstant>,
@@ -89,7 +92,7 @@ enum Phase {
     Over,
 }
 
-/// When the fault began: at the first end of a cable, and when it was whole.
+/// When the fault began: at the first end of a cable, and at the last.
 #[derive(Clone, Copy, Debug)]
 struct Struck {
     first: MachineInstant,
@@ -105,7 +108,7 @@ enum Repair {
 }
 
 impl FaultTrial {
-    /// Begins with the injection at once.
+    /// Starts with the injection.
     pub(crate) fn new(
         injection: Injection,
         number: u32,
@@ -126,6 +129,7 @@ impl FaultTrial {
             repair: if repairs { Repair::NotNeeded } else { Repair::Needed },
             named: BTreeMap::new(),
             foreign: BTreeMap::new(),
+            symptoms: BTreeSet::new(),
             reported: false,
             served_at: None,
             passed: BTreeMap::new(),
@@ -140,19 +144,21 @@ impl FaultTrial {
         trial
     }
 
-    /// What is tried.
+    /// Returns the injected fault.
     pub(crate) fn injection(&self) -> &Injection {
         &self.injection
     }
 
-    /// Something came from a module; `known` has it already.
+    /// Handles an event of a module, which `robot` has handled before. Returns the line that it
+    /// adds to the progress: the first report of the fault, a decision about it, or a failure.
     pub(crate) fn handle_event(
         &mut self,
         from: Module,
         event: &ModuleEvent,
         robot: &mut RobotState,
         now: MachineInstant,
-    ) {
+    ) -> Option<(LineTone, String)> {
+        let line = self.line(from, event);
         match event {
             ModuleEvent::CarriedOut { order, at } => {
                 self.handle_carried_out(from, *order, *at, now)
@@ -163,10 +169,10 @@ impl FaultTrial {
                 self.enter(Phase::Settling, robot, now);
             }
             ModuleEvent::Found(note) => self.handle_found(from, note),
-            ModuleEvent::Explained { id, .. } => {
-                self.foreign.remove(&(from, *id));
+            ModuleEvent::Explained { id, .. } if self.foreign.remove(&(from, *id)).is_some() => {
+                self.symptoms.insert((from, *id));
             }
-            // An overload is over when the queue has been worked off: nothing is done about it.
+            // An overload ends when the queue is empty again, without a recovery action.
             ModuleEvent::Recovered { id, .. } | ModuleEvent::Cleared { id }
                 if self.named.contains_key(&(from, *id)) =>
             {
@@ -183,14 +189,46 @@ impl FaultTrial {
                     self.passed.entry(flow.name).or_insert(*at);
                 }
             }
-            // A new process knows nothing of what the old one was asked.
+            // A new process has not received the requests that its predecessor received.
             ModuleEvent::Ready => self.watch_in(&[from]),
             _ => {}
         }
         self.advance(robot, now);
+        line
     }
 
-    /// The process was killed, as ordered.
+    /// The line for a person. The symptoms are folded into the last line of the fault.
+    fn line(&self, from: Module, event: &ModuleEvent) -> Option<(LineTone, String)> {
+        match event {
+            ModuleEvent::Found(note)
+                if self.named.is_empty() && self.injection.judge(note) == FaultMatch::Named =>
+            {
+                let FaultNote { kind, place, .. } = note;
+                let text = format!("{from} found {} {kind} in {place}", kind.code());
+                Some((LineTone::Finding, text))
+            }
+            ModuleEvent::Decided { id, measure } if self.root() == Some((from, *id)) => {
+                Some((LineTone::Remark, format!("{from} decided: {measure}")))
+            }
+            ModuleEvent::GaveUp { reason, .. } => {
+                Some((LineTone::Alarm, format!("{from} gave up: {reason}")))
+            }
+            _ => None,
+        }
+    }
+
+    /// The first report of the fault.
+    fn root(&self) -> Option<(Module, u64)> {
+        let first = self.named.iter().min_by_key(|(_, note)| note.found_at);
+        first.map(|(key, _)| *key)
+    }
+
+    /// Counts the other reports of the fault and the reports of its consequences.
+    fn symptoms(&self) -> u64 {
+        (self.named.len().saturating_sub(1) + self.symptoms.len()) as u64
+    }
+
+    /// Handles the kill of a process by the scenario.
     pub(crate) fn handle_killed(&mut self, at: MachineInstant, now: MachineInstant) {
         if self.phase == Phase::Striking {
             self.struck = Some(Struck { first: at, last: at });
@@ -200,20 +238,20 @@ impl FaultTrial {
         }
     }
 
-    /// A process ended that nobody had killed.
+    /// Handles the end of a process that was not ordered.
     pub(crate) fn handle_exit(&mut self, module: Module, how: &str) {
         self.problems.push(format!("{module} ended by itself: {how}"));
     }
 
-    /// What is to be done next.
+    /// Returns the next output.
     pub(crate) fn poll_output(&mut self) -> Option<TrialOutput> {
         self.outputs.pop_front()
     }
 
-    /// When time alone changes something.
+    /// Returns when the timer expires.
     pub(crate) fn poll_timeout(&self) -> Option<MachineInstant> {
         let repair = match (self.phase, self.repair, self.struck) {
-            (Phase::Watching, Repair::Needed, Some(struck)) => {
+            (Phase::Watching, Repair::Needed, Some(struck)) if !self.named.is_empty() => {
                 Some(struck.last + self.timeouts.before_repair)
             }
             _ => None,
@@ -221,7 +259,7 @@ impl FaultTrial {
         self.due.into_iter().chain(repair).min()
     }
 
-    /// Acts on what is due.
+    /// Handles the expiry of the timer.
     pub(crate) fn handle_timeout(&mut self, robot: &mut RobotState, now: MachineInstant) {
         self.advance(robot, now);
         if self.due.is_none_or(|due| due > now) {
@@ -256,12 +294,12 @@ impl FaultTrial {
         self.advance(robot, now);
     }
 
-    /// Something broke already.
+    /// Returns whether a promise is broken.
     pub(crate) fn is_broken(&self) -> bool {
         !self.problems.is_empty()
     }
 
-    /// Ends it where it stands; what is still missing is a problem.
+    /// Ends the trial in its present phase; what is missing is a problem.
     pub(crate) fn cut_short(&mut self, robot: &RobotState) {
         match self.phase {
             Phase::Striking => self.problems.push("the fault was not injected".into()),
@@ -273,12 +311,12 @@ impl FaultTrial {
         self.due = None;
     }
 
-    /// It is over; [`row`](Self::row) is final.
+    /// Returns whether the trial has ended; then [`row`](Self::row) is final.
     pub(crate) fn is_over(&self) -> bool {
         self.phase == Phase::Over
     }
 
-    /// What came of it so far.
+    /// Returns the row up to now.
     pub(crate) fn row(&self, robot: &RobotState) -> FaultRow {
         let FlowLosses { lost, doubled, perished } = robot.accounting.losses() - self.before;
         let mut problems = self.problems.clone();
@@ -306,6 +344,7 @@ impl FaultTrial {
             lost,
             doubled,
             perished,
+            symptoms: self.symptoms(),
             paper: paper_figure(self.injection.title()),
             problems,
         }
@@ -366,7 +405,8 @@ impl FaultTrial {
             FaultMatch::Named => {
                 self.named.entry((from, note.id)).or_insert_with(|| note.clone());
             }
-            FaultMatch::Companion => {}
+            FaultMatch::Companion if note.is_warning() => {}
+            FaultMatch::Companion => drop(self.symptoms.insert((from, note.id))),
             FaultMatch::Foreign => {
                 self.foreign.entry((from, note.id)).or_insert_with(|| note.clone());
             }
@@ -392,7 +432,10 @@ impl FaultTrial {
 
     fn repair_when_due(&mut self, now: MachineInstant) {
         let Some(struck) = self.struck else { return };
-        if self.repair == Repair::Needed && now >= struck.last + self.timeouts.before_repair {
+        // A cut that was repaired before its detection would never be found.
+        let is_found = !self.named.is_empty();
+        let is_due = now >= struck.last + self.timeouts.before_repair;
+        if self.repair == Repair::Needed && is_found && is_due {
             self.repair = Repair::Ordered;
             self.order(self.injection.repair(self.repair_order()));
         }
@@ -413,7 +456,7 @@ impl FaultTrial {
         }
     }
 
-    /// Tells modules to look out for the first message sent since the recovery could begin.
+    /// Makes modules watch for the first message sent since the recovery could begin.
     fn watch_in(&mut self, modules: &[Module]) {
         if let Some(since) = self.watched_since() {
             let watch =
@@ -464,7 +507,7 @@ impl FaultTrial {
         missing
     }
 
-    /// Whether a cable should be up when the step is over.
+    /// Returns whether a cable is to be up at the end of the step.
     fn expects(&self, cable: &DemoCable) -> bool {
         match &self.injection {
             Injection::Cut { cable: cut, returns } => *returns || cut != cable,

@@ -1,4 +1,4 @@
-//! Where the module stands at its post: between the director and the node.
+//! Connects the director with the node of the module.
 
 use super::fault_target::FaultTarget;
 use super::measurements::Measurements;
@@ -22,7 +22,7 @@ const FAREWELL: Duration = Duration::from_secs(1);
 /// How long the last event may take to the director.
 const LAST_WORD: Duration = Duration::from_millis(50);
 
-/// A module at work.
+/// The agent of the director in a module.
 #[derive(Debug)]
 pub(super) struct ModuleAgent {
     module: Module,
@@ -30,12 +30,12 @@ pub(super) struct ModuleAgent {
 }
 
 impl ModuleAgent {
-    /// What it finds goes to `events`.
+    /// Reports go to `events`.
     pub(super) fn new(module: Module, events: Queue<ModuleEvent>) -> ModuleAgent {
         ModuleAgent { module, measurements: Measurements::new(module, events) }
     }
 
-    /// Runs the node, and does what it is told until nobody tells it anything any more.
+    /// Runs the node and executes commands until `Shutdown` or the end of the channel.
     pub(super) async fn hold(self, wiring: Wiring, mut commands: Receiver<DirectorCommand>) {
         let (node, mut faults) = match self.start(&wiring).await {
             Ok(started) => started,
@@ -58,11 +58,11 @@ impl ModuleAgent {
                 _ = snapshots.tick() => self.report(&node).await,
             }
         }
-        // A node that cannot stop in order is ended with its process.
+        // A node that does not shut down in time ends with its process.
         let _ = timeout(FAREWELL, node.shutdown()).await;
     }
 
-    /// Starts the node, or says why it cannot be started.
+    /// Starts the node, or returns why it cannot be started.
     async fn start(&self, wiring: &Wiring) -> Result<(Node, FaultEvents), ModuleEvent> {
         module_node::check_addresses(self.module, wiring).map_err(|error| {
             ModuleEvent::StartFailed { reason: error.to_string(), address_taken: true }
@@ -70,7 +70,7 @@ impl ModuleAgent {
         let mut builder = module_node::build(self.module, wiring, &self.measurements);
         let mut faults = builder.fault_events();
         let mut starting = pin!(builder.start());
-        // What is found meanwhile says why a node does not come up.
+        // Faults found during the start explain a failed start.
         let node = loop {
             tokio::select! {
                 node = &mut starting => break node,

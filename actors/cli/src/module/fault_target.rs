@@ -1,4 +1,4 @@
-//! Carries out what the director wants done to an object, and tells when the object answers again.
+//! Injects a fault into an object, and reports when the object answers again.
 
 use super::harm::HarmRecord;
 use super::measurements::Measurements;
@@ -11,22 +11,23 @@ use std::time::Duration;
 use tokio::task::yield_now;
 use tokio::time::{sleep, timeout};
 
-/// How long a harmed object may take until the fault is there.
-const ONSET: Duration = Duration::from_secs(2);
+/// How long an object may take until the fault is present.
+const ONSET: Duration = Duration::from_secs(10);
 /// For one probe: about what a person would call at once.
 const ANSWER: Duration = Duration::from_millis(100);
-/// Between two pokes of an object that does not answer, or whose old life does.
+/// The pause between two probes of an object that does not answer, or answers as its old
+/// incarnation.
 const BETWEEN_POKES: Duration = Duration::from_millis(1);
-/// So many pokes follow each other at once, so that a return within microseconds is seen as such.
+/// The number of probes without a pause, so that a return within microseconds is measured as such.
 const EAGER_POKES: u32 = 100;
-/// After this nobody waits for the object any more.
+/// The limit of the wait for the object.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Messages of a flood in one go: more than the object serves until the next.
+/// Messages in one burst of a flood: more than the object serves until the next burst.
 const BURST: u32 = 3;
-/// Between two goes.
+/// The pause between two bursts.
 const BETWEEN_BURSTS: Duration = Duration::from_millis(1);
 
-/// One object that is to be harmed.
+/// One object into which a fault is injected.
 #[derive(Debug)]
 pub(super) struct FaultTarget {
     measurements: Measurements,
@@ -38,10 +39,10 @@ pub(super) struct FaultTarget {
 }
 
 impl FaultTarget {
-    /// Finds the object.
+    /// Looks the object up.
     ///
     /// # Errors
-    /// There is none of this name.
+    /// No object has this name.
     pub(super) fn new(
         node: &Node,
         measurements: &Measurements,
@@ -58,7 +59,7 @@ impl FaultTarget {
         })
     }
 
-    /// Does it, and tells the director.
+    /// Injects the fault and reports to the director.
     pub(super) async fn carry_out(self, fault: ObjectFault) {
         let Ok(life) = self.probe.ask_within(Probe {}, ONSET).await else {
             self.refuse("the object does not answer before anything is done to it".into());
@@ -84,8 +85,7 @@ impl FaultTarget {
             return;
         }
         match fault {
-            // A reset brings back the same life: what answers before the error has struck does not
-            // count.
+            // A reset keeps the incarnation: an answer before the error does not count.
             ObjectFault::ErrorState => {
                 self.announce().await;
                 self.await_service(life).await;
@@ -96,7 +96,7 @@ impl FaultTarget {
         }
     }
 
-    /// Tells when the fault was there.
+    /// Reports when the fault is present.
     async fn announce(&self) {
         match timeout(ONSET, self.record.struck()).await {
             Ok(at) => self.measurements.tell(ModuleEvent::CarriedOut { order: self.order, at }),
@@ -104,7 +104,7 @@ impl FaultTarget {
         }
     }
 
-    /// Tells when this life, or a later one, answers.
+    /// Reports when this incarnation, or a later one, answers.
     async fn await_service(&self, life: u64) {
         let answered = timeout(PATIENCE, async {
             let mut pokes = 0;
@@ -129,7 +129,7 @@ impl FaultTarget {
     async fn flood(&self, messages: u32) {
         for _ in 0..messages / BURST {
             for _ in 0..BURST {
-                // What does not fit is refused: that is what a flood is about.
+                // A full queue refuses the message, as the flood intends.
                 let _ = self.flood_queue.tell(FloodMessage {});
             }
             sleep(BETWEEN_BURSTS).await;

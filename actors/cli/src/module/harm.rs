@@ -1,4 +1,4 @@
-//! How an object of the demonstration is harmed on command, and what remembers it.
+//! Injected faults of the demonstration's objects, and their records.
 
 use super::messages::{FloodMessage, InjectFault, ObjectHarm, Probe};
 use crate::demo::machine_instant::MachineInstant;
@@ -9,9 +9,9 @@ use std::time::Duration;
 use tokio::sync::Notify;
 
 /// How long an object needs for one message of a flood, so that its queue fills.
-const NOISE: Duration = Duration::from_micros(200);
+const NOISE: Duration = Duration::from_millis(2);
 
-/// What stays of a wound when the life that suffered it is over. One for each object.
+/// The record of a harm that outlives the harmed incarnation. One for each object.
 #[derive(Debug, Default)]
 pub(super) struct HarmRecord {
     struck_ns: AtomicU64,
@@ -19,7 +19,7 @@ pub(super) struct HarmRecord {
     struck: Notify,
 }
 
-/// The harm of one life.
+/// The harm of one incarnation.
 #[derive(Debug)]
 pub(super) struct HarmState {
     record: Arc<HarmRecord>,
@@ -27,18 +27,18 @@ pub(super) struct HarmState {
 }
 
 impl HarmRecord {
-    /// Forgets the last wound.
+    /// Deletes the last harm.
     pub(super) fn heal(&self) {
         self.struck_ns.store(0, Ordering::SeqCst);
     }
 
-    /// The fault is there, now.
+    /// Records that the fault is present from now on.
     pub(super) fn strike(&self) {
         self.struck_ns.store(MachineInstant::now().as_nanos(), Ordering::SeqCst);
         self.struck.notify_one();
     }
 
-    /// Waits until the fault is there; when that was.
+    /// Waits until the fault is present, and returns since when.
     pub(super) async fn struck(&self) -> MachineInstant {
         loop {
             match self.struck_ns.load(Ordering::SeqCst) {
@@ -55,7 +55,7 @@ impl HarmState {
         HarmState { record: record.clone(), is_in_error: false }
     }
 
-    /// Belongs into `on_initialize`.
+    /// To be called in `on_initialize`.
     pub(super) fn initialize(&self) -> Result<(), Failure> {
         if self.record.fails_to_initialize.swap(false, Ordering::SeqCst) {
             self.record.strike();
@@ -64,7 +64,7 @@ impl HarmState {
         Ok(())
     }
 
-    /// Belongs into `on_execute`.
+    /// To be called in `on_execute`.
     pub(super) fn execute(&mut self) -> Result<(), Failure> {
         if std::mem::take(&mut self.is_in_error) {
             self.record.strike();
@@ -73,7 +73,7 @@ impl HarmState {
         Ok(())
     }
 
-    /// Suffers a wound.
+    /// Executes the harm.
     ///
     /// # Panics
     /// If that is the wound.
@@ -90,7 +90,7 @@ impl HarmState {
             ObjectHarm::Error => self.is_in_error = true,
             ObjectHarm::FailInitialization => {
                 self.record.fails_to_initialize.store(true, Ordering::SeqCst);
-                panic!("as ordered, to be initialised anew");
+                panic!("as ordered, to be initialised again");
             }
             ObjectHarm::Silence => {
                 self.record.strike();

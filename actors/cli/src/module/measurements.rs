@@ -1,5 +1,5 @@
-//! The measuring apparatus of a module. It stands outside of the objects, so that their restarts do
-//! not touch it.
+//! The measurements of a module. They are stored outside of the objects, so that restarts of
+//! objects do not change them.
 
 use super::harm::HarmRecord;
 use crate::demo::flow_receiver::{FlowReceiver, Sample};
@@ -12,8 +12,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::mpsc::Sender;
 
-/// Messages of a flow that the middleware gave back and that wait to be offered again: a quarter of a
-/// minute of the fastest flow. When it is full the flow makes no new ones.
+/// Messages of a flow that the middleware gave back and that wait to be offered again: a quarter of
+/// a minute of the fastest flow. When it is full the flow makes no new ones.
 const BACKLOG: usize = 3_000;
 
 /// Everything that is measured in a module. Clones share it.
@@ -39,11 +39,10 @@ struct Readings {
 struct Source {
     made: u64,
     waiting: VecDeque<Sample>,
-    given_back: u64,
 }
 
 impl Measurements {
-    /// Of a process that began now; what they see goes to `events`.
+    /// Creates the measurements of a process that has just started; reports go to `events`.
     pub(super) fn new(module: Module, events: Sender<ModuleEvent>) -> Measurements {
         let process = MachineInstant::now().as_nanos().max(1);
         let mut readings = Readings::default();
@@ -56,13 +55,13 @@ impl Measurements {
         Measurements { events, process, readings: Arc::new(Mutex::new(readings)) }
     }
 
-    /// Tells the director.
+    /// Reports to the director.
     pub(super) fn tell(&self, event: ModuleEvent) {
-        // A director that does not read is about to end; what it would have been told is void.
+        // A director that does not read is about to end; its events are void.
         let _ = self.events.try_send(event);
     }
 
-    /// The record of the object of this name.
+    /// Returns the harm record of the object of this name.
     pub(super) fn record(&self, object: &str) -> Arc<HarmRecord> {
         self.read().records.entry(object.to_owned()).or_default().clone()
     }
@@ -103,7 +102,6 @@ impl Measurements {
         }
         while let Some(sample) = source.waiting.front() {
             if !take(*sample) {
-                source.given_back += 1;
                 break;
             }
             source.waiting.pop_front();
@@ -122,14 +120,13 @@ impl Measurements {
         timings.record(after);
     }
 
-    /// All that was measured; objects and links are for others to fill in.
+    /// Returns all measurements; the caller adds objects and links.
     pub(super) fn snapshot(&self) -> Snapshot {
         let readings = self.read();
         let source = |(name, source): (&&'static str, &Source)| SourceState {
             flow: (*name).into(),
             epoch: self.process,
             sent: source.made - source.waiting.len() as u64,
-            given_back: source.given_back,
         };
         let response =
             |(module, timings): (&Module, &Timings)| (module.to_string(), timings.clone());
@@ -146,7 +143,7 @@ impl Measurements {
     }
 
     fn read(&self) -> MutexGuard<'_, Readings> {
-        // A panic in between leaves counters that are still right.
+        // A panic while the lock is held leaves valid counters.
         self.readings.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -181,7 +178,7 @@ mod tests {
             true
         });
 
-        assert_eq!((between.sent, between.given_back), (0, 2));
+        assert_eq!(between.sent, 0);
         assert_eq!(taken, [1, 2, 3]);
         assert_eq!(source(&measurements).sent, 3);
     }

@@ -1,11 +1,11 @@
-//! How the module's monitor and detector see it, in the words of the control channel.
+//! Converts fault events and the monitor's table for the control channel.
 
 use crate::demo::machine_instant::MachineInstant;
 use crate::demo::protocol::{CableState, FaultNote, ModuleEvent, ObjectOpinion, ObjectState};
 use blastema::core::detection::{self, ObjectKind, Row, Turn};
 use blastema::{FaultEvent, Lifecycle, Place};
 
-/// One step in the history of a fault, if it is one that is told.
+/// Returns the event of a fault that the director receives.
 pub(super) fn event_of(step: FaultEvent) -> Option<ModuleEvent> {
     let FaultEvent { fault, at, turn } = step;
     let id = fault.id.0;
@@ -30,7 +30,7 @@ pub(super) fn event_of(step: FaultEvent) -> Option<ModuleEvent> {
     })
 }
 
-/// The objects of the table that are shown.
+/// Returns the components of the table.
 pub(super) fn objects_of(table: &[Row]) -> Vec<ObjectState> {
     let object = |row: &Row| match (&row.place, row.kind) {
         (Place::Object(address), ObjectKind::Component) => Some(ObjectState {
@@ -44,12 +44,13 @@ pub(super) fn objects_of(table: &[Row]) -> Vec<ObjectState> {
     table.iter().filter_map(object).collect()
 }
 
-/// The cables of the table.
+/// Returns the cables of the table.
 pub(super) fn links_of(table: &[Row]) -> Vec<CableState> {
     let link = |row: &Row| match &row.place {
         Place::Link { link, .. } => Some(CableState {
             cable: link.to_string(),
-            up: row.opinion == detection::Opinion::Trusted,
+            // A degraded link is suspected, and still carries messages.
+            up: row.opinion != detection::Opinion::Failed,
         }),
         _ => None,
     };
