@@ -14,10 +14,11 @@ pub(crate) const HANG_MILLIS: u64 = 2_500;
 /// Four times what the queues of the robot hold.
 pub(crate) const FLOOD_MESSAGES: u32 = 2_000;
 
-/// Victims that are left alone for a while, so that chance does not add up to a restart storm.
+/// The last places that are not struck again, so that random faults do not add up to a restart
+/// storm.
 const SPARED: usize = 6;
 
-/// Chance, the same for the same seed.
+/// A random generator that repeats for the same seed.
 #[derive(Clone, Debug)]
 pub(crate) struct SeededRandom(Random);
 
@@ -81,7 +82,7 @@ impl RandomFaults {
         }
     }
 
-    /// Not module1: its end would take every path along, and there is no third one.
+    /// Not module1: all paths lead through it.
     fn far(&mut self) -> Module {
         self.random.one_of(&[Module::Module2, Module::Module3])
     }
@@ -102,9 +103,9 @@ impl RandomFaults {
         let cells = module.skin();
         let cell = cells.start + u32::try_from(self.random.below(cells.len() as u64)).unwrap_or(0);
         let object = match fault {
-            // Only of those who are asked it is known how long their messages wait.
+            // Only of passive objects is the waiting time of messages known.
             ObjectFault::Flood { .. } => self.random.one_of(module.passive()).to_owned(),
-            // Who is asked is never silent.
+            // A passive object is pinged, and so never silent.
             ObjectFault::Silence => skin(cell),
             _ if self.random.below(2) == 0 => skin(cell),
             _ => self.random.one_of(module.components()).to_owned(),
@@ -149,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_is_struck_again_at_once() {
+    fn no_place_is_struck_again_at_once() {
         let mut chaos = RandomFaults::new(7);
         let places: Vec<_> = (0..300).map(|_| chaos.next().place()).collect();
 

@@ -21,7 +21,7 @@ const PREFIX: &str = "blastema-demo-";
 /// The longest path of a Unix socket on Linux, without the closing zero.
 const PATH_LIMIT: usize = 107;
 
-/// Why the channel does not work.
+/// An error of the control channel.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ControlError {
     /// The folder for the socket could not be made. Set `TMPDIR` to a folder that can be written.
@@ -29,7 +29,7 @@ pub(crate) enum ControlError {
     Folder {
         /// In which folder.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// `TMPDIR` is too deep.
@@ -53,7 +53,7 @@ pub(crate) enum ControlError {
     Socket(#[from] io::Error),
 }
 
-/// Where modules come in.
+/// The socket on which the director accepts its modules.
 #[derive(Debug)]
 pub(crate) struct ControlListener {
     listener: UnixListener,
@@ -63,7 +63,7 @@ pub(crate) struct ControlListener {
 }
 
 impl ControlListener {
-    /// Makes the folder and listens in it.
+    /// Creates the folder and listens in it.
     ///
     /// # Errors
     /// See [`ControlError`].
@@ -82,12 +82,12 @@ impl ControlListener {
         Ok(ControlListener { listener, path, _folder: folder })
     }
 
-    /// Where modules are to connect.
+    /// Returns the path of the socket.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The next one that comes in, with its process id. Strangers are turned away.
+    /// Accepts the next process of the same user and returns its id. Others are refused.
     ///
     /// # Errors
     /// The socket failed.
@@ -105,7 +105,7 @@ impl ControlListener {
 /// Connects a module to its director.
 ///
 /// # Errors
-/// Nobody listens, or it is not `parent` of our user who listens.
+/// No process listens, or it is not the process `parent` of the same user.
 pub(crate) async fn enter(
     path: &Path,
     parent: u32,
@@ -128,7 +128,7 @@ pub(crate) struct LineReader(BufReader<OwnedReadHalf>);
 pub(crate) struct LineWriter(OwnedWriteHalf);
 
 impl LineReader {
-    /// The next message; `None` when the other side is gone.
+    /// Returns the next message, or `None` when the other side has closed the channel.
     ///
     /// # Errors
     /// The socket failed, a line was too long, or it was no message.
@@ -150,7 +150,7 @@ impl LineWriter {
     /// Sends a message.
     ///
     /// # Errors
-    /// The other side is gone.
+    /// The other side has closed the channel.
     pub(crate) async fn send<T: Serialize>(&mut self, message: &T) -> io::Result<()> {
         self.0.write_all(encode(message).as_bytes()).await
     }
@@ -161,7 +161,7 @@ fn split(stream: UnixStream) -> (LineReader, LineWriter) {
     (LineReader(BufReader::new(reader)), LineWriter(writer))
 }
 
-/// The peer's process, if its user is ours.
+/// Returns the peer's process if it belongs to the same user.
 fn check_user(stream: &UnixStream) -> Result<Option<i32>, ControlError> {
     let peer = stream.peer_cred()?;
     let (process, user) = (peer.pid(), peer.uid());
@@ -172,7 +172,7 @@ fn check_user(stream: &UnixStream) -> Result<Option<i32>, ControlError> {
     }
 }
 
-/// Removes what a director left behind that was killed while it awaited a module.
+/// Removes the folders of directors that were killed before their modules had connected.
 fn sweep(base: &Path) {
     let Ok(entries) = fs::read_dir(base) else { return };
     for entry in entries.flatten() {
@@ -203,7 +203,7 @@ mod tests {
         let own = std::process::id();
 
         let (inside, outside) = tokio::join!(listener.admit(), enter(&path, own));
-        let (process, mut from_module, mut to_module) = inside.expect("somebody came");
+        let (process, mut from_module, mut to_module) = inside.expect("a module has connected");
         let (mut from_director, mut to_director) = outside.expect("the listener is open");
         to_module.send(&DirectorCommand::Status).await.expect("the module is there");
         to_director.send(&ModuleEvent::Ready).await.expect("the director is there");

@@ -1,19 +1,18 @@
-//! Counts what of a numbered flow arrives, at the receiving object.
+//! Counts the received messages of a numbered flow.
 
 use super::machine_instant::MachineInstant;
 use super::protocol::SinkState;
 use std::collections::{BTreeSet, VecDeque};
 use std::ops::Range;
 
-/// Numbers remembered as missing; beyond it the oldest are taken for lost for good. Ten seconds of the
-/// fastest flow.
+/// Missing numbers that are stored, ten seconds of the fastest flow. Older ones count as lost.
 const MISSING_LIMIT: usize = 2_000;
 
 /// Arrivals remembered so that a watch may look back: two seconds of the fastest flow.
 const RECENT_LIMIT: usize = 400;
 
-/// What arrived of one flow. It is kept outside the receiving object, so that it survives that
-/// object's restarts.
+/// The received messages of one flow. It is kept outside the receiving object, so that it survives
+/// the restarts of that object.
 #[derive(Debug)]
 pub(crate) struct FlowReceiver {
     state: SinkState,
@@ -41,7 +40,7 @@ pub(crate) struct Sample {
 }
 
 impl FlowReceiver {
-    /// Of a flow of which nothing has arrived in this process.
+    /// Creates the receiver of a flow before its first message.
     pub(crate) fn new(flow: &str, process: u64) -> FlowReceiver {
         FlowReceiver {
             state: SinkState { flow: flow.into(), process, ..SinkState::default() },
@@ -81,7 +80,7 @@ impl FlowReceiver {
         passed.map(|arrival| arrival.arrived)
     }
 
-    /// How it stands.
+    /// Returns the counters.
     pub(crate) fn state(&self) -> SinkState {
         let missing = self.missing.len() as u64 + self.given_up;
         SinkState { missing, ..self.state.clone() }

@@ -1,20 +1,20 @@
-//! A fault that the demonstration makes, and what it expects to be told about it.
+//! A fault that the demonstration injects, and the reports that it expects.
 
 use super::protocol::{DirectorCommand, FaultNote, ObjectFault, OrderId};
 use super::robot::{CABLES, DemoCable, FLOWS, Flow, Module, address};
 use blastema::core::{FaultKind, ObjectName, Place};
 use std::fmt;
 
-/// What is done to the robot.
+/// An injected fault.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Injection {
     /// Harm to one object.
     Object {
-        /// Where it lives.
+        /// Its module.
         module: Module,
         /// Its name.
         object: String,
-        /// What is done to it.
+        /// The kind of harm.
         fault: ObjectFault,
     },
     /// One cable is cut.
@@ -41,18 +41,18 @@ pub(crate) enum Injection {
     },
 }
 
-/// What a fault that was told has to do with what was done.
+/// The relation of a reported fault to the injected one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FaultMatch {
-    /// It is what was done, where it was done.
+    /// The report names the injected fault and its place.
     Named,
-    /// It came along with it, or is marked as a symptom.
+    /// A consequence of the injected fault, or marked as a symptom.
     Companion,
-    /// The wrong culprit was named.
+    /// The report names another place or kind.
     Foreign,
 }
 
-/// How one knows that service is back.
+/// The criterion of restored service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ServiceRestored {
     /// The object answers.
@@ -64,7 +64,7 @@ pub(crate) enum ServiceRestored {
 }
 
 impl Injection {
-    /// What is done, for the table.
+    /// Returns the kind, for the table.
     pub(crate) fn title(&self) -> &'static str {
         match self {
             Injection::Object { fault, .. } => match fault {
@@ -82,7 +82,7 @@ impl Injection {
         }
     }
 
-    /// Where it is done, for the table.
+    /// Returns the place, for the table.
     pub(crate) fn place(&self) -> String {
         match self {
             Injection::Object { module, object, .. } => format!("{module}:{object}"),
@@ -95,7 +95,7 @@ impl Injection {
         }
     }
 
-    /// The commands that do it; a kill is none.
+    /// Returns the commands that inject the fault; a kill needs none.
     pub(crate) fn strike(&self, order: OrderId) -> Vec<(Module, DirectorCommand)> {
         match self {
             Injection::Object { module, object, fault } => {
@@ -109,7 +109,7 @@ impl Injection {
         }
     }
 
-    /// The commands without which service cannot come back.
+    /// Returns the commands without which service cannot be restored.
     pub(crate) fn repair(&self, order: OrderId) -> Vec<(Module, DirectorCommand)> {
         match self {
             Injection::Blackout { far } => at_both_ends(&cables_to(*far), restore(order)),
@@ -117,7 +117,7 @@ impl Injection {
         }
     }
 
-    /// The commands that put things as they were, after the step.
+    /// Returns the commands that restore the former state after the step.
     pub(crate) fn clean_up(&self, order: OrderId) -> Vec<(Module, DirectorCommand)> {
         match self {
             Injection::Cut { cable, returns: true } => at_both_ends(&[*cable], restore(order)),
@@ -125,7 +125,7 @@ impl Injection {
         }
     }
 
-    /// How one knows that service is back.
+    /// The criterion of restored service.
     pub(crate) fn comes_back_by(&self) -> ServiceRestored {
         match self {
             Injection::Object { .. } => ServiceRestored::Service,
@@ -136,18 +136,18 @@ impl Injection {
         }
     }
 
-    /// The flows on which messages must arrive again.
+    /// Returns the flows on which messages must arrive again.
     pub(crate) fn flows(&self) -> Vec<&'static Flow> {
         FLOWS.iter().filter(|flow| self.concerns(flow)).collect()
     }
 
-    /// The finder must tell that it recovered the fault. A cable that was pulled is not recovered by
-    /// software; that messages take another way is seen on the flows.
+    /// Returns whether the module that found the fault must report its recovery. Software cannot
+    /// recover a cut cable; the flows show that messages take another path.
     pub(crate) fn wants_report(&self) -> bool {
         matches!(self, Injection::Object { .. } | Injection::Router { .. })
     }
 
-    /// What a fault that was told has to do with it.
+    /// Returns the relation of a reported fault to this one.
     pub(crate) fn judge(&self, note: &FaultNote) -> FaultMatch {
         let (named, touched) = match self {
             Injection::Object { module, object, fault } => {
@@ -217,12 +217,12 @@ fn kind_of(fault: ObjectFault) -> FaultKind {
     }
 }
 
-/// What an object may rightly be said to suffer besides.
+/// Further kinds of faults that may be reported of the object.
 fn companions_of(fault: ObjectFault) -> &'static [FaultKind] {
     match fault {
-        // That is how it is made to start anew.
+        // A panic makes the object restart.
         ObjectFault::FailInitialization => &[FaultKind::Panic],
-        // Who hangs is silent, too.
+        // An object that hangs is silent as well.
         ObjectFault::Hang { .. } => &[FaultKind::Silence],
         ObjectFault::Panic
         | ObjectFault::ErrorState

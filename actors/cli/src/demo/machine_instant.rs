@@ -5,8 +5,9 @@ use serde::{Deserialize, Serialize};
 use std::ops::{Add, Sub};
 use std::time::Duration;
 
-/// Nanoseconds of the machine's monotonic clock: it compares between the robot's processes, which all
-/// run on one machine, and the clock of a fault starts at the instant that its injector stamped.
+/// Nanoseconds of the machine's monotonic clock: it compares between the robot's processes, which
+/// all run on one machine, and the clock of a fault starts at the instant that its injector
+/// stamped.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]

@@ -1,4 +1,4 @@
-//! The robot of the demonstration: its modules, cables, objects and flows, as everyone knows them.
+//! The robot of the demonstration: its modules, cables, objects and flows.
 //!
 //! ```text
 //!             ethernet                 ieee1394
@@ -7,8 +7,8 @@
 //!   operator  ieee1394-b    safety    ethernet-b    odometry
 //! ```
 //!
-//! This is Fig. 9 of Baek and Park (2008): module2 and module3 reach each other through module1 only.
-//! The dashed cables are the second paths.
+//! This is Fig. 9 of Baek and Park (2008): module2 and module3 reach each other through module1
+//! only. The dashed cables are the second paths.
 
 use blastema::core::{NodeName, ObjectAddress, ObjectName};
 use serde::{Deserialize, Serialize};
@@ -67,8 +67,8 @@ impl Module {
         }
     }
 
-    /// Those of them that are passive in the paper's sense: they are asked whether they live, and how
-    /// long messages wait in their queues. All others give signs of life by themselves.
+    /// Those of them that are passive in the paper's sense: they are asked whether they live, and
+    /// how long messages wait in their queues. All others give signs of life by themselves.
     pub(crate) const fn passive(self) -> &'static [&'static str] {
         match self {
             Module::Module1 => &["planner"],
@@ -181,7 +181,8 @@ pub(crate) struct Flow {
     pub(crate) rate_hz: u32,
 }
 
-/// Every flow. Each pair of modules has one, and the panic of the scenario strikes the receiver of one.
+/// Every flow. Each pair of modules has one, and the panic of the scenario strikes the receiver of
+/// one.
 pub(crate) const FLOWS: [Flow; 4] = [
     Flow {
         name: "flow/2-3",

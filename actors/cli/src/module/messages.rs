@@ -101,11 +101,11 @@ pub(super) struct Tick {
     pub(super) made_ns: u64,
 }
 
-/// Do yourself harm.
+/// Makes the object harm itself.
 #[derive(Clone, Copy, Debug, Request)]
 #[contract(name = "demo/harm", reply = ())]
 pub(super) struct InjectFault {
-    /// Which.
+    /// The kind of harm.
     pub(super) wound: ObjectHarm,
 }
 
@@ -116,24 +116,24 @@ pub(super) enum ObjectHarm {
     Panic,
     /// Block the thread.
     Hang {
-        /// For so long.
+        /// The duration.
         #[contract(unit = "ms")]
         millis: u64,
     },
     /// Report an error from the next execution.
     Error,
-    /// End, and fail the next initialisation.
+    /// Panic, and fail the next initialisation.
     FailInitialization,
-    /// Give no sign of life any more.
+    /// Stop the signs of life.
     Silence,
 }
 
-/// Who answers?
+/// Asks for the incarnation that answers.
 #[derive(Clone, Copy, Debug, Request)]
 #[contract(name = "demo/poke", reply = u64)]
 pub(super) struct Probe {}
 
-/// One message of a flood: of no use to anybody.
+/// One message of a flood.
 #[derive(Clone, Copy, Debug, Event)]
 #[contract(name = "demo/noise")]
 pub(super) struct FloodMessage {}

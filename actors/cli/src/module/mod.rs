@@ -1,12 +1,12 @@
-//! One module of the demonstration's robot: a node in a process of its own, which does what the
-//! director says and tells what it finds.
+//! One module of the demonstration's robot: a node in a process of its own, which executes the
+//! director's commands and reports its faults.
 //!
 //! ```text
-//!  director ── commands ──► ModuleAgent ──► FaultTarget ──► objects (each handles its own harm)
-//!           ◄── events ──── Measurements ◄── flows, echoes, ticks; fault history; monitor's table
+//!  director ── commands ──► ModuleAgent ──► FaultTarget ──► objects (each harms itself)
+//!           ◄── events ──── Measurements ◄── flows, echoes, ticks; fault events; monitor's table
 //! ```
 //!
-//! The gauges stand outside of the objects, so that what is measured survives what is done to them.
+//! Measurements are stored outside of the objects, so that they survive the injected faults.
 
 mod agent;
 mod cell;
@@ -37,10 +37,10 @@ use tokio::sync::mpsc::channel;
 /// Lines that may wait between the module and the director.
 const QUEUE: usize = 4_096;
 
-/// Why a module ends with a failure.
+/// The reason why a module ends with a failure.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ModuleError {
-    /// It was not started by a demonstration.
+    /// The name is not one of the robot's modules.
     #[error("{0:?} is no module of the robot; modules are started by `blastema demo`")]
     Name(String),
     /// See [`ControlError`].
@@ -51,10 +51,10 @@ pub(crate) enum ModuleError {
     System(#[from] io::Error),
 }
 
-/// Runs a module until the director is gone or says that it is over.
+/// Runs a module until the director ends or shuts it down.
 ///
 /// # Errors
-/// It was not started by a director, or cannot reach it.
+/// The module was not started by a director, or cannot reach it.
 pub(crate) fn run(options: &ModuleOptions) -> Result<(), ModuleError> {
     let name = || ModuleError::Name(options.name.clone());
     let module = Module::from_name(&options.name).ok_or_else(name)?;

@@ -1,4 +1,4 @@
-//! The safety officer: stops the robot when somebody is too near.
+//! Stops the robot when an obstacle is too near.
 
 use super::harm::{HarmState, declare, vulnerable};
 use super::messages::{Scan, Stop};
