@@ -1,19 +1,19 @@
-//! What the command line may say.
+//! Parses the command line.
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser};
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// The longest `--for`: beyond it the counters of a run would say nothing about a person's patience.
+/// The longest `--for`.
 const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
-/// The shortest `--for`: less than one step of the story.
+/// The shortest `--for`: less than one step of the scenario.
 const SHORTEST: Duration = Duration::from_secs(1);
 
 const EXIT_STATUS: &str = "\
 Exit status:
-  0  every fault was found, named rightly and recovered, and no reliable message was lost or doubled
-  1  something stayed unrecovered, or a promise was broken; the table says which
+  0  every fault was found, located and recovered, and no reliable message was lost or doubled
+  1  a fault was not recovered, or another promise was broken; the table states which
   2  the command line was wrong, or the demonstration could not be run to its end";
 
 const MONITOR_HELP: &str = "\
@@ -26,7 +26,7 @@ Exit status:
   0  every node was shown
   2  the command line was wrong, or a node could not be shown: those named before it were";
 
-/// The shortest and the longest `--within`: what a node takes at least, and what nobody waits for.
+/// The shortest and the longest `--within`.
 const WITHIN: RangeInclusive<Duration> = Duration::from_millis(10)..=Duration::from_secs(60 * 60);
 
 /// The whole command line.
@@ -41,81 +41,83 @@ const WITHIN: RangeInclusive<Duration> = Duration::from_millis(10)..=Duration::f
     after_help = EXIT_STATUS
 )]
 pub(crate) struct Arguments {
-    /// What is to be done; the demonstration, if nothing is said.
+    /// The subcommand; the demonstration if there is none.
     #[command(subcommand)]
-    job: Option<Job>,
-    /// The demonstration's options may stand without its name.
+    subcommand: Option<Subcommand>,
+    /// The options of the demonstration, which may be given without its name.
     #[command(flatten)]
     demo: DemoOptions,
 }
 
 impl Arguments {
-    /// The job that is meant.
-    pub(crate) fn into_job(self) -> Job {
-        self.job.unwrap_or(Job::Demo(self.demo))
+    /// Returns the subcommand, by default the demonstration.
+    pub(crate) fn into_subcommand(self) -> Subcommand {
+        self.subcommand.unwrap_or(Subcommand::Demo(self.demo))
     }
 }
 
-/// What the program can do.
-#[derive(Clone, Debug, PartialEq, Subcommand)]
-pub(crate) enum Job {
-    /// Start a robot of three processes, kill, hang and unplug parts of it, and show how it recovers
+/// The subcommands of the program.
+#[derive(Clone, Debug, PartialEq, clap::Subcommand)]
+pub(crate) enum Subcommand {
+    /// Start a robot of three processes, kill, hang and unplug parts of it, and show how it
+    /// recovers
     ///
-    /// Three processes, module1 to module3, on two networks on loopback addresses and free ports, with
-    /// a service robot and a hundred small objects aboard. Ten faults are injected one after the other
-    /// while sequence-numbered traffic flows. On a terminal a live picture is shown, elsewhere plain
-    /// lines; at the end a table. It takes less than 30 seconds. Ctrl-C ends all processes.
+    /// Three processes, module1 to module3, run a service robot with a hundred small objects. Two
+    /// networks on loopback addresses and free ports connect them. Ten faults are injected one
+    /// after the other while numbered messages are sent. A terminal shows a live view, any other
+    /// output gets one line for each step; tables follow at the end. It takes less than 30 seconds.
+    /// Ctrl-C ends all processes.
     #[command(after_help = EXIT_STATUS)]
     Demo(DemoOptions),
-    /// Show what a running node knows of itself
+    /// Show the state of a running node
     ///
-    /// Its objects with what the monitor thinks of each, the threads that components live on, links,
-    /// sessions with other nodes, claimed names, services and who serves them, actuators and who commands them,
-    /// and faults, as they are now.
-    /// A node is shown where its program gave it a window, by `NodeBuilder::shown_at`, to the user who runs
-    /// it, and nobody else. What is not known is a dash; a table that is left out is empty, and one whose part
-    /// of the node has not answered says so. Nothing can be changed from here.
+    /// Its objects with what the monitor thinks of each, the threads that components live on,
+    /// links, sessions with other nodes, claimed names, services and who serves them, actuators and
+    /// who commands them, and faults, as they are now. A node is shown where its program gave it a
+    /// window, by `NodeBuilder::shown_at`, to the user who runs it, and nobody else. What is not
+    /// known is a dash; a table that is left out is empty, and one whose part of the node has not
+    /// answered says so. Nothing can be changed from here.
     #[command(after_help = MONITOR_HELP)]
     Monitor(MonitorOptions),
-    /// Run one module of the demonstration's robot; the demonstration starts these by itself
+    /// Run one module of the demonstration's robot; started by the demonstration itself
     #[command(hide = true)]
     Module(ModuleOptions),
 }
 
-/// How the demonstration is to be run.
+/// The options of the demonstration.
 #[derive(Args, Clone, Debug, PartialEq)]
 pub(crate) struct DemoOptions {
     /// Print one JSON document at the end, and nothing else
     #[arg(long)]
     pub(crate) json: bool,
-    /// Decides at which moments, and with --chaos where and which, faults are injected
+    /// Seed of the times, and with --chaos of the places and kinds, of the injected faults
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub(crate) seed: u64,
-    /// Go on for so long, 1s to 24h, such as 60s, 5m, 1h or 1500ms: the story is told again and again, and the
-    /// step that is under way is finished. Without it: the story once, or 60s of chaos
+    /// Run for this long, 1s to 24h, such as 60s, 5m, 1h or 1500ms: the scenario is repeated, and
+    /// its last step is finished. Default: the scenario once, or 60s of chaos
     #[arg(long = "for", value_name = "DURATION", value_parser = parse_duration)]
     pub(crate) length: Option<Duration>,
-    /// Inject random faults until the time is up instead of telling the story
+    /// Inject random faults until the time has passed, instead of the scenario
     #[arg(long)]
     pub(crate) chaos: bool,
 }
 
-/// Which nodes are to be shown, and how.
+/// The options of the monitor.
 #[derive(Args, Clone, Debug, PartialEq)]
 pub(crate) struct MonitorOptions {
     /// The path of a node's window, a Unix socket; several are shown one after the other
     #[arg(required = true, value_name = "PATH")]
     pub(crate) windows: Vec<PathBuf>,
-    /// Print one JSON document for each node, each on one line, instead of tables: texts are whole there, spans
-    /// are in milliseconds (`_ms`), and what is not known is null
+    /// Print one JSON document for each node, each on one line, instead of tables: texts are whole
+    /// there, spans are in milliseconds (`_ms`), and what is not known is null
     #[arg(long)]
     pub(crate) json: bool,
-    /// Wait so long for each node to answer, 10ms to 1h, such as 500ms, 10s or 1m
+    /// Wait this long for each node to answer, 10ms to 1h, such as 500ms, 10s or 1m
     #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = parse_within)]
     pub(crate) within: Duration,
 }
 
-/// How the demonstration starts one module.
+/// The options with which the demonstration starts one module.
 #[derive(Args, Clone, Debug, PartialEq)]
 pub(crate) struct ModuleOptions {
     /// The module's name
@@ -157,7 +159,7 @@ fn parse_span(text: &str) -> Result<Duration, String> {
     if number.is_empty() {
         return Err(format!("{text:?} does not begin with a whole number"));
     }
-    // What no number holds is as much too long as the largest one.
+    // A number that does not fit is too long, as is the largest one.
     let number: u64 = number.parse().unwrap_or(u64::MAX);
     Ok(Duration::from_millis(number.saturating_mul(millis_of_unit)))
 }
@@ -167,9 +169,9 @@ mod tests {
     use super::*;
     use clap::CommandFactory;
 
-    fn parse(line: &str) -> Result<Job, String> {
+    fn parse(line: &str) -> Result<Subcommand, String> {
         Arguments::try_parse_from(line.split_whitespace())
-            .map(Arguments::into_job)
+            .map(Arguments::into_subcommand)
             .map_err(|error| error.to_string())
     }
 
@@ -181,7 +183,7 @@ mod tests {
     #[test]
     fn no_argument_means_the_demonstration_as_it_comes() {
         let usual = DemoOptions { json: false, seed: 1, length: None, chaos: false };
-        assert_eq!(parse("blastema"), Ok(Job::Demo(usual)));
+        assert_eq!(parse("blastema"), Ok(Subcommand::Demo(usual)));
         assert_eq!(parse("blastema demo"), parse("blastema"));
         assert_eq!(parse("blastema --json --seed 7"), parse("blastema demo --json --seed 7"));
         assert!(parse("blastema --json demo").is_err());
@@ -198,7 +200,7 @@ mod tests {
 
         assert_eq!(
             parse("blastema demo --json --seed 42 --for 60s --chaos"),
-            Ok(Job::Demo(wanted))
+            Ok(Subcommand::Demo(wanted))
         );
     }
 
@@ -277,12 +279,12 @@ mod tests {
         let windows = ["/run/a", "/run/b"].map(PathBuf::from).to_vec();
         let within = Duration::from_secs(10);
         let wanted = MonitorOptions { windows: windows.clone(), json: true, within };
-        assert_eq!(parse("blastema monitor --json /run/a /run/b"), Ok(Job::Monitor(wanted)));
+        assert_eq!(parse("blastema monitor --json /run/a /run/b"), Ok(Subcommand::Monitor(wanted)));
         let within = Duration::from_millis(500);
         let wanted = MonitorOptions { windows, json: false, within };
         assert_eq!(
             parse("blastema monitor --within 500ms /run/a /run/b"),
-            Ok(Job::Monitor(wanted))
+            Ok(Subcommand::Monitor(wanted))
         );
         for (wrong, told) in [("10", "mean 10s?"), ("0s", "10ms and 1h"), ("2h", "10ms and 1h")] {
             let refusal = parse(&format!("blastema monitor /a --within {wrong}")).expect_err(wrong);

@@ -1,8 +1,9 @@
-//! Golden files: what a person sees, kept beside the code.
+//! Compares output with golden files.
 
 use std::path::Path;
 
-/// Compares `found` with the golden file of this name; with `BLASTEMA_BLESS` set, replaces the file.
+/// Compares `found` with the golden file of this name; with `BLASTEMA_BLESS` set, replaces the
+/// file.
 pub(crate) fn check(name: &str, found: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("golden").join(name);
     if std::env::var_os("BLASTEMA_BLESS").is_some() {

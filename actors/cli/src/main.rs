@@ -1,8 +1,8 @@
 //! The command-line program of the Blastema middleware.
 //!
-//! `blastema` without arguments runs the main job: a robot of three processes that is killed, hung and
-//! unplugged, and grows back. Exit status: 0 all promises kept, 1 a promise broken, 2 not run.
-//! `blastema monitor` shows what a running node knows of itself.
+//! `blastema` without arguments runs the demonstration: a robot of three processes that is killed,
+//! hung and unplugged, and recovers. Exit status: 0 all promises kept, 1 a promise broken, 2 not
+//! run. `blastema monitor` shows the state of a running node.
 
 mod args;
 mod demo;
@@ -11,7 +11,7 @@ mod golden;
 mod module;
 mod monitor;
 
-use args::{Arguments, Job};
+use args::{Arguments, Subcommand};
 use clap::Parser;
 use std::io::Write;
 use std::process::ExitCode;
@@ -22,12 +22,12 @@ const NOT_RUN: u8 = 2;
 const PROMISE_BROKEN: u8 = 1;
 
 fn main() -> ExitCode {
-    let outcome = match Arguments::parse().into_job() {
-        Job::Demo(options) => demo::run(&options).map_err(|error| error.to_string()),
-        Job::Monitor(options) => {
+    let outcome = match Arguments::parse().into_subcommand() {
+        Subcommand::Demo(options) => demo::run(&options).map_err(|error| error.to_string()),
+        Subcommand::Monitor(options) => {
             monitor::run(&options).map(|()| true).map_err(|error| error.to_string())
         }
-        Job::Module(options) => {
+        Subcommand::Module(options) => {
             module::run(&options).map(|()| true).map_err(|error| error.to_string())
         }
     };
@@ -35,7 +35,7 @@ fn main() -> ExitCode {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::from(PROMISE_BROKEN),
         Err(reason) => {
-            // Nobody is left to tell if standard error is gone too.
+            // With standard error closed, there is no place left for the reason.
             let _ = writeln!(std::io::stderr(), "blastema: {reason}");
             ExitCode::from(NOT_RUN)
         }

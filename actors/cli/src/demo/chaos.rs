@@ -1,7 +1,7 @@
 //! Random faults, the same for the same seed.
 
 use super::injection::Injection;
-use super::protocol::Sabotage;
+use super::protocol::ObjectFault;
 use super::robot::{CABLES, Module, skin};
 use blastema::core::random::Random;
 use std::collections::VecDeque;
@@ -14,17 +14,18 @@ pub(crate) const HANG_MILLIS: u64 = 2_500;
 /// Four times what the queues of the robot hold.
 pub(crate) const FLOOD_MESSAGES: u32 = 2_000;
 
-/// Victims that are left alone for a while, so that chance does not add up to a restart storm.
+/// The last places that are not struck again, so that random faults do not add up to a restart
+/// storm.
 const SPARED: usize = 6;
 
-/// Chance, the same for the same seed.
+/// A random generator that repeats for the same seed.
 #[derive(Clone, Debug)]
-pub(crate) struct Dice(Random);
+pub(crate) struct SeededRandom(Random);
 
-impl Dice {
+impl SeededRandom {
     /// The same for the same seed.
-    pub(crate) const fn new(seed: u64) -> Dice {
-        Dice(Random::new(seed))
+    pub(crate) const fn new(seed: u64) -> SeededRandom {
+        SeededRandom(Random::new(seed))
     }
 
     /// One of `0..bound`; 0 if the bound is.
@@ -45,15 +46,15 @@ impl Dice {
 
 /// Endless random faults.
 #[derive(Clone, Debug)]
-pub(crate) struct Chaos {
-    dice: Dice,
+pub(crate) struct RandomFaults {
+    random: SeededRandom,
     spared: VecDeque<String>,
 }
 
-impl Chaos {
+impl RandomFaults {
     /// The same faults for the same seed.
-    pub(crate) fn new(seed: u64) -> Chaos {
-        Chaos { dice: Dice::new(seed), spared: VecDeque::new() }
+    pub(crate) fn new(seed: u64) -> RandomFaults {
+        RandomFaults { random: SeededRandom::new(seed), spared: VecDeque::new() }
     }
 
     /// The next fault.
@@ -72,44 +73,44 @@ impl Chaos {
     }
 
     fn any(&mut self) -> Injection {
-        match self.dice.below(12) {
-            0 => Injection::Cut { cable: self.dice.one_of(&CABLES), returns: true },
+        match self.random.below(12) {
+            0 => Injection::Cut { cable: self.random.one_of(&CABLES), returns: true },
             1 => Injection::Blackout { far: self.far() },
-            2 => Injection::Router { module: self.dice.one_of(&Module::ALL) },
+            2 => Injection::Router { module: self.random.one_of(&Module::ALL) },
             3 => Injection::Kill { module: self.far() },
             _ => self.object(),
         }
     }
 
-    /// Not module1: its end would take every path along, and there is no third one.
+    /// Not module1: all paths lead through it.
     fn far(&mut self) -> Module {
-        self.dice.one_of(&[Module::Module2, Module::Module3])
+        self.random.one_of(&[Module::Module2, Module::Module3])
     }
 
     fn object(&mut self) -> Injection {
-        let sabotage = self.dice.one_of(&[
-            Sabotage::Panic,
-            Sabotage::Hang { millis: HANG_MILLIS },
-            Sabotage::ErrorState,
-            Sabotage::FailInitialization,
-            Sabotage::Silence,
-            Sabotage::Flood { messages: FLOOD_MESSAGES },
+        let fault = self.random.one_of(&[
+            ObjectFault::Panic,
+            ObjectFault::Hang { millis: HANG_MILLIS },
+            ObjectFault::ErrorState,
+            ObjectFault::FailInitialization,
+            ObjectFault::Silence,
+            ObjectFault::Flood { messages: FLOOD_MESSAGES },
         ]);
-        let module = match sabotage {
-            Sabotage::Flood { .. } => self.dice.one_of(&[Module::Module1, Module::Module2]),
-            _ => self.dice.one_of(&Module::ALL),
+        let module = match fault {
+            ObjectFault::Flood { .. } => self.random.one_of(&[Module::Module1, Module::Module2]),
+            _ => self.random.one_of(&Module::ALL),
         };
         let cells = module.skin();
-        let cell = cells.start + u32::try_from(self.dice.below(cells.len() as u64)).unwrap_or(0);
-        let object = match sabotage {
-            // Only of those who are asked it is known how long their messages wait.
-            Sabotage::Flood { .. } => self.dice.one_of(module.passive()).to_owned(),
-            // Who is asked is never silent.
-            Sabotage::Silence => skin(cell),
-            _ if self.dice.below(2) == 0 => skin(cell),
-            _ => self.dice.one_of(module.components()).to_owned(),
+        let cell = cells.start + u32::try_from(self.random.below(cells.len() as u64)).unwrap_or(0);
+        let object = match fault {
+            // Only of passive objects is the waiting time of messages known.
+            ObjectFault::Flood { .. } => self.random.one_of(module.passive()).to_owned(),
+            // A passive object is pinged, and so never silent.
+            ObjectFault::Silence => skin(cell),
+            _ if self.random.below(2) == 0 => skin(cell),
+            _ => self.random.one_of(module.components()).to_owned(),
         };
-        Injection::Object { module, object, sabotage }
+        Injection::Object { module, object, fault }
     }
 }
 
@@ -118,7 +119,7 @@ mod tests {
     use super::*;
 
     fn places(seed: u64) -> Vec<String> {
-        let mut chaos = Chaos::new(seed);
+        let mut chaos = RandomFaults::new(seed);
         (0..300).map(|_| chaos.next().to_string()).collect()
     }
 
@@ -149,8 +150,8 @@ mod tests {
     }
 
     #[test]
-    fn nobody_is_struck_again_at_once() {
-        let mut chaos = Chaos::new(7);
+    fn no_place_is_struck_again_at_once() {
+        let mut chaos = RandomFaults::new(7);
         let places: Vec<_> = (0..300).map(|_| chaos.next().place()).collect();
 
         for window in places.windows(SPARED + 1) {

@@ -21,7 +21,7 @@ const PREFIX: &str = "blastema-demo-";
 /// The longest path of a Unix socket on Linux, without the closing zero.
 const PATH_LIMIT: usize = 107;
 
-/// Why the channel does not work.
+/// An error of the control channel.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ControlError {
     /// The folder for the socket could not be made. Set `TMPDIR` to a folder that can be written.
@@ -29,7 +29,7 @@ pub(crate) enum ControlError {
     Folder {
         /// In which folder.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// `TMPDIR` is too deep.
@@ -53,21 +53,21 @@ pub(crate) enum ControlError {
     Socket(#[from] io::Error),
 }
 
-/// Where modules come in.
+/// The socket on which the director accepts its modules.
 #[derive(Debug)]
-pub(crate) struct Door {
+pub(crate) struct ControlListener {
     listener: UnixListener,
     path: PathBuf,
     // Removes the folder when it is dropped.
     _folder: TempDir,
 }
 
-impl Door {
-    /// Makes the folder and listens in it.
+impl ControlListener {
+    /// Creates the folder and listens in it.
     ///
     /// # Errors
     /// See [`ControlError`].
-    pub(crate) fn open() -> Result<Door, ControlError> {
+    pub(crate) fn open() -> Result<ControlListener, ControlError> {
         let base = std::env::temp_dir();
         sweep(&base);
         let prefix = format!("{PREFIX}{}-", std::process::id());
@@ -79,19 +79,19 @@ impl Door {
             return Err(ControlError::PathTooLong { path });
         }
         let listener = UnixListener::bind(&path)?;
-        Ok(Door { listener, path, _folder: folder })
+        Ok(ControlListener { listener, path, _folder: folder })
     }
 
-    /// Where modules are to connect.
+    /// Returns the path of the socket.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The next one that comes in, with its process id. Strangers are turned away.
+    /// Accepts the next process of the same user and returns its id. Others are refused.
     ///
     /// # Errors
     /// The socket failed.
-    pub(crate) async fn admit(&self) -> io::Result<(i32, Reader, Writer)> {
+    pub(crate) async fn admit(&self) -> io::Result<(i32, LineReader, LineWriter)> {
         loop {
             let (stream, _) = self.listener.accept().await?;
             if let Ok(Some(process)) = check_user(&stream) {
@@ -105,8 +105,11 @@ impl Door {
 /// Connects a module to its director.
 ///
 /// # Errors
-/// Nobody listens, or it is not `parent` of our user who listens.
-pub(crate) async fn enter(path: &Path, parent: u32) -> Result<(Reader, Writer), ControlError> {
+/// No process listens, or it is not the process `parent` of the same user.
+pub(crate) async fn enter(
+    path: &Path,
+    parent: u32,
+) -> Result<(LineReader, LineWriter), ControlError> {
     let stream = UnixStream::connect(path).await?;
     let process = check_user(&stream)?;
     if process.and_then(|process| u32::try_from(process).ok()) != Some(parent) {
@@ -118,14 +121,14 @@ pub(crate) async fn enter(path: &Path, parent: u32) -> Result<(Reader, Writer), 
 
 /// Receives lines.
 #[derive(Debug)]
-pub(crate) struct Reader(BufReader<OwnedReadHalf>);
+pub(crate) struct LineReader(BufReader<OwnedReadHalf>);
 
 /// Sends lines.
 #[derive(Debug)]
-pub(crate) struct Writer(OwnedWriteHalf);
+pub(crate) struct LineWriter(OwnedWriteHalf);
 
-impl Reader {
-    /// The next message; `None` when the other side is gone.
+impl LineReader {
+    /// Returns the next message, or `None` when the other side has closed the channel.
     ///
     /// # Errors
     /// The socket failed, a line was too long, or it was no message.
@@ -143,22 +146,22 @@ impl Reader {
     }
 }
 
-impl Writer {
+impl LineWriter {
     /// Sends a message.
     ///
     /// # Errors
-    /// The other side is gone.
+    /// The other side has closed the channel.
     pub(crate) async fn send<T: Serialize>(&mut self, message: &T) -> io::Result<()> {
         self.0.write_all(encode(message).as_bytes()).await
     }
 }
 
-fn split(stream: UnixStream) -> (Reader, Writer) {
+fn split(stream: UnixStream) -> (LineReader, LineWriter) {
     let (reader, writer) = stream.into_split();
-    (Reader(BufReader::new(reader)), Writer(writer))
+    (LineReader(BufReader::new(reader)), LineWriter(writer))
 }
 
-/// The peer's process, if its user is ours.
+/// Returns the peer's process if it belongs to the same user.
 fn check_user(stream: &UnixStream) -> Result<Option<i32>, ControlError> {
     let peer = stream.peer_cred()?;
     let (process, user) = (peer.pid(), peer.uid());
@@ -169,7 +172,7 @@ fn check_user(stream: &UnixStream) -> Result<Option<i32>, ControlError> {
     }
 }
 
-/// Removes what a director left behind that was killed while it awaited a module.
+/// Removes the folders of directors that were killed before their modules had connected.
 fn sweep(base: &Path) {
     let Ok(entries) = fs::read_dir(base) else { return };
     for entry in entries.flatten() {
@@ -191,44 +194,44 @@ fn owner_of(name: &str) -> Option<&str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::protocol::{Command, Event};
+    use crate::demo::protocol::{DirectorCommand, ModuleEvent};
 
     #[tokio::test]
     async fn both_sides_know_each_other_and_talk_in_lines() {
-        let door = Door::open().expect("a folder can be made");
-        let path = door.path().to_owned();
+        let listener = ControlListener::open().expect("a folder can be made");
+        let path = listener.path().to_owned();
         let own = std::process::id();
 
-        let (inside, outside) = tokio::join!(door.admit(), enter(&path, own));
-        let (process, mut from_module, mut to_module) = inside.expect("somebody came");
-        let (mut from_director, mut to_director) = outside.expect("the door is open");
-        to_module.send(&Command::Status).await.expect("the module is there");
-        to_director.send(&Event::Ready).await.expect("the director is there");
+        let (inside, outside) = tokio::join!(listener.admit(), enter(&path, own));
+        let (process, mut from_module, mut to_module) = inside.expect("a module has connected");
+        let (mut from_director, mut to_director) = outside.expect("the listener is open");
+        to_module.send(&DirectorCommand::Status).await.expect("the module is there");
+        to_director.send(&ModuleEvent::Ready).await.expect("the director is there");
         drop(to_director);
-        drop(from_director.next::<Command>().await);
+        drop(from_director.next::<DirectorCommand>().await);
         drop(from_director);
 
         assert_eq!(u32::try_from(process).ok(), Some(own));
-        assert_eq!(from_module.next().await.expect("a line"), Some(Event::Ready));
-        assert_eq!(from_module.next::<Event>().await.expect("the end"), None);
+        assert_eq!(from_module.next().await.expect("a line"), Some(ModuleEvent::Ready));
+        assert_eq!(from_module.next::<ModuleEvent>().await.expect("the end"), None);
     }
 
     #[tokio::test]
     async fn a_module_does_not_obey_a_process_that_did_not_start_it() {
-        let door = Door::open().expect("a folder can be made");
-        let path = door.path().to_owned();
+        let listener = ControlListener::open().expect("a folder can be made");
+        let path = listener.path().to_owned();
 
-        let (_, outside) = tokio::join!(door.admit(), enter(&path, 1));
+        let (_, outside) = tokio::join!(listener.admit(), enter(&path, 1));
 
         assert!(matches!(outside, Err(ControlError::Stranger { .. })), "{outside:?}");
     }
 
     #[tokio::test]
     async fn the_folder_is_private_and_goes_with_the_door() {
-        let door = Door::open().expect("a folder can be made");
-        let folder = door.path().parent().expect("the socket is in a folder").to_owned();
+        let listener = ControlListener::open().expect("a folder can be made");
+        let folder = listener.path().parent().expect("the socket is in a folder").to_owned();
         let mode = fs::metadata(&folder).expect("it exists").permissions().mode();
-        drop(door);
+        drop(listener);
 
         assert_eq!(mode & 0o777, 0o700);
         assert!(!folder.exists());
@@ -244,7 +247,7 @@ mod tests {
             let _ = writer.0.write_all(&vec![b'x'; 2 * LINE_LIMIT]).await;
         };
 
-        let (_, read) = tokio::join!(flood, async move { reader.next::<Event>().await });
+        let (_, read) = tokio::join!(flood, async move { reader.next::<ModuleEvent>().await });
 
         assert!(read.is_err_and(|error| error.to_string().contains("too long")));
     }

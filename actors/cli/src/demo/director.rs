@@ -1,15 +1,15 @@
-//! Carries the story out on three real processes.
+//! Runs the scenario on three processes.
 
-use super::control::{ControlError, Door, Reader, Writer};
-use super::display::{Display, Mode, NobodyReads};
+use super::control::{ControlError, ControlListener, LineReader, LineWriter};
+use super::display::{Display, Mode, OutputClosed};
 use super::launcher::{Ended, Process};
-use super::moment::Moment;
-use super::picture::{NEWS_LIMIT, Picture};
-use super::protocol::{Command, Event, VERSION};
+use super::machine_instant::MachineInstant;
+use super::protocol::{DirectorCommand, ModuleEvent, VERSION};
 use super::report::Report;
 use super::robot::Module;
-use super::story::{News, Output, Plan, Story};
-use super::trial::Deed;
+use super::scenario::{ProgressLine, Scenario, ScenarioOutput, ScenarioPlan};
+use super::trial::TrialOutput;
+use super::view::{DemoView, LINE_LIMIT};
 use super::wiring::Wiring;
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
@@ -18,105 +18,104 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, sleep_until, timeout};
 
-/// How often the picture is drawn.
+/// How often the live view is drawn.
 const FRAME: Duration = Duration::from_millis(100);
-/// What may wait between a module and the director: a second's worth of events in a storm.
+/// Events that may wait between a module and the director: those of one second at the highest rate.
 const QUEUE: usize = 1_024;
-/// How long a module may take from its start to its first line.
-const ENTRY: Duration = Duration::from_secs(5);
+/// How long a module may take from its start to its first line, on a busy machine.
+const ENTRY: Duration = Duration::from_secs(10);
 /// How long modules may take to end in order before they are killed.
 const FAREWELL: Duration = Duration::from_secs(2);
 /// Files that a module's process must be able to open: about forty for its threads and cables, and
 /// reserve.
 const FILES: u64 = 64;
-/// A module that was never ready is started so often before the run is given up; also how often
-/// ports are chosen anew.
+/// How often a module that was never ready is started, and how often ports are chosen again.
 const ATTEMPTS: u32 = 5;
-/// A module that was ready and says nothing for so many frames is killed and started anew, as an init
-/// system's watchdog would: three seconds, thirty times what lies between its snapshots. Frames are
-/// counted, not time, so that a director that was stopped itself blames nobody.
+/// After this many frames without an event of a ready module its process is killed and restarted,
+/// as the watchdog of an init system would do: three seconds, thirty times the interval of its
+/// snapshots. Frames are counted instead of time, so that a stopped director kills no module.
 const QUIET_FRAMES: u32 = 30;
-/// Between two starts of a module that does not get ready.
+/// The pause between two starts of a module that is not ready.
 const BETWEEN_ATTEMPTS: Duration = Duration::from_millis(200);
 
-/// Why the demonstration was not run to its end.
+/// The reason why the demonstration was not run to its end.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum DemoError {
     /// See [`ControlError`].
     #[error(transparent)]
     Control(#[from] ControlError),
-    /// The operating system refuses something that the demonstration cannot do without.
+    /// The operating system refuses a required resource.
     #[error("{what}: {source}")]
     System {
-        /// What was tried.
+        /// The operation.
         what: &'static str,
-        /// What the system says.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// A module's process does not come up.
+    /// The process of a module does not become ready.
     #[error("{module} does not start: {reason}")]
     Module {
-        /// Which module.
+        /// The module.
         module: Module,
-        /// What it said last.
+        /// Its last message.
         reason: String,
     },
-    /// The processes may open fewer files than they need.
+    /// The limit of open files is too low.
     #[error(
         "a process may open {0} files here, and a module needs {FILES}: raise the limit, as with \
          `ulimit -n {FILES}`"
     )]
     Files(u64),
-    /// Its processes run, and do not find each other or do not get ready.
-    #[error("the robot did not come together: {0}")]
+    /// The processes run, and do not connect or do not become ready.
+    #[error("the robot was not assembled: {0}")]
     NotTogether(String),
-    /// A person, or the system, ended it.
-    #[error("ended by {0} before its time; all processes are ended")]
+    /// A signal ended the run.
+    #[error("interrupted by {0}; all processes have ended")]
     Interrupted(&'static str),
-    /// See [`NobodyReads`].
+    /// See [`OutputClosed`].
     #[error(transparent)]
-    NobodyReads(#[from] NobodyReads),
+    OutputClosed(#[from] OutputClosed),
 }
 
-/// What happens to the director.
+/// An input of the director.
 enum Happening {
     Said(Said),
     Ended(Ended),
-    Entered(i32, Reader, Writer),
+    Entered(i32, LineReader, LineWriter),
     EntryFailed(io::Error),
     Due,
     Frame,
     Interrupted(&'static str),
 }
 
-/// Carries out the story and keeps its processes.
+/// Runs the scenario and supervises its processes.
 pub(crate) struct Director {
-    story: Story,
-    news: VecDeque<News>,
+    scenario: Scenario,
+    lines: VecDeque<ProgressLine>,
     wiring: Wiring,
     rewired: u32,
-    door: Option<Door>,
+    listener: Option<ControlListener>,
     crew: BTreeMap<Module, Member>,
     said: (Sender<Said>, Receiver<Said>),
     ended: (Sender<Ended>, Receiver<Ended>),
     signals: Signals,
 }
 
-/// What a module's process said.
+/// An event from the process of a module.
 struct Said {
     module: Module,
     process: i32,
-    event: Event,
+    event: ModuleEvent,
 }
 
 /// One module's process, as the director keeps it.
 struct Member {
     process: Process,
-    commands: Option<Sender<Command>>,
+    commands: Option<Sender<DirectorCommand>>,
     entry_due: Instant,
     failures: u32,
     reason: String,
-    /// Frames since it last said something.
+    /// Frames since its last event.
     quiet: u32,
 }
 
@@ -131,21 +130,21 @@ impl Director {
     ///
     /// # Errors
     /// See [`DemoError`].
-    pub(crate) fn start(plan: Plan) -> Result<Director, DemoError> {
+    pub(crate) fn start(plan: ScenarioPlan) -> Result<Director, DemoError> {
         let files = rustix::process::getrlimit(rustix::process::Resource::Nofile).current;
         if let Some(files) = files.filter(|files| *files < FILES) {
             return Err(DemoError::Files(files));
         }
-        // First of all, so that no signal finds processes that nobody would end.
+        // Signals are caught before the first process is started, so that none is left behind.
         let signals = Signals::catch()?;
         let wiring = Wiring::choose()
             .map_err(system("the loopback addresses cannot be used (is the interface lo up?)"))?;
         let mut director = Director {
-            story: Story::new(plan, Moment::now()),
-            news: VecDeque::new(),
+            scenario: Scenario::new(plan, MachineInstant::now()),
+            lines: VecDeque::new(),
             wiring,
             rewired: 0,
-            door: None,
+            listener: None,
             crew: BTreeMap::new(),
             said: channel(QUEUE),
             ended: channel(QUEUE),
@@ -157,26 +156,26 @@ impl Director {
         Ok(director)
     }
 
-    /// Runs the story to its end, and ends all processes.
+    /// Runs the scenario to its end and ends all processes.
     ///
     /// # Errors
-    /// See [`DemoError`]; the processes are ended all the same.
+    /// See [`DemoError`]; the processes have ended in any case.
     pub(crate) async fn run(mut self, display: &Display) -> (Report, Result<(), DemoError>) {
         let outcome = self.direct(display).await;
         self.dismiss().await;
-        (self.story.report(), outcome)
+        (self.scenario.report(), outcome)
     }
 
     async fn direct(&mut self, display: &Display) -> Result<(), DemoError> {
         let mut frames = interval(FRAME);
         frames.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {
-            while let Some(output) = self.story.poll_output() {
+            while let Some(output) = self.scenario.poll_output() {
                 match output {
-                    Output::Do(deed) => self.carry_out(deed),
-                    Output::Tell(news) => self.tell(news, display)?,
-                    Output::Finished => return Ok(()),
-                    Output::Stillborn(text) => return Err(self.not_together(text)),
+                    ScenarioOutput::Do(output) => self.carry_out(output),
+                    ScenarioOutput::Tell(line) => self.tell(line, display)?,
+                    ScenarioOutput::Finished => return Ok(()),
+                    ScenarioOutput::Stillborn(text) => return Err(self.not_together(text)),
                 }
             }
             let due = self.next_due();
@@ -185,7 +184,7 @@ impl Director {
                 name = self.signals.next() => Happening::Interrupted(name),
                 Some(said) = self.said.1.recv() => Happening::Said(said),
                 Some(ended) = self.ended.1.recv() => Happening::Ended(ended),
-                entered = admit(self.door.as_ref()) => match entered {
+                entered = admit(self.listener.as_ref()) => match entered {
                     Ok((process, reader, writer)) => Happening::Entered(process, reader, writer),
                     Err(error) => Happening::EntryFailed(error),
                 },
@@ -197,7 +196,7 @@ impl Director {
     }
 
     fn handle(&mut self, happening: Happening, display: &Display) -> Result<(), DemoError> {
-        let now = Moment::now();
+        let now = MachineInstant::now();
         match happening {
             Happening::Said(said) => self.handle_said(&said, now)?,
             Happening::Ended(ended) => self.handle_ended(ended, now)?,
@@ -205,12 +204,12 @@ impl Director {
             Happening::EntryFailed(error) => return Err(ControlError::Socket(error).into()),
             Happening::Due => {
                 self.kill_the_mute();
-                self.story.handle_timeout(now);
+                self.scenario.handle_timeout(now);
             }
             Happening::Frame => {
                 self.kill_the_quiet();
                 if display.mode() == Mode::Live {
-                    display.picture(Picture::new(&self.story, &self.news, now))?;
+                    display.view(DemoView::new(&self.scenario, &self.lines, now))?;
                 }
             }
             Happening::Interrupted(name) => return Err(DemoError::Interrupted(name)),
@@ -218,36 +217,38 @@ impl Director {
         Ok(())
     }
 
-    fn handle_said(&mut self, said: &Said, now: Moment) -> Result<(), DemoError> {
+    fn handle_said(&mut self, said: &Said, now: MachineInstant) -> Result<(), DemoError> {
         let &Said { module, process, ref event } = said;
         let member = self.crew.get_mut(&module).filter(|member| member.process.id == process);
         let Some(member) = member else {
-            // The last words of a process that is gone.
+            // The event comes from a process that has ended.
             return Ok(());
         };
         member.quiet = 0;
         match event {
-            Event::Hello { name, version } if name != module.name() || *version != VERSION => {
-                let reason = "its executable is not the director's; start anew".into();
+            ModuleEvent::Hello { name, version }
+                if name != module.name() || *version != VERSION =>
+            {
+                let reason = "its executable is not the director's; run the command again".into();
                 return Err(DemoError::Module { module, reason });
             }
-            Event::StartFailed { reason, address_taken } => {
+            ModuleEvent::StartFailed { reason, address_taken } => {
                 member.reason.clone_from(reason);
                 if *address_taken {
                     self.rewire()?;
                 }
             }
-            Event::Ready => {
+            ModuleEvent::Ready => {
                 member.failures = 0;
                 member.reason.clear();
             }
             _ => {}
         }
-        self.story.handle_event(module, event, now);
+        self.scenario.handle_event(module, event, now);
         Ok(())
     }
 
-    /// Somebody took a port between its choice and its use: all begin again with other ports.
+    /// Another program took a port between its choice and its use: all modules restart with others.
     fn rewire(&mut self) -> Result<(), DemoError> {
         self.rewired += 1;
         if self.rewired <= ATTEMPTS {
@@ -257,12 +258,12 @@ impl Director {
         Ok(())
     }
 
-    fn handle_ended(&mut self, ended: Ended, now: Moment) -> Result<(), DemoError> {
+    fn handle_ended(&mut self, ended: Ended, now: MachineInstant) -> Result<(), DemoError> {
         let Ended { module, id, how } = ended;
         let Some(member) = self.crew.get(&module).filter(|member| member.process.id == id) else {
             return Ok(());
         };
-        let was_ready = self.story.known.module(module).is_some_and(|known| known.ready);
+        let was_ready = self.scenario.robot.module(module).is_some_and(|module| module.ready);
         let failures = match (was_ready, member.process.is_killed()) {
             (true, _) => 0,
             (false, true) => member.failures,
@@ -279,18 +280,19 @@ impl Director {
             return Err(DemoError::Module { module, reason });
         }
         let reason = member.reason.clone();
-        self.story.handle_exit(module, unasked, now);
-        // The director is the launcher of its modules: whatever ended is started again.
+        self.scenario.handle_exit(module, unasked, now);
+        // A process that has ended is restarted.
         self.launch(module, failures)?;
         self.crew.entry(module).and_modify(|member| member.reason = reason);
         Ok(())
     }
 
     fn launch(&mut self, module: Module, failures: u32) -> Result<(), DemoError> {
-        if self.door.is_none() {
-            self.door = Some(Door::open()?);
+        if self.listener.is_none() {
+            self.listener = Some(ControlListener::open()?);
         }
-        let path = self.door.as_ref().map(|door| door.path().to_owned()).unwrap_or_default();
+        let path =
+            self.listener.as_ref().map(|listener| listener.path().to_owned()).unwrap_or_default();
         let process = Process::launch(module, &path, self.ended.0.clone())
             .map_err(system("a module's process cannot be started"))?;
         let entry_due = Instant::now() + ENTRY;
@@ -300,9 +302,9 @@ impl Director {
         Ok(())
     }
 
-    fn enter(&mut self, process: i32, reader: Reader, writer: Writer) {
+    fn enter(&mut self, process: i32, reader: LineReader, writer: LineWriter) {
         let found = self.crew.iter_mut().find(|(_, member)| member.process.id == process);
-        // Of the same user, but none of ours: it is turned away.
+        // A process of the same user that the director has not started: it is refused.
         let Some((&module, member)) = found else { return };
         let delay = if member.failures == 0 { Duration::ZERO } else { BETWEEN_ATTEMPTS };
         let (commands, queue) = channel(QUEUE);
@@ -310,42 +312,43 @@ impl Director {
         tokio::spawn(listen(module, process, reader, self.said.0.clone()));
         member.commands = Some(commands);
         if self.crew.values().all(|member| member.commands.is_some()) {
-            // From here on nothing of ours lies in the file system.
-            self.door = None;
+            // From here on the file system holds nothing of the run.
+            self.listener = None;
         }
     }
 
-    fn carry_out(&mut self, deed: Deed) {
-        match deed {
-            Deed::Send(module, command) => {
+    fn carry_out(&mut self, output: TrialOutput) {
+        match output {
+            TrialOutput::Send(module, command) => {
                 let member = self.crew.get(&module);
-                // A module that does not read is about to be found lost; what it was told is void.
+                // A module that does not read will be found lost; its commands are void.
                 let _ = member
                     .and_then(|member| member.commands.as_ref())
                     .map(|commands| commands.try_send(command));
             }
-            Deed::Kill(module) => {
-                let at = Moment::now();
+            TrialOutput::Kill(module) => {
+                let at = MachineInstant::now();
                 if let Some(member) = self.crew.get_mut(&module) {
                     member.process.kill();
                 }
-                self.story.handle_killed(at, at);
+                self.scenario.handle_killed(at, at);
             }
         }
     }
 
-    fn tell(&mut self, news: News, display: &Display) -> Result<(), DemoError> {
-        if self.news.len() == NEWS_LIMIT {
-            self.news.pop_front();
+    fn tell(&mut self, line: ProgressLine, display: &Display) -> Result<(), DemoError> {
+        if self.lines.len() == LINE_LIMIT {
+            self.lines.pop_front();
         }
-        self.news.push_back(news.clone());
-        Ok(display.news(news)?)
+        self.lines.push_back(line.clone());
+        Ok(display.progress(line)?)
     }
 
     fn next_due(&self) -> Option<Instant> {
         let entry = self.crew.values().filter(|member| member.commands.is_none());
-        let story = self.story.poll_timeout().map(|at| Instant::now() + (at - Moment::now()));
-        entry.map(|member| member.entry_due).chain(story).min()
+        let scenario =
+            self.scenario.poll_timeout().map(|at| Instant::now() + (at - MachineInstant::now()));
+        entry.map(|member| member.entry_due).chain(scenario).min()
     }
 
     fn kill_the_mute(&mut self) {
@@ -362,7 +365,7 @@ impl Director {
 
     fn kill_the_quiet(&mut self) {
         for (module, member) in &mut self.crew {
-            if self.story.known.module(*module).is_some_and(|known| known.ready) {
+            if self.scenario.robot.module(*module).is_some_and(|module| module.ready) {
                 member.quiet = member.quiet.saturating_add(1);
             }
             if member.quiet == QUIET_FRAMES {
@@ -371,41 +374,41 @@ impl Director {
         }
     }
 
-    /// What is missing, and what modules said last, as far as they said why.
+    /// Describes what is missing, with the last reason of each module that has sent one.
     fn not_together(&self, text: String) -> DemoError {
         let said = self.crew.iter().filter(|(_, member)| !member.reason.is_empty());
         let said = said.map(|(module, member)| format!("{module}: {}", member.reason));
         let is_mute = |module: &Module, member: &Member| {
-            let ready = self.story.known.module(*module).is_some_and(|known| known.ready);
+            let ready = self.scenario.robot.module(*module).is_some_and(|module| module.ready);
             member.reason.is_empty() && !ready
         };
         let mute = self.crew.iter().filter(|(module, member)| is_mute(module, member));
         let mute = mute.map(|(module, _)| {
-            format!("{module} cannot say why: see whether `ulimit -u` leaves it threads")
+            format!("{module} has sent no reason: check whether `ulimit -u` permits its threads")
         });
         let said = said.chain(mute);
         DemoError::NotTogether(std::iter::once(text).chain(said).collect::<Vec<_>>().join("; "))
     }
 
-    /// Ends all processes, in order if they can.
+    /// Shuts all modules down and kills those that do not end in time.
     async fn dismiss(&mut self) {
         for member in self.crew.values_mut() {
             match &member.commands {
-                Some(commands) if commands.try_send(Command::Shutdown).is_ok() => {}
+                Some(commands) if commands.try_send(DirectorCommand::Shutdown).is_ok() => {}
                 _ => member.process.kill(),
             }
         }
-        // A second signal shortens the farewell.
+        // A second signal ends the wait.
         tokio::select! {
             () = all_ended(&mut self.crew, &mut self.ended.1, &mut self.said.1) => {}
             () = sleep(FAREWELL) => {}
             _ = self.signals.next() => {}
         }
         self.crew.values_mut().for_each(|member| member.process.kill());
-        // Signal 9 cannot be refused; the bound is for a kernel in trouble.
+        // A process cannot refuse signal 9; the limit protects against a kernel that does not kill.
         let end = all_ended(&mut self.crew, &mut self.ended.1, &mut self.said.1);
         let _ = timeout(FAREWELL, end).await;
-        self.door = None;
+        self.listener = None;
     }
 }
 
@@ -421,18 +424,23 @@ async fn all_ended(
                     crew.remove(&module);
                 }
             }
-            // What is said now interests nobody, but must not stop the module's writer.
+            // Events are discarded, so that they do not block the module's writer.
             Some(_) = said.recv() => {}
         }
     }
 }
 
-/// Sends what the director wants of a module, beginning with its start.
-async fn speak(mut writer: Writer, mut queue: Receiver<Command>, wiring: Wiring, delay: Duration) {
+/// Sends the commands of the director to a module, beginning with `Start`.
+async fn speak(
+    mut writer: LineWriter,
+    mut queue: Receiver<DirectorCommand>,
+    wiring: Wiring,
+    delay: Duration,
+) {
     sleep(delay).await;
-    let mut command = Some(Command::Start { wiring });
+    let mut command = Some(DirectorCommand::Start { wiring });
     while let Some(next) = command {
-        // A module that is gone is reported by its end.
+        // The end of the process reports a module that has ended.
         if writer.send(&next).await.is_err() {
             break;
         }
@@ -440,9 +448,9 @@ async fn speak(mut writer: Writer, mut queue: Receiver<Command>, wiring: Wiring,
     }
 }
 
-/// Takes in what a module says, until it ends.
-async fn listen(module: Module, process: i32, mut reader: Reader, said: Sender<Said>) {
-    // A channel that fails is closed; the module notices and ends, which is reported.
+/// Receives the events of a module until it ends.
+async fn listen(module: Module, process: i32, mut reader: LineReader, said: Sender<Said>) {
+    // A failed channel is closed; the module then ends, which is reported.
     while let Ok(Some(event)) = reader.next().await {
         if said.send(Said { module, process, event }).await.is_err() {
             break;
@@ -450,9 +458,9 @@ async fn listen(module: Module, process: i32, mut reader: Reader, said: Sender<S
     }
 }
 
-async fn admit(door: Option<&Door>) -> io::Result<(i32, Reader, Writer)> {
-    match door {
-        Some(door) => door.admit().await,
+async fn admit(listener: Option<&ControlListener>) -> io::Result<(i32, LineReader, LineWriter)> {
+    match listener {
+        Some(listener) => listener.admit().await,
         None => std::future::pending().await,
     }
 }

@@ -1,17 +1,24 @@
-//! What is shown, on a thread of its own: a terminal that stands still holds nobody up.
+//! Writes to standard output from a thread of its own, so that a slow terminal delays no other
+//! part.
 
-use super::ink::{Line, Palette};
-use super::picture::{Picture, Size, plain_news};
-use super::story::News;
-use std::io::{self, IsTerminal, Write};
+use super::scenario::ProgressLine;
+use super::view::{DemoView, plain_line};
+use ratatui::Terminal;
+use ratatui::backend::CrosstermBackend;
+use ratatui::crossterm::cursor::Show as ShowCursor;
+use ratatui::crossterm::execute;
+use ratatui::crossterm::terminal::{EnterAlternateScreen, LeaveAlternateScreen};
+use std::io::{self, IsTerminal, Stdout, Write};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 
-/// Lines that may wait for a slow reader. More are left out: the table at the end does not depend on
-/// them.
+/// Lines that may wait for a slow reader. Further lines are left out: the table at the end does not
+/// depend on them.
 const QUEUE: usize = 1_024;
+/// The width of the table where standard output is no terminal.
+const PAGE: u16 = 140;
 
-/// The director's end.
+/// The director's end of the display.
 #[derive(Debug)]
 pub(crate) struct Display {
     mode: Mode,
@@ -22,32 +29,31 @@ pub(crate) struct Display {
 /// In which form a run is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Mode {
-    /// A live picture, redrawn in place.
+    /// A live view on the terminal's alternate screen.
     Live,
-    /// A line for each piece of news.
+    /// One line for each step.
     Lines,
-    /// Nothing until the end.
+    /// No output until the end.
     Silent,
 }
 
-/// Nobody reads what is shown any more.
+/// The reader of standard output has closed it.
 #[derive(Debug, thiserror::Error)]
-#[error("nobody reads the output any more")]
-pub(crate) struct NobodyReads;
+#[error("standard output was closed by its reader")]
+pub(crate) struct OutputClosed;
 
 #[derive(Debug)]
 enum Show {
-    Picture(Box<Picture>),
-    News(News),
-    End(Vec<Line>),
-    Document(String),
+    View(Box<DemoView>),
+    Progress(ProgressLine),
+    End(String),
 }
 
 impl Mode {
-    /// The form that fits where standard output goes.
+    /// Returns the form that fits standard output.
     pub(crate) fn choose(json: bool) -> Mode {
         let is_dumb = std::env::var_os("TERM").is_none_or(|term| term.is_empty() || term == "dumb");
-        match (json, io::stdout().is_terminal() && !is_dumb) {
+        match (json, io::stdout().is_terminal() && !is_dumb && columns().is_some()) {
             (true, _) => Mode::Silent,
             (false, true) => Mode::Live,
             (false, false) => Mode::Lines,
@@ -59,62 +65,53 @@ impl Display {
     /// Starts the thread.
     ///
     /// # Errors
-    /// The operating system has no thread left.
+    /// The operating system refuses another thread.
     pub(crate) fn start(mode: Mode) -> io::Result<Display> {
         let (queue, shows) = sync_channel(QUEUE);
         let thread = std::thread::Builder::new().name("display".into());
-        // An error of standard output ends the thread; the director learns it at the next call.
+        // An error of standard output ends the thread; the director's next call returns it.
         let thread = thread.spawn(move || drop(Screen::new(mode).show_all(&shows)))?;
         Ok(Display { mode, queue: Some(queue), thread: Some(thread) })
     }
 
-    /// The form of the run.
+    /// Returns the form of the run.
     pub(crate) fn mode(&self) -> Mode {
         self.mode
     }
 
-    /// Shows how things stand; left out if the terminal is behind.
+    /// Draws the view. A terminal that is behind does not get it.
     ///
     /// # Errors
-    /// [`NobodyReads`].
-    pub(crate) fn picture(&self, picture: Picture) -> Result<(), NobodyReads> {
-        self.show(Show::Picture(Box::new(picture)))
+    /// [`OutputClosed`].
+    pub(crate) fn view(&self, view: DemoView) -> Result<(), OutputClosed> {
+        self.show(Show::View(Box::new(view)))
     }
 
-    /// Shows a piece of news; left out if the reader is far behind.
+    /// Writes a progress line. A reader that is far behind does not get it.
     ///
     /// # Errors
-    /// [`NobodyReads`].
-    pub(crate) fn news(&self, news: News) -> Result<(), NobodyReads> {
-        self.show(Show::News(news))
+    /// [`OutputClosed`].
+    pub(crate) fn progress(&self, line: ProgressLine) -> Result<(), OutputClosed> {
+        self.show(Show::Progress(line))
     }
 
-    /// Shows the end of a run, whole, and gives the terminal back.
-    pub(crate) fn end(mut self, lines: Vec<Line>) {
-        self.finish_with(Show::End(lines));
+    /// Restores the terminal and writes the end of a run in full.
+    pub(crate) fn end(mut self, text: String) {
+        // With standard output closed, there is no place left for the text.
+        let _ = self.queue.take().map(|queue| queue.send(Show::End(text)));
+        let _ = self.thread.take().map(JoinHandle::join);
     }
 
-    /// Shows the end of a run as a document.
-    pub(crate) fn document(mut self, text: String) {
-        self.finish_with(Show::Document(text));
+    /// Returns the width of the terminal, or of a page.
+    pub(crate) fn columns(&self) -> u16 {
+        columns().unwrap_or(PAGE)
     }
 
-    /// How wide the terminal is.
-    pub(crate) fn columns(&self) -> usize {
-        size().columns
-    }
-
-    fn show(&self, show: Show) -> Result<(), NobodyReads> {
+    fn show(&self, show: Show) -> Result<(), OutputClosed> {
         match self.queue.as_ref().map(|queue| queue.try_send(show)) {
-            Some(Err(TrySendError::Disconnected(_))) => Err(NobodyReads),
+            Some(Err(TrySendError::Disconnected(_))) => Err(OutputClosed),
             _ => Ok(()),
         }
-    }
-
-    fn finish_with(&mut self, show: Show) {
-        // If nobody reads, there is nobody to tell that nobody reads.
-        let _ = self.queue.take().map(|queue| queue.send(show));
-        let _ = self.thread.take().map(JoinHandle::join);
     }
 }
 
@@ -125,67 +122,56 @@ impl Drop for Display {
     }
 }
 
-/// The thread's end. It gives the terminal back however it ends.
+/// The thread's end. It restores the terminal on every path.
 struct Screen {
     mode: Mode,
-    palette: Palette,
-    drawn: usize,
-    size: Option<Size>,
+    terminal: Option<Terminal<CrosstermBackend<Stdout>>>,
 }
 
 impl Screen {
     fn new(mode: Mode) -> Screen {
-        let wants_none = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-        let palette =
-            if mode == Mode::Live && !wants_none { Palette::Colours } else { Palette::Plain };
-        Screen { mode, palette, drawn: 0, size: None }
+        Screen { mode, terminal: None }
     }
 
     fn show_all(mut self, shows: &Receiver<Show>) -> io::Result<()> {
         while let Ok(show) = shows.recv() {
-            let text = match show {
-                Show::Picture(picture) if self.mode == Mode::Live => self.redrawn(&picture, size()),
-                Show::News(news) if self.mode == Mode::Lines => plain_news(&news) + "\n",
-                Show::End(lines) => {
-                    let lines = lines.iter().map(|line| line.paint(self.palette) + "\n");
-                    lines.collect()
+            match show {
+                Show::View(view) if self.mode == Mode::Live => {
+                    self.terminal()?.draw(|frame| frame.render_widget(&*view, frame.area()))?;
                 }
-                Show::Document(text) => text,
-                Show::Picture(_) | Show::News(_) => continue,
-            };
-            write(&text)?;
+                Show::Progress(line) if self.mode == Mode::Lines => {
+                    write(&(plain_line(&line) + "\n"))?
+                }
+                Show::End(text) => {
+                    self.restore()?;
+                    write(&text)?;
+                }
+                Show::View(_) | Show::Progress(_) => {}
+            }
         }
         Ok(())
     }
 
-    /// The picture in the place of the one before it. Each line is cleared behind its end; the
-    /// terminal shows all of it at once if it can.
-    fn redrawn(&mut self, picture: &Picture, size: Size) -> String {
-        let mut text = String::from("\x1b[?2026h\x1b[?25l");
-        if self.size.is_some_and(|old| old != size) {
-            // What was drawn is wrapped differently now; nobody knows where it begins.
-            text.push_str("\x1b[2J\x1b[H");
-        } else if self.drawn > 0 {
-            text.push_str(&format!("\x1b[{}A\r", self.drawn));
+    fn terminal(&mut self) -> io::Result<&mut Terminal<CrosstermBackend<Stdout>>> {
+        if self.terminal.is_none() {
+            execute!(io::stdout(), EnterAlternateScreen)?;
+            self.terminal = Some(Terminal::new(CrosstermBackend::new(io::stdout()))?);
         }
-        let lines = picture.draw(size);
-        for line in &lines {
-            text.push_str(&line.paint(self.palette));
-            text.push_str("\x1b[K\n");
+        Ok(self.terminal.as_mut().expect("it has just been opened"))
+    }
+
+    fn restore(&mut self) -> io::Result<()> {
+        match self.terminal.take() {
+            Some(_) => execute!(io::stdout(), LeaveAlternateScreen, ShowCursor),
+            None => Ok(()),
         }
-        text.push_str("\x1b[J\x1b[?2026l");
-        self.drawn = lines.len();
-        self.size = Some(size);
-        text
     }
 }
 
 impl Drop for Screen {
     fn drop(&mut self) {
-        if self.size.is_some() {
-            // There is no other way to the terminal if this one fails.
-            let _ = write("\x1b[?2026l\x1b[?25h");
-        }
+        // A terminal that is closed needs no restoring.
+        let _ = self.restore();
     }
 }
 
@@ -195,39 +181,8 @@ fn write(text: &str) -> io::Result<()> {
     stdout.flush()
 }
 
-/// The size of the terminal; where there is none, that of a wide page.
-fn size() -> Size {
-    let tells = rustix::termios::tcgetwinsize(io::stdout()).ok();
-    let size = tells.map(|size| Size { columns: size.ws_col.into(), rows: size.ws_row.into() });
-    // Some terminals know their size to be zero.
-    size.filter(|size| size.columns > 0 && size.rows > 0).unwrap_or(Size { columns: 140, rows: 24 })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::demo::moment::Moment;
-    use crate::demo::story::{Plan, Story};
-    use std::collections::VecDeque;
-
-    fn picture() -> Picture {
-        let story = Story::new(Plan::default(), Moment::default());
-        Picture::new(&story, &VecDeque::new(), Moment::default())
-    }
-
-    #[test]
-    fn a_picture_takes_the_place_of_the_one_before_and_a_resized_terminal_is_cleared() {
-        let mut screen = Screen::new(Mode::Lines);
-        let (small, large) = (Size { columns: 80, rows: 24 }, Size { columns: 90, rows: 30 });
-
-        let first = screen.redrawn(&picture(), small);
-        let drawn = screen.drawn;
-        let second = screen.redrawn(&picture(), small);
-        let third = screen.redrawn(&picture(), large);
-        screen.size = None;
-
-        assert!(!first.contains("\x1b[2J") && first.matches('\n').count() == drawn);
-        assert!(second.contains(&format!("\x1b[{drawn}A")), "{second:?}");
-        assert!(third.contains("\x1b[2J\x1b[H"), "{third:?}");
-    }
+/// The width of the terminal. Some terminals report a size of zero: for them there is none.
+fn columns() -> Option<u16> {
+    let size = rustix::termios::tcgetwinsize(io::stdout()).ok()?;
+    (size.ws_col > 0 && size.ws_row > 0).then_some(size.ws_col)
 }

@@ -1,20 +1,21 @@
-//! A robot that keeps every promise, or breaks one, without processes and in no time: for tests.
+//! A simulated robot in virtual time, which keeps every promise or breaks one: for tests.
 
 use super::injection::cables_to;
-use super::known::Known;
-use super::moment::Moment;
+use super::machine_instant::MachineInstant;
 use super::protocol::{
-    Command, Event, FaultNote, LinkState, OrderId, Sabotage, SinkState, Snapshot, SourceState,
+    CableState, DirectorCommand, FaultNote, ModuleEvent, ObjectFault, OrderId, SinkState, Snapshot,
+    SourceState,
 };
 use super::report::Report;
 use super::robot::{CABLES, FLOWS, Flow, Module, address};
-use super::story::{Output, Story};
-use super::trial::Deed;
+use super::robot_state::RobotState;
+use super::scenario::{Scenario, ScenarioOutput};
+use super::trial::TrialOutput;
 use blastema::core::{FaultKind, NodeName, Place};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-/// What the fake robot does wrong.
+/// The promise that the simulated robot breaks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Flaw {
     None,
@@ -32,17 +33,17 @@ pub(crate) enum Flaw {
     ComesLate,
 }
 
-/// The fake robot, with its own time.
+/// The simulated robot with its virtual time.
 pub(crate) struct FakeRobot {
     flaw: Flaw,
-    now: Moment,
-    agenda: BTreeMap<(Moment, u64), Happening>,
+    now: MachineInstant,
+    agenda: BTreeMap<(MachineInstant, u64), Happening>,
     written: u64,
     cut: BTreeSet<&'static str>,
     dead: BTreeSet<Module>,
     lives: BTreeMap<Module, u64>,
-    began: BTreeMap<Module, Moment>,
-    watched: BTreeMap<Module, Moment>,
+    began: BTreeMap<Module, MachineInstant>,
+    watched: BTreeMap<Module, MachineInstant>,
     lost: u64,
     doubled: u64,
     next_fault: u64,
@@ -50,7 +51,7 @@ pub(crate) struct FakeRobot {
 
 #[derive(Clone, Debug)]
 enum Happening {
-    Says(Module, Event),
+    Says(Module, ModuleEvent),
     Exits(Module, Option<&'static str>),
     Returns(Module),
     Snapshots,
@@ -60,13 +61,13 @@ impl FakeRobot {
     pub(crate) fn new(flaw: Flaw) -> FakeRobot {
         FakeRobot {
             flaw,
-            now: Moment::default(),
+            now: MachineInstant::default(),
             agenda: BTreeMap::new(),
             written: 0,
             cut: BTreeSet::new(),
             dead: BTreeSet::new(),
             lives: Module::ALL.map(|module| (module, 1)).into(),
-            began: Module::ALL.map(|module| (module, Moment::default())).into(),
+            began: Module::ALL.map(|module| (module, MachineInstant::default())).into(),
             watched: BTreeMap::new(),
             lost: 0,
             doubled: 0,
@@ -74,74 +75,79 @@ impl FakeRobot {
         }
     }
 
-    /// Lives through the whole story.
-    pub(crate) fn perform(mut self, mut story: Story) -> Report {
+    /// Runs the whole scenario.
+    pub(crate) fn perform(mut self, mut scenario: Scenario) -> Report {
         for module in Module::ALL {
             if self.flaw != Flaw::NeverTogether || module != Module::Module3 {
-                self.says(module, 50, Event::Ready);
+                self.says(module, 50, ModuleEvent::Ready);
             }
         }
         self.plan(100, Happening::Snapshots);
         if self.flaw == Flaw::NeverTogether {
             let place = Place::Node(NodeName::new("module3").expect("a name"));
             let note = self.note(FaultKind::NodeLost, place, 60);
-            self.says(Module::Module1, 60, Event::Found(note));
+            self.says(Module::Module1, 60, ModuleEvent::Found(note));
         }
         if self.flaw == Flaw::FalseAlarm {
             let note = self.note(FaultKind::Silence, object(Module::Module1, "safety"), 350);
-            self.says(Module::Module1, 350, Event::Found(note));
+            self.says(Module::Module1, 350, ModuleEvent::Found(note));
             let symptom = self.note(FaultKind::Silence, object(Module::Module1, "planner"), 350);
-            self.says(Module::Module1, 355, Event::Explained { id: symptom.id, symptom_of: 1 });
-            self.says(Module::Module1, 350, Event::Found(symptom));
+            self.says(
+                Module::Module1,
+                355,
+                ModuleEvent::Explained { id: symptom.id, symptom_of: 1 },
+            );
+            self.says(Module::Module1, 350, ModuleEvent::Found(symptom));
         }
         loop {
-            while let Some(output) = story.poll_output() {
+            while let Some(output) = scenario.poll_output() {
                 match output {
-                    Output::Do(deed) => self.carry_out(deed, &mut story),
-                    Output::Tell(_) => {}
-                    Output::Finished => return story.report(),
-                    Output::Stillborn(reason) => {
-                        let mut report = story.report();
+                    ScenarioOutput::Do(output) => self.carry_out(output, &mut scenario),
+                    ScenarioOutput::Tell(_) => {}
+                    ScenarioOutput::Finished => return scenario.report(),
+                    ScenarioOutput::Stillborn(reason) => {
+                        let mut report = scenario.report();
                         report.problems.push(reason);
                         return report;
                     }
                 }
             }
-            self.step(&mut story);
+            self.step(&mut scenario);
         }
     }
 
-    fn step(&mut self, story: &mut Story) {
+    fn step(&mut self, scenario: &mut Scenario) {
         let first = self.agenda.keys().next().copied();
-        let due = story.poll_timeout();
+        let due = scenario.poll_timeout();
         match first {
             Some(key) if due.is_none_or(|due| key.0 <= due) => {
                 self.now = key.0;
                 let happening = self.agenda.remove(&key).expect("its key was just seen");
-                self.happen(happening, story);
+                self.happen(happening, scenario);
             }
             _ => {
-                self.now = due.expect("a story that is not over waits for something").max(self.now);
-                story.handle_timeout(self.now);
+                self.now =
+                    due.expect("a scenario that is not over waits for something").max(self.now);
+                scenario.handle_timeout(self.now);
             }
         }
     }
 
-    fn happen(&mut self, happening: Happening, story: &mut Story) {
+    fn happen(&mut self, happening: Happening, scenario: &mut Scenario) {
         match happening {
-            Happening::Says(module, event) => story.handle_event(module, &event, self.now),
-            Happening::Exits(module, how) => story.handle_exit(module, how, self.now),
+            Happening::Says(module, event) => scenario.handle_event(module, &event, self.now),
+            Happening::Exits(module, how) => scenario.handle_exit(module, how, self.now),
             Happening::Returns(module) => {
                 self.dead.remove(&module);
                 *self.lives.entry(module).or_default() += 1;
                 self.began.insert(module, self.now);
-                story.handle_event(module, &Event::Ready, self.now);
+                scenario.handle_event(module, &ModuleEvent::Ready, self.now);
             }
             Happening::Snapshots => {
                 for module in Module::ALL {
                     if !self.dead.contains(&module) {
-                        let snapshot = Event::Snapshot(Box::new(self.snapshot(module)));
-                        story.handle_event(module, &snapshot, self.now);
+                        let snapshot = ModuleEvent::Snapshot(Box::new(self.snapshot(module)));
+                        scenario.handle_event(module, &snapshot, self.now);
                     }
                 }
                 self.plan(100, Happening::Snapshots);
@@ -150,19 +156,19 @@ impl FakeRobot {
         self.answer_watches();
     }
 
-    fn carry_out(&mut self, deed: Deed, story: &mut Story) {
-        match deed {
-            Deed::Kill(module) => {
-                story.handle_killed(self.now, self.now);
+    fn carry_out(&mut self, output: TrialOutput, scenario: &mut Scenario) {
+        match output {
+            TrialOutput::Kill(module) => {
+                scenario.handle_killed(self.now, self.now);
                 self.die(module, None);
                 let place = Place::Node(NodeName::new(module.name()).expect("a name"));
                 let note = self.note(FaultKind::NodeLost, place, 30);
-                self.says(Module::Module1, 30, Event::Found(note));
+                self.says(Module::Module1, 30, ModuleEvent::Found(note));
             }
-            Deed::Send(module, command) if !self.dead.contains(&module) => {
+            TrialOutput::Send(module, command) if !self.dead.contains(&module) => {
                 self.obey(module, command);
             }
-            Deed::Send(..) => {}
+            TrialOutput::Send(..) => {}
         }
     }
 
@@ -173,60 +179,60 @@ impl FakeRobot {
         self.plan(200, Happening::Returns(module));
     }
 
-    fn obey(&mut self, module: Module, command: Command) {
+    fn obey(&mut self, module: Module, command: DirectorCommand) {
         match command {
-            Command::Strike { order, object, sabotage } => {
-                self.strike(module, order, object.as_str(), sabotage);
+            DirectorCommand::Strike { order, object, fault } => {
+                self.strike(module, order, object.as_str(), fault);
             }
-            Command::Cut { order, cables } => {
+            DirectorCommand::Cut { order, cables } => {
                 for cable in CABLES.iter().filter(|cable| cables.iter().any(|n| n == cable.name)) {
                     self.cut.insert(cable.name);
                     let node = NodeName::new(module.name()).expect("a name");
                     let place = Place::Link { node, link: cable.name.into(), neighbour: None };
                     let note = self.note(FaultKind::LinkDown, place, 20);
-                    self.says(module, 20, Event::Found(note));
+                    self.says(module, 20, ModuleEvent::Found(note));
                 }
                 let is_first = module == Module::Module1 && self.cut.len() == 1;
                 self.lost += u64::from(self.flaw == Flaw::LosesOne && is_first);
                 self.done(module, order);
             }
-            Command::Restore { order, cables } => {
+            DirectorCommand::Restore { order, cables } => {
                 self.cut.retain(|name| !cables.iter().any(|cable| cable == name));
                 self.done(module, order);
             }
-            Command::PanicRouter { order } => {
+            DirectorCommand::PanicRouter { order } => {
                 let note = self.note(FaultKind::Panic, object(module, "net/router"), 1);
-                self.says(module, 2, Event::Recovered { id: note.id, at: self.after(2) });
-                self.says(module, 1, Event::Found(note));
+                self.says(module, 2, ModuleEvent::Recovered { id: note.id, at: self.after(2) });
+                self.says(module, 1, ModuleEvent::Found(note));
                 self.doubled += u64::from(self.flaw == Flaw::DoublesOne);
                 self.done(module, order);
             }
-            Command::Watch { since } => {
+            DirectorCommand::Watch { since } => {
                 self.watched.insert(module, since);
             }
-            Command::Status => {
-                let snapshot = Event::Snapshot(Box::new(self.snapshot(module)));
+            DirectorCommand::Status => {
+                let snapshot = ModuleEvent::Snapshot(Box::new(self.snapshot(module)));
                 self.says(module, 0, snapshot);
             }
-            Command::Start { .. } | Command::Shutdown => {}
+            DirectorCommand::Start { .. } | DirectorCommand::Shutdown => {}
         }
     }
 
-    fn strike(&mut self, module: Module, order: OrderId, name: &str, sabotage: Sabotage) {
-        let kind = match sabotage {
-            Sabotage::Panic => FaultKind::Panic,
-            Sabotage::Hang { .. } => FaultKind::Hang,
-            Sabotage::ErrorState => FaultKind::ErrorState,
-            Sabotage::FailInitialization => FaultKind::InitializationFailed,
-            Sabotage::Silence => FaultKind::Silence,
-            Sabotage::Flood { .. } => FaultKind::Overload,
+    fn strike(&mut self, module: Module, order: OrderId, name: &str, fault: ObjectFault) {
+        let kind = match fault {
+            ObjectFault::Panic => FaultKind::Panic,
+            ObjectFault::Hang { .. } => FaultKind::Hang,
+            ObjectFault::ErrorState => FaultKind::ErrorState,
+            ObjectFault::FailInitialization => FaultKind::InitializationFailed,
+            ObjectFault::Silence => FaultKind::Silence,
+            ObjectFault::Flood { .. } => FaultKind::Overload,
         };
         if self.flaw == Flaw::Refuses && kind == FaultKind::Overload {
-            self.says(module, 0, Event::Refused { order, reason: "no such object".into() });
+            self.says(module, 0, ModuleEvent::Refused { order, reason: "no such object".into() });
             return;
         }
         if self.flaw == Flaw::StopsForGood && kind == FaultKind::Hang {
-            // It is there, and says nothing any more.
+            // The process runs and sends no events.
             self.dead.insert(module);
             return;
         }
@@ -242,12 +248,12 @@ impl FakeRobot {
         if let Some(culprit) = culprit {
             let note = self.note(kind.clone(), object(module, culprit), 2);
             if self.flaw != Flaw::NotReported || kind != FaultKind::ErrorState {
-                self.says(module, 4, Event::Recovered { id: note.id, at: self.after(4) });
+                self.says(module, 4, ModuleEvent::Recovered { id: note.id, at: self.after(4) });
             }
-            self.says(module, 2, Event::Found(note));
+            self.says(module, 2, ModuleEvent::Found(note));
         }
         if self.flaw != Flaw::NotBack || kind != FaultKind::Silence {
-            self.says(module, 5, Event::Served { order, at: self.after(5), life: 2 });
+            self.says(module, 5, ModuleEvent::Served { order, at: self.after(5), life: 2 });
         }
     }
 
@@ -258,7 +264,11 @@ impl FakeRobot {
                 self.watched.remove(&module);
                 for flow in flows {
                     let at = self.after(10);
-                    self.says(module, 10, Event::Passed { flow: flow.name.into(), since, at });
+                    self.says(
+                        module,
+                        10,
+                        ModuleEvent::Passed { flow: flow.name.into(), since, at },
+                    );
                 }
             }
         }
@@ -275,7 +285,7 @@ impl FakeRobot {
 
     fn snapshot(&self, module: Module) -> Snapshot {
         let is_up = |name| !self.cut.contains(name);
-        let links = CABLES.iter().filter(|cable| cable.touches(module)).map(|cable| LinkState {
+        let links = CABLES.iter().filter(|cable| cable.touches(module)).map(|cable| CableState {
             cable: cable.name.into(),
             up: is_up(cable.name) && cable.ends().iter().all(|end| !self.dead.contains(end)),
         });
@@ -283,7 +293,6 @@ impl FakeRobot {
             flow: flow.name.into(),
             epoch: self.lives[&module],
             sent: self.sent(flow),
-            given_back: 0,
         });
         let sinks = FLOWS.iter().filter(|flow| flow.to == module && self.passes(flow));
         Snapshot {
@@ -316,7 +325,7 @@ impl FakeRobot {
     /// What comes only when its row has been closed.
     fn held_back(&self, flow: &Flow) -> u64 {
         let is_late = self.flaw == Flaw::ComesLate && flow.name == FLOWS[0].name;
-        let span = Moment::from_millis(2_800)..Moment::from_millis(8_000);
+        let span = MachineInstant::from_millis(2_800)..MachineInstant::from_millis(8_000);
         if is_late && span.contains(&self.now) { 7 } else { 0 }
     }
 
@@ -333,14 +342,14 @@ impl FakeRobot {
     }
 
     fn done(&mut self, module: Module, order: OrderId) {
-        self.says(module, 0, Event::CarriedOut { order, at: self.now });
+        self.says(module, 0, ModuleEvent::CarriedOut { order, at: self.now });
     }
 
-    fn after(&self, millis: u64) -> Moment {
+    fn after(&self, millis: u64) -> MachineInstant {
         self.now + Duration::from_millis(millis)
     }
 
-    fn says(&mut self, module: Module, after: u64, event: Event) {
+    fn says(&mut self, module: Module, after: u64, event: ModuleEvent) {
         self.plan(after, Happening::Says(module, event));
     }
 
@@ -354,13 +363,13 @@ fn object(module: Module, name: &str) -> Place {
     Place::Object(address(module, name))
 }
 
-/// A robot that is together.
-pub(crate) fn known() -> Known {
+/// Returns the state of an assembled robot.
+pub(crate) fn robot_state() -> RobotState {
     let robot = FakeRobot::new(Flaw::None);
-    let mut known = Known::default();
+    let mut state = RobotState::default();
     for module in Module::ALL {
-        known.handle_event(module, &Event::Ready);
-        known.handle_event(module, &Event::Snapshot(Box::new(robot.snapshot(module))));
+        state.handle_event(module, &ModuleEvent::Ready);
+        state.handle_event(module, &ModuleEvent::Snapshot(Box::new(robot.snapshot(module))));
     }
-    known
+    state
 }

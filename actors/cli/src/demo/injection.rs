@@ -1,26 +1,26 @@
-//! A fault that the demonstration makes, and what it expects to be told about it.
+//! A fault that the demonstration injects, and the reports that it expects.
 
-use super::protocol::{Command, FaultNote, OrderId, Sabotage};
-use super::robot::{CABLES, Cable, FLOWS, Flow, Module, address};
+use super::protocol::{DirectorCommand, FaultNote, ObjectFault, OrderId};
+use super::robot::{CABLES, DemoCable, FLOWS, Flow, Module, address};
 use blastema::core::{FaultKind, ObjectName, Place};
 use std::fmt;
 
-/// What is done to the robot.
+/// An injected fault.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Injection {
     /// Harm to one object.
     Object {
-        /// Where it lives.
+        /// Its module.
         module: Module,
         /// Its name.
         object: String,
-        /// What is done to it.
-        sabotage: Sabotage,
+        /// The kind of harm.
+        fault: ObjectFault,
     },
     /// One cable is cut.
     Cut {
         /// The cable.
-        cable: Cable,
+        cable: DemoCable,
         /// It is plugged in again at the end of the step, rather than left to a later one.
         returns: bool,
     },
@@ -41,20 +41,20 @@ pub(crate) enum Injection {
     },
 }
 
-/// What a fault that was told has to do with what was done.
+/// The relation of a reported fault to the injected one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Judgement {
-    /// It is what was done, where it was done.
+pub(crate) enum FaultMatch {
+    /// The report names the injected fault and its place.
     Named,
-    /// It came along with it, or is marked as a symptom.
+    /// A consequence of the injected fault, or marked as a symptom.
     Companion,
-    /// The wrong culprit was named.
+    /// The report names another place or kind.
     Foreign,
 }
 
-/// How one knows that service is back.
+/// The criterion of restored service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Return {
+pub(crate) enum ServiceRestored {
     /// The object answers.
     Service,
     /// Messages sent later than the fault (or its repair) arrive on the flows concerned.
@@ -64,16 +64,16 @@ pub(crate) enum Return {
 }
 
 impl Injection {
-    /// What is done, for the table.
+    /// Returns the kind, for the table.
     pub(crate) fn title(&self) -> &'static str {
         match self {
-            Injection::Object { sabotage, .. } => match sabotage {
-                Sabotage::Panic => "panic",
-                Sabotage::Hang { .. } => "hang",
-                Sabotage::ErrorState => "error state",
-                Sabotage::FailInitialization => "failed initialisation",
-                Sabotage::Silence => "silent object",
-                Sabotage::Flood { .. } => "flood",
+            Injection::Object { fault, .. } => match fault {
+                ObjectFault::Panic => "panic",
+                ObjectFault::Hang { .. } => "hang",
+                ObjectFault::ErrorState => "error state",
+                ObjectFault::FailInitialization => "failed initialisation",
+                ObjectFault::Silence => "silent object",
+                ObjectFault::Flood { .. } => "flood",
             },
             Injection::Cut { .. } => "cable cut",
             Injection::Blackout { .. } => "both cables cut, return",
@@ -82,7 +82,7 @@ impl Injection {
         }
     }
 
-    /// Where it is done, for the table.
+    /// Returns the place, for the table.
     pub(crate) fn place(&self) -> String {
         match self {
             Injection::Object { module, object, .. } => format!("{module}:{object}"),
@@ -95,65 +95,65 @@ impl Injection {
         }
     }
 
-    /// The commands that do it; a kill is none.
-    pub(crate) fn strike(&self, order: OrderId) -> Vec<(Module, Command)> {
+    /// Returns the commands that inject the fault; a kill needs none.
+    pub(crate) fn strike(&self, order: OrderId) -> Vec<(Module, DirectorCommand)> {
         match self {
-            Injection::Object { module, object, sabotage } => {
+            Injection::Object { module, object, fault } => {
                 let object = ObjectName::new(object).expect("the objects' names are names");
-                vec![(*module, Command::Strike { order, object, sabotage: *sabotage })]
+                vec![(*module, DirectorCommand::Strike { order, object, fault: *fault })]
             }
             Injection::Cut { cable, .. } => at_both_ends(&[*cable], cut(order)),
             Injection::Blackout { far } => at_both_ends(&cables_to(*far), cut(order)),
-            Injection::Router { module } => vec![(*module, Command::PanicRouter { order })],
+            Injection::Router { module } => vec![(*module, DirectorCommand::PanicRouter { order })],
             Injection::Kill { .. } => vec![],
         }
     }
 
-    /// The commands without which service cannot come back.
-    pub(crate) fn repair(&self, order: OrderId) -> Vec<(Module, Command)> {
+    /// Returns the commands without which service cannot be restored.
+    pub(crate) fn repair(&self, order: OrderId) -> Vec<(Module, DirectorCommand)> {
         match self {
             Injection::Blackout { far } => at_both_ends(&cables_to(*far), restore(order)),
             _ => vec![],
         }
     }
 
-    /// The commands that put things as they were, after the step.
-    pub(crate) fn clean_up(&self, order: OrderId) -> Vec<(Module, Command)> {
+    /// Returns the commands that restore the former state after the step.
+    pub(crate) fn clean_up(&self, order: OrderId) -> Vec<(Module, DirectorCommand)> {
         match self {
             Injection::Cut { cable, returns: true } => at_both_ends(&[*cable], restore(order)),
             _ => vec![],
         }
     }
 
-    /// How one knows that service is back.
-    pub(crate) fn comes_back_by(&self) -> Return {
+    /// The criterion of restored service.
+    pub(crate) fn comes_back_by(&self) -> ServiceRestored {
         match self {
-            Injection::Object { .. } => Return::Service,
+            Injection::Object { .. } => ServiceRestored::Service,
             Injection::Cut { .. } | Injection::Blackout { .. } | Injection::Router { .. } => {
-                Return::Traffic
+                ServiceRestored::Traffic
             }
-            Injection::Kill { .. } => Return::Rejoining,
+            Injection::Kill { .. } => ServiceRestored::Rejoining,
         }
     }
 
-    /// The flows on which messages must arrive again.
+    /// Returns the flows on which messages must arrive again.
     pub(crate) fn flows(&self) -> Vec<&'static Flow> {
         FLOWS.iter().filter(|flow| self.concerns(flow)).collect()
     }
 
-    /// The finder must tell that it recovered the fault. A cable that was pulled is not recovered by
-    /// software; that messages take another way is seen on the flows.
+    /// Returns whether the module that found the fault must report its recovery. Software cannot
+    /// recover a cut cable; the flows show that messages take another path.
     pub(crate) fn wants_report(&self) -> bool {
         matches!(self, Injection::Object { .. } | Injection::Router { .. })
     }
 
-    /// What a fault that was told has to do with it.
-    pub(crate) fn judge(&self, note: &FaultNote) -> Judgement {
+    /// Returns the relation of a reported fault to this one.
+    pub(crate) fn judge(&self, note: &FaultNote) -> FaultMatch {
         let (named, touched) = match self {
-            Injection::Object { module, object, sabotage } => {
+            Injection::Object { module, object, fault } => {
                 let here = note.place == Place::Object(address(*module, object));
-                let comes_along = companions_of(*sabotage).contains(&note.kind);
-                (here && note.kind == kind_of(*sabotage), here && comes_along)
+                let comes_along = companions_of(*fault).contains(&note.kind);
+                (here && note.kind == kind_of(*fault), here && comes_along)
             }
             Injection::Cut { cable, .. } => {
                 let here = is_cable(&note.place, cable);
@@ -176,16 +176,16 @@ impl Injection {
             }
         };
         match (named, touched || note.is_warning() || note.symptom_of.is_some()) {
-            (true, _) => Judgement::Named,
-            (false, true) => Judgement::Companion,
-            (false, false) => Judgement::Foreign,
+            (true, _) => FaultMatch::Named,
+            (false, true) => FaultMatch::Companion,
+            (false, false) => FaultMatch::Foreign,
         }
     }
 
     fn concerns(&self, flow: &Flow) -> bool {
         match self {
             Injection::Object { .. } => false,
-            Injection::Cut { cable: Cable { far, .. }, .. } | Injection::Blackout { far } => {
+            Injection::Cut { cable: DemoCable { far, .. }, .. } | Injection::Blackout { far } => {
                 flow.crosses(*far)
             }
             Injection::Router { module } | Injection::Kill { module } => {
@@ -202,44 +202,47 @@ impl fmt::Display for Injection {
 }
 
 /// Every cable to a module.
-pub(crate) fn cables_to(far: Module) -> Vec<Cable> {
+pub(crate) fn cables_to(far: Module) -> Vec<DemoCable> {
     CABLES.into_iter().filter(|cable| cable.far == far).collect()
 }
 
-fn kind_of(sabotage: Sabotage) -> FaultKind {
-    match sabotage {
-        Sabotage::Panic => FaultKind::Panic,
-        Sabotage::Hang { .. } => FaultKind::Hang,
-        Sabotage::ErrorState => FaultKind::ErrorState,
-        Sabotage::FailInitialization => FaultKind::InitializationFailed,
-        Sabotage::Silence => FaultKind::Silence,
-        Sabotage::Flood { .. } => FaultKind::Overload,
+fn kind_of(fault: ObjectFault) -> FaultKind {
+    match fault {
+        ObjectFault::Panic => FaultKind::Panic,
+        ObjectFault::Hang { .. } => FaultKind::Hang,
+        ObjectFault::ErrorState => FaultKind::ErrorState,
+        ObjectFault::FailInitialization => FaultKind::InitializationFailed,
+        ObjectFault::Silence => FaultKind::Silence,
+        ObjectFault::Flood { .. } => FaultKind::Overload,
     }
 }
 
-/// What an object may rightly be said to suffer besides.
-fn companions_of(sabotage: Sabotage) -> &'static [FaultKind] {
-    match sabotage {
-        // That is how it is made to start anew.
-        Sabotage::FailInitialization => &[FaultKind::Panic],
-        // Who hangs is silent, too.
-        Sabotage::Hang { .. } => &[FaultKind::Silence],
-        Sabotage::Panic | Sabotage::ErrorState | Sabotage::Silence | Sabotage::Flood { .. } => &[],
+/// Further kinds of faults that may be reported of the object.
+fn companions_of(fault: ObjectFault) -> &'static [FaultKind] {
+    match fault {
+        // A panic makes the object restart.
+        ObjectFault::FailInitialization => &[FaultKind::Panic],
+        // An object that hangs is silent as well.
+        ObjectFault::Hang { .. } => &[FaultKind::Silence],
+        ObjectFault::Panic
+        | ObjectFault::ErrorState
+        | ObjectFault::Silence
+        | ObjectFault::Flood { .. } => &[],
     }
 }
 
-fn cut(order: OrderId) -> impl Fn(Vec<String>) -> Command {
-    move |cables| Command::Cut { order, cables }
+fn cut(order: OrderId) -> impl Fn(Vec<String>) -> DirectorCommand {
+    move |cables| DirectorCommand::Cut { order, cables }
 }
 
-fn restore(order: OrderId) -> impl Fn(Vec<String>) -> Command {
-    move |cables| Command::Restore { order, cables }
+fn restore(order: OrderId) -> impl Fn(Vec<String>) -> DirectorCommand {
+    move |cables| DirectorCommand::Restore { order, cables }
 }
 
 fn at_both_ends(
-    cables: &[Cable],
-    command: impl Fn(Vec<String>) -> Command,
-) -> Vec<(Module, Command)> {
+    cables: &[DemoCable],
+    command: impl Fn(Vec<String>) -> DirectorCommand,
+) -> Vec<(Module, DirectorCommand)> {
     let here = |module| {
         let touching = cables.iter().filter(move |cable| cable.touches(module));
         touching.map(|cable| cable.name.to_owned()).collect::<Vec<_>>()
@@ -254,7 +257,7 @@ fn is_node(name: &str, module: Module) -> bool {
     name == module.name()
 }
 
-fn is_cable(place: &Place, cable: &Cable) -> bool {
+fn is_cable(place: &Place, cable: &DemoCable) -> bool {
     matches!(place, Place::Link { link, .. } if **link == *cable.name)
 }
 
@@ -272,12 +275,19 @@ fn touches(place: &Place, module: Module) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::moment::Moment;
+    use crate::demo::machine_instant::MachineInstant;
     use blastema::core::NodeName;
 
     fn note(kind: FaultKind, place: Place) -> FaultNote {
         let detail = String::new();
-        FaultNote { id: 1, kind, place, found_at: Moment::default(), detail, symptom_of: None }
+        FaultNote {
+            id: 1,
+            kind,
+            place,
+            found_at: MachineInstant::default(),
+            detail,
+            symptom_of: None,
+        }
     }
 
     fn object(module: Module, object: &str) -> Place {
@@ -289,25 +299,25 @@ mod tests {
         Place::Link { node, link: link.into(), neighbour: None }
     }
 
-    fn strike(sabotage: Sabotage) -> Injection {
-        Injection::Object { module: Module::Module1, object: "planner".into(), sabotage }
+    fn strike(fault: ObjectFault) -> Injection {
+        Injection::Object { module: Module::Module1, object: "planner".into(), fault }
     }
 
     #[test]
     fn the_struck_object_is_named_and_its_innocent_neighbour_is_not() {
-        let hang = strike(Sabotage::Hang { millis: 1 });
+        let hang = strike(ObjectFault::Hang { millis: 1 });
         let check = |kind, place, wanted| {
             assert_eq!(hang.judge(&note(kind, place)), wanted);
         };
-        check(FaultKind::Hang, object(Module::Module1, "planner"), Judgement::Named);
-        check(FaultKind::Silence, object(Module::Module1, "planner"), Judgement::Companion);
-        check(FaultKind::Panic, object(Module::Module1, "planner"), Judgement::Foreign);
-        check(FaultKind::Hang, object(Module::Module1, "safety"), Judgement::Foreign);
-        check(FaultKind::Hang, object(Module::Module2, "planner"), Judgement::Foreign);
+        check(FaultKind::Hang, object(Module::Module1, "planner"), FaultMatch::Named);
+        check(FaultKind::Silence, object(Module::Module1, "planner"), FaultMatch::Companion);
+        check(FaultKind::Panic, object(Module::Module1, "planner"), FaultMatch::Foreign);
+        check(FaultKind::Hang, object(Module::Module1, "safety"), FaultMatch::Foreign);
+        check(FaultKind::Hang, object(Module::Module2, "planner"), FaultMatch::Foreign);
 
         let mut victim = note(FaultKind::Silence, object(Module::Module1, "safety"));
         victim.symptom_of = Some(1);
-        assert_eq!(hang.judge(&victim), Judgement::Companion);
+        assert_eq!(hang.judge(&victim), FaultMatch::Companion);
     }
 
     #[test]
@@ -316,9 +326,9 @@ mod tests {
         let check = |place, wanted| {
             assert_eq!(cut.judge(&note(FaultKind::LinkDown, place)), wanted);
         };
-        check(link("module1", "ethernet"), Judgement::Named);
-        check(link("module2", "ethernet"), Judgement::Named);
-        check(link("module1", "ieee1394-b"), Judgement::Foreign);
+        check(link("module1", "ethernet"), FaultMatch::Named);
+        check(link("module2", "ethernet"), FaultMatch::Named);
+        check(link("module1", "ieee1394-b"), FaultMatch::Foreign);
     }
 
     #[test]
@@ -328,11 +338,11 @@ mod tests {
         let check = |kind, place, wanted| {
             assert_eq!(kill.judge(&note(kind, place)), wanted);
         };
-        check(FaultKind::NodeLost, node("module3"), Judgement::Named);
-        check(FaultKind::NodeLost, node("module2"), Judgement::Foreign);
-        check(FaultKind::LinkDown, link("module1", "ieee1394"), Judgement::Companion);
-        check(FaultKind::LinkDown, link("module1", "ethernet"), Judgement::Foreign);
-        check(FaultKind::Silence, object(Module::Module3, "motors"), Judgement::Companion);
+        check(FaultKind::NodeLost, node("module3"), FaultMatch::Named);
+        check(FaultKind::NodeLost, node("module2"), FaultMatch::Foreign);
+        check(FaultKind::LinkDown, link("module1", "ieee1394"), FaultMatch::Companion);
+        check(FaultKind::LinkDown, link("module1", "ethernet"), FaultMatch::Foreign);
+        check(FaultKind::Silence, object(Module::Module3, "motors"), FaultMatch::Companion);
     }
 
     #[test]
@@ -340,7 +350,7 @@ mod tests {
         let commands = Injection::Blackout { far: Module::Module2 }.strike(OrderId(3));
 
         let cables = vec!["ethernet".to_owned(), "ieee1394-b".to_owned()];
-        let wanted = Command::Cut { order: OrderId(3), cables };
+        let wanted = DirectorCommand::Cut { order: OrderId(3), cables };
         assert_eq!(commands, [(Module::Module1, wanted.clone()), (Module::Module2, wanted)],);
     }
 
@@ -348,6 +358,6 @@ mod tests {
     fn all_that_passes_through_module1_waits_for_its_router() {
         assert_eq!(Injection::Router { module: Module::Module1 }.flows().len(), FLOWS.len());
         assert_eq!(Injection::Kill { module: Module::Module3 }.flows().len(), 3);
-        assert!(strike(Sabotage::Panic).flows().is_empty());
+        assert!(strike(ObjectFault::Panic).flows().is_empty());
     }
 }

@@ -1,4 +1,4 @@
-//! Starts the modules' processes, and starts them again.
+//! Starts the processes of the modules.
 
 use super::robot::Module;
 use std::collections::VecDeque;
@@ -37,9 +37,9 @@ pub(crate) struct Ended {
 impl Process {
     /// Starts a module with this program's own executable.
     ///
-    /// It is in a process group of its own, so that Ctrl-C in the terminal reaches the director alone,
-    /// which then ends all in order. It ends with this process, however that ends: the module asks the
-    /// kernel for it, and its control channel closes.
+    /// It is in a process group of its own, so that Ctrl-C in the terminal reaches the director
+    /// alone, which then ends all in order. It ends with this process, however that ends: the
+    /// module asks the kernel for it, and its control channel closes.
     ///
     /// # Errors
     /// The operating system starts no more processes.
@@ -66,7 +66,7 @@ impl Process {
         let (kill, killed) = oneshot::channel();
         tokio::spawn(async move {
             let how = follow(&mut child, killed).await;
-            // The director may be gone.
+            // The director may have ended.
             let _ = ends.send(Ended { module, id, how }).await;
         });
         Ok(Process { id, kill: Some(kill) })
@@ -74,11 +74,11 @@ impl Process {
 
     /// Kills it with signal 9. Its end is reported like any other.
     pub(crate) fn kill(&mut self) {
-        // If it has just ended by itself, that is reported too.
+        // A process that has just ended is reported as well.
         let _ = self.kill.take().map(|kill| kill.send(()));
     }
 
-    /// Whether it was told to be killed.
+    /// Returns whether its kill was ordered.
     pub(crate) fn is_killed(&self) -> bool {
         self.kill.is_none()
     }
@@ -96,7 +96,7 @@ async fn follow(child: &mut Child, killed: oneshot::Receiver<()>) -> String {
     let status = tokio::select! {
         status = child.wait() => status,
         Ok(()) = killed => {
-            // It may have ended in the same moment.
+            // It may have ended in the same instant.
             let _ = child.start_kill();
             child.wait().await
         }

@@ -1,4 +1,4 @@
-//! What the director and the modules say to each other: one JSON document in a line.
+//! The protocol between the director and its modules: one JSON document in each line.
 //!
 //! ```text
 //! module   ── Hello ──────────────►  director     the process is the one that was launched
@@ -9,7 +9,7 @@
 //! module   ── Snapshot ───────────►               ten times a second, and when asked
 //! ```
 
-use super::moment::Moment;
+use super::machine_instant::MachineInstant;
 use super::timings::Timings;
 use super::wiring::Wiring;
 use blastema::core::{FaultKind, Lifecycle, ObjectName, Place};
@@ -23,37 +23,37 @@ pub(crate) const VERSION: u32 = 1;
 /// The longest line in bytes. A snapshot takes about 10 kB.
 pub(crate) const LINE_LIMIT: usize = 256 * 1024;
 
-/// The director's number for something it wants done; answers carry it.
+/// The director's number of an order; answers carry it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(transparent)]
 pub(crate) struct OrderId(pub(crate) u64);
 
-/// What the director wants of a module.
+/// A command of the director to a module.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "command", rename_all = "snake_case", deny_unknown_fields)]
-pub(crate) enum Command {
+pub(crate) enum DirectorCommand {
     /// Start the node.
     Start {
         /// The ends of all cables.
         wiring: Wiring,
     },
-    /// Do harm to an object.
+    /// Inject a fault into an object.
     Strike {
         /// Answered by `CarriedOut` when the fault is there, and by `Served` when it is over.
         order: OrderId,
         /// The object.
         object: ObjectName,
         /// The harm.
-        sabotage: Sabotage,
+        fault: ObjectFault,
     },
-    /// Let nothing through these cables any more, at this end.
+    /// Block these cables at this end.
     Cut {
         /// Answered by `CarriedOut`.
         order: OrderId,
         /// The cables' names.
         cables: Vec<String>,
     },
-    /// Plug these cables in again, at this end.
+    /// Unblock these cables at this end.
     Restore {
         /// Answered by `CarriedOut`.
         order: OrderId,
@@ -65,45 +65,45 @@ pub(crate) enum Command {
         /// Answered by `CarriedOut`.
         order: OrderId,
     },
-    /// Tell for each flow that ends here when the first message sent after this moment arrived.
+    /// Tell for each flow that ends here when the first message sent after this instant arrived.
     Watch {
-        /// The moment.
-        since: Moment,
+        /// The instant.
+        since: MachineInstant,
     },
     /// Send a snapshot at once.
     Status,
-    /// End in order.
+    /// Shut down.
     Shutdown,
 }
 
-/// The harm that can be done to an object.
+/// A fault that can be injected into an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
-pub(crate) enum Sabotage {
+pub(crate) enum ObjectFault {
     /// Panic while serving a message.
     Panic,
     /// Block the thread.
     Hang {
-        /// For so long; then the thread returns, long after it was given up.
+        /// The duration; the thread returns long after it was abandoned.
         millis: u64,
     },
     /// Report an error from the next execution.
     ErrorState,
-    /// Fail the next initialisation; the object is made to restart for that.
+    /// Fail the next initialisation; the object is restarted for that.
     FailInitialization,
-    /// Give no sign of life any more.
+    /// Stop the signs of life.
     Silence,
-    /// Be sent more than the queue holds.
+    /// Receive more messages than the queue holds.
     Flood {
-        /// So many messages.
+        /// The number of messages.
         messages: u32,
     },
 }
 
-/// What a module has to tell.
+/// An event of a module.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case", deny_unknown_fields)]
-pub(crate) enum Event {
+pub(crate) enum ModuleEvent {
     /// The first line.
     Hello {
         /// The module's name.
@@ -125,7 +125,7 @@ pub(crate) enum Event {
         /// Which.
         order: OrderId,
         /// When: for a fault, the clock of its row starts here.
-        at: Moment,
+        at: MachineInstant,
     },
     /// An order could not be carried out.
     Refused {
@@ -139,31 +139,31 @@ pub(crate) enum Event {
         /// Which order.
         order: OrderId,
         /// When the answer came.
-        at: Moment,
-        /// Which of its lives answered.
+        at: MachineInstant,
+        /// The incarnation that answered.
         life: u64,
     },
     /// A fault was found.
     Found(FaultNote),
-    /// A fault that is not over was seen again.
+    /// An active fault was found again.
     Repeated {
         /// Its number.
         id: u64,
         /// How often by now.
         count: u32,
     },
-    /// A fault turned out to be a consequence of another.
+    /// A fault was explained as a consequence of another.
     Explained {
         /// Its number.
         id: u64,
         /// The other's.
         symptom_of: u64,
     },
-    /// A measure was chosen.
+    /// A recovery action was chosen.
     Decided {
         /// The fault's number.
         id: u64,
-        /// The measure.
+        /// The recovery action.
         measure: String,
     },
     /// A fault was recovered.
@@ -171,7 +171,7 @@ pub(crate) enum Event {
         /// Its number.
         id: u64,
         /// When.
-        at: Moment,
+        at: MachineInstant,
     },
     /// A fault could not be recovered.
     GaveUp {
@@ -180,36 +180,36 @@ pub(crate) enum Event {
         /// Why.
         reason: String,
     },
-    /// A fault is gone.
+    /// A fault was cleared.
     Cleared {
         /// Its number.
         id: u64,
     },
-    /// The first message of a flow that was sent after the watched moment arrived.
+    /// The first message of a flow that was sent after the watched instant arrived.
     Passed {
         /// The flow.
         flow: String,
-        /// The watched moment.
-        since: Moment,
+        /// The watched instant.
+        since: MachineInstant,
         /// When it arrived.
-        at: Moment,
+        at: MachineInstant,
     },
-    /// How things stand.
+    /// The state of the module.
     Snapshot(Box<Snapshot>),
 }
 
-/// A fault as its finder tells it.
+/// A fault as reported by the module that found it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct FaultNote {
     /// Its number in the finder's record.
     pub(crate) id: u64,
-    /// What it is.
+    /// Its kind.
     pub(crate) kind: FaultKind,
-    /// Where it is.
+    /// Its place.
     pub(crate) place: Place,
     /// When it was found.
-    pub(crate) found_at: Moment,
+    pub(crate) found_at: MachineInstant,
     /// The particulars.
     pub(crate) detail: String,
     /// The fault that it is a consequence of.
@@ -217,27 +217,27 @@ pub(crate) struct FaultNote {
 }
 
 impl FaultNote {
-    /// A warning accuses nobody: where all three modules share a busy computer, hellos do come late.
+    /// Returns whether it is a warning: on a busy machine hellos arrive late.
     pub(crate) fn is_warning(&self) -> bool {
         self.kind == FaultKind::LinkDegraded
     }
 }
 
-/// How things stand in a module.
+/// The state of a module.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Snapshot {
     /// When it was taken.
-    pub(crate) at: Moment,
+    pub(crate) at: MachineInstant,
     /// The monitor's table.
     pub(crate) objects: Vec<ObjectState>,
     /// The cables that end here.
-    pub(crate) links: Vec<LinkState>,
+    pub(crate) links: Vec<CableState>,
     /// The flows that begin here.
     pub(crate) sources: Vec<SourceState>,
     /// The flows that end here.
     pub(crate) sinks: Vec<SinkState>,
-    /// Response times of other modules, by module.
+    /// ResponseTimes times of other modules, by module.
     pub(crate) responses: Vec<(String, Timings)>,
     /// How long an event takes from its publisher to a listener without a condition.
     pub(crate) unfiltered: Timings,
@@ -245,14 +245,14 @@ pub(crate) struct Snapshot {
     pub(crate) filtered: Timings,
 }
 
-/// What the monitor thinks of an object.
+/// The monitor's opinion of an object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Opinion {
+pub(crate) enum ObjectOpinion {
     /// All is well.
     #[default]
     Trusted,
-    /// Something may be wrong; nothing is torn down.
+    /// A sign of life is late; the object stays in service.
     Suspect,
     /// It is out of service.
     Failed,
@@ -262,23 +262,23 @@ pub(crate) enum Opinion {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct ObjectState {
-    /// Who.
+    /// Its name.
     pub(crate) name: String,
-    /// Where it stands.
+    /// Its lifecycle state.
     pub(crate) state: Lifecycle,
-    /// What the monitor thinks.
-    pub(crate) opinion: Opinion,
-    /// Which life it is in.
+    /// The monitor's opinion.
+    pub(crate) opinion: ObjectOpinion,
+    /// Its incarnation.
     pub(crate) life: u64,
 }
 
 /// A cable, seen from one end.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct LinkState {
+pub(crate) struct CableState {
     /// The cable's name.
     pub(crate) cable: String,
-    /// Whether the other end is heard.
+    /// Whether the link is in service.
     pub(crate) up: bool,
 }
 
@@ -290,10 +290,8 @@ pub(crate) struct SourceState {
     pub(crate) flow: String,
     /// Tells this process of the source from an earlier one.
     pub(crate) epoch: u64,
-    /// The last number that the middleware took; the first is 1.
+    /// The last number that the middleware has accepted; the first is 1.
     pub(crate) sent: u64,
-    /// How often it gave a message back, which was then offered again.
-    pub(crate) given_back: u64,
 }
 
 /// A flow where it ends.
@@ -318,9 +316,9 @@ pub(crate) struct SinkState {
     pub(crate) missing_before: u64,
 }
 
-/// A line that cannot be understood.
+/// A line that cannot be decoded.
 #[derive(Debug, thiserror::Error)]
-#[error("a line of the control channel cannot be understood: {0}")]
+#[error("a line of the control channel cannot be decoded: {0}")]
 pub(crate) struct LineError(#[from] serde_json::Error);
 
 /// One line, with its end.
@@ -356,36 +354,36 @@ mod tests {
     fn every_command_comes_back_as_it_went() {
         let order = OrderId(7);
         let object = ObjectName::new("skin/17").expect("a name");
-        round_trip(Command::Start { wiring: Wiring::default() });
-        for sabotage in [
-            Sabotage::Panic,
-            Sabotage::Hang { millis: 5_000 },
-            Sabotage::ErrorState,
-            Sabotage::FailInitialization,
-            Sabotage::Silence,
-            Sabotage::Flood { messages: 100_000 },
+        round_trip(DirectorCommand::Start { wiring: Wiring::default() });
+        for fault in [
+            ObjectFault::Panic,
+            ObjectFault::Hang { millis: 5_000 },
+            ObjectFault::ErrorState,
+            ObjectFault::FailInitialization,
+            ObjectFault::Silence,
+            ObjectFault::Flood { messages: 100_000 },
         ] {
-            round_trip(Command::Strike { order, object: object.clone(), sabotage });
+            round_trip(DirectorCommand::Strike { order, object: object.clone(), fault });
         }
-        round_trip(Command::Cut { order, cables: vec!["ethernet".into()] });
-        round_trip(Command::Restore { order, cables: vec![] });
-        round_trip(Command::PanicRouter { order });
-        round_trip(Command::Watch { since: Moment::from_nanos(u64::MAX) });
-        round_trip(Command::Status);
-        round_trip(Command::Shutdown);
+        round_trip(DirectorCommand::Cut { order, cables: vec!["ethernet".into()] });
+        round_trip(DirectorCommand::Restore { order, cables: vec![] });
+        round_trip(DirectorCommand::PanicRouter { order });
+        round_trip(DirectorCommand::Watch { since: MachineInstant::from_nanos(u64::MAX) });
+        round_trip(DirectorCommand::Status);
+        round_trip(DirectorCommand::Shutdown);
     }
 
     #[test]
     fn every_event_comes_back_as_it_went() {
         let order = OrderId(7);
-        let at = Moment::from_millis(12);
-        round_trip(Event::Hello { name: "module1".into(), version: VERSION });
-        round_trip(Event::Ready);
-        round_trip(Event::StartFailed { reason: "port\ntaken".into(), address_taken: true });
-        round_trip(Event::CarriedOut { order, at });
-        round_trip(Event::Refused { order, reason: "no \"such\" object".into() });
-        round_trip(Event::Served { order, at, life: 2 });
-        round_trip(Event::Found(FaultNote {
+        let at = MachineInstant::from_millis(12);
+        round_trip(ModuleEvent::Hello { name: "module1".into(), version: VERSION });
+        round_trip(ModuleEvent::Ready);
+        round_trip(ModuleEvent::StartFailed { reason: "port\ntaken".into(), address_taken: true });
+        round_trip(ModuleEvent::CarriedOut { order, at });
+        round_trip(ModuleEvent::Refused { order, reason: "no \"such\" object".into() });
+        round_trip(ModuleEvent::Served { order, at, life: 2 });
+        round_trip(ModuleEvent::Found(FaultNote {
             id: 1,
             kind: FaultKind::Custom("R01".into()),
             place: Place::Object(address(Module::Module1, "skin/17")),
@@ -393,24 +391,24 @@ mod tests {
             detail: "as asked".into(),
             symptom_of: Some(0),
         }));
-        round_trip(Event::Repeated { id: 1, count: 3 });
-        round_trip(Event::Explained { id: 2, symptom_of: 1 });
-        round_trip(Event::Decided { id: 1, measure: "restart".into() });
-        round_trip(Event::Recovered { id: 1, at });
-        round_trip(Event::GaveUp { id: 1, reason: "too often".into() });
-        round_trip(Event::Cleared { id: 1 });
-        round_trip(Event::Passed { flow: "flow/2-3".into(), since: at, at });
+        round_trip(ModuleEvent::Repeated { id: 1, count: 3 });
+        round_trip(ModuleEvent::Explained { id: 2, symptom_of: 1 });
+        round_trip(ModuleEvent::Decided { id: 1, measure: "restart".into() });
+        round_trip(ModuleEvent::Recovered { id: 1, at });
+        round_trip(ModuleEvent::GaveUp { id: 1, reason: "too often".into() });
+        round_trip(ModuleEvent::Cleared { id: 1 });
+        round_trip(ModuleEvent::Passed { flow: "flow/2-3".into(), since: at, at });
         let mut responses = Timings::default();
         responses.record(std::time::Duration::from_micros(17));
-        round_trip(Event::Snapshot(Box::new(Snapshot {
+        round_trip(ModuleEvent::Snapshot(Box::new(Snapshot {
             at,
             objects: vec![ObjectState {
                 name: "laser".into(),
                 state: Lifecycle::Active,
-                opinion: Opinion::Suspect,
+                opinion: ObjectOpinion::Suspect,
                 life: 4,
             }],
-            links: vec![LinkState { cable: "ethernet".into(), up: true }],
+            links: vec![CableState { cable: "ethernet".into(), up: true }],
             sources: vec![SourceState::default()],
             sinks: vec![SinkState::default()],
             responses: vec![("module2".into(), responses)],
@@ -422,8 +420,8 @@ mod tests {
     #[test]
     fn a_line_of_another_program_is_an_error_and_no_guess() {
         for line in ["", "{}", "null", r#"{"command":"fly"}"#, r#"{"command":"watch"}"#] {
-            assert!(decode::<Command>(line).is_err(), "{line}");
+            assert!(decode::<DirectorCommand>(line).is_err(), "{line}");
         }
-        assert!(decode::<Event>(r#"{"event":"cleared","id":-1}"#).is_err());
+        assert!(decode::<ModuleEvent>(r#"{"event":"cleared","id":-1}"#).is_err());
     }
 }

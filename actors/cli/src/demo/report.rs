@@ -1,62 +1,60 @@
-//! What came of a demonstration.
+//! The report of a run.
 
-use super::known::Measured;
-use super::ledger::Losses;
+use super::flow_accounting::FlowLosses;
 use super::protocol::FaultNote;
 use super::robot::Module;
+use super::robot_state::Measured;
 use super::timings::Timings;
 use serde::{Serialize, Serializer};
 use std::time::Duration;
 
-/// The whole outcome; `--json` prints it.
+/// The report of a run; `--json` prints it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Report {
     /// Every fault was found, named rightly and recovered, and no promise was broken.
     pub(crate) promises_kept: bool,
-    /// It was told to its end, and not interrupted.
+    /// The run was not interrupted.
     pub(crate) finished: bool,
     /// The seed of the run.
     pub(crate) seed: u64,
-    /// Random faults instead of the story.
+    /// Random faults instead of the scenario.
     pub(crate) chaos: bool,
     /// From the first process's start to the last row.
     #[serde(rename = "took_ms", serialize_with = "as_millis")]
     pub(crate) took: Duration,
     /// One row for each fault.
-    pub(crate) rows: Vec<Row>,
-    /// Rows of a long run that are not listed; nothing broke in them.
+    pub(crate) rows: Vec<FaultRow>,
+    /// Rows without a problem that a long run does not list.
     pub(crate) rows_left_out: u64,
-    /// What broke outside any row.
+    /// Problems outside of the rows.
     pub(crate) problems: Vec<String>,
     /// Reliable messages over the whole run.
-    pub(crate) messages: Losses,
-    /// How many of them stand as lost in a row, because they were late, and came after all.
+    pub(crate) messages: FlowLosses,
+    /// Messages that a row counts as lost and that arrived later.
     pub(crate) late: u64,
     /// How many of them the sinks' last processes received.
     pub(crate) received: u64,
-    /// How often a message was given back to its source, which offered it again.
-    pub(crate) given_back: u64,
-    /// Response times between modules, ours and the paper's.
-    pub(crate) responses: Vec<Response>,
-    /// Delivery of events within a module.
-    pub(crate) events: Vec<Delivery>,
+    /// ResponseTimes times between modules, ours and the paper's.
+    pub(crate) responses: Vec<ResponseTimes>,
+    /// DeliveryTimes of events within a module.
+    pub(crate) events: Vec<DeliveryTimes>,
     /// How the figures were taken.
     pub(crate) notes: Vec<&'static str>,
 }
 
-/// One fault and what came of it.
+/// One fault and its recovery.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Row {
+pub(crate) struct FaultRow {
     /// Its number in the run, from 1.
     pub(crate) number: u32,
-    /// What was done.
+    /// The kind of the injected fault.
     pub(crate) fault: &'static str,
     /// Where.
     #[serde(rename = "where")]
     pub(crate) place: String,
-    /// How the middleware named it.
-    pub(crate) named: Option<Named>,
-    /// From the fault to its finding.
+    /// The fault as reported by the middleware.
+    pub(crate) named: Option<ReportedFault>,
+    /// From the fault to its detection.
     #[serde(rename = "detected_after_ms", serialize_with = "maybe_as_millis")]
     pub(crate) detected_after: Option<Duration>,
     /// From the fault, or from its repair, to the return of service.
@@ -68,20 +66,22 @@ pub(crate) struct Row {
     pub(crate) lost: u64,
     /// Reliable messages doubled.
     pub(crate) doubled: u64,
-    /// Reliable messages that went down with a killed process, at most.
+    /// Reliable messages that were lost with a killed process, at most.
     pub(crate) perished: u64,
+    /// Further faults that the modules reported as its consequences.
+    pub(crate) symptoms: u64,
     /// The paper's figure in milliseconds, if it measured something like it.
     pub(crate) paper: Option<&'static str>,
-    /// What broke a promise.
+    /// The broken promises.
     pub(crate) problems: Vec<String>,
 }
 
-/// A fault as the middleware named it.
+/// A fault as reported by the middleware.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Named {
+pub(crate) struct ReportedFault {
     /// The code in the fault list.
     pub(crate) code: String,
-    /// What a person understands.
+    /// The kind as text.
     pub(crate) text: String,
     /// Where.
     #[serde(rename = "where")]
@@ -90,9 +90,9 @@ pub(crate) struct Named {
     pub(crate) detail: String,
 }
 
-impl From<&FaultNote> for Named {
+impl From<&FaultNote> for ReportedFault {
     fn from(note: &FaultNote) -> Self {
-        Named {
+        ReportedFault {
             code: note.kind.code().to_owned(),
             text: note.kind.text().to_owned(),
             place: note.place.to_string(),
@@ -103,31 +103,31 @@ impl From<&FaultNote> for Named {
 
 /// The time from a request to its reply between two modules.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Response {
+pub(crate) struct ResponseTimes {
     /// The two modules.
     pub(crate) modules: [&'static str; 2],
     /// The networks between them.
     pub(crate) over: &'static str,
     /// Ours.
     #[serde(flatten)]
-    pub(crate) figures: Figures,
+    pub(crate) figures: LatencySummary,
     /// The mean in the paper's table 1, in milliseconds.
     pub(crate) paper_mean_ms: f64,
 }
 
 /// The time from a publisher to a listener in the same module.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Delivery {
+pub(crate) struct DeliveryTimes {
     /// Whether the listener gave a condition.
     pub(crate) filtered: bool,
     /// Ours.
     #[serde(flatten)]
-    pub(crate) figures: Figures,
+    pub(crate) figures: LatencySummary,
 }
 
 /// Timings in figures.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub(crate) struct Figures {
+pub(crate) struct LatencySummary {
     /// How many.
     pub(crate) count: u64,
     /// The mean.
@@ -147,9 +147,9 @@ pub(crate) struct Figures {
     pub(crate) worst: Option<Duration>,
 }
 
-impl From<&Timings> for Figures {
+impl From<&Timings> for LatencySummary {
     fn from(timings: &Timings) -> Self {
-        Figures {
+        LatencySummary {
             count: timings.count(),
             mean: timings.mean(),
             median: timings.quantile(500),
@@ -163,26 +163,26 @@ impl From<&Timings> for Figures {
 /// What the paper measured for a row of ours, if it did.
 pub(crate) fn paper_figure(fault: &str) -> Option<&'static str> {
     match fault {
-        "panic" => Some("11.1 (at most 12) a"),
-        "cable cut" => Some("12 (at most 13) b"),
+        "panic" => Some("11.1 (at most 12)"),
+        "cable cut" => Some("12 (at most 13)"),
         _ => None,
     }
 }
 
 /// How the figures were taken: ours and the paper's.
 pub(crate) const NOTES: [&str; 5] = [
-    "All times in milliseconds. Our clock starts when the fault is there; \"recovered\" is when the \
-     object answers again, or when messages sent after the fault arrive; a guard that restarts an object \
-     on the spot is quicker than the report of its fault. A cut is silent: no medium tells of it.",
-    "a  Baek and Park 2008, table 2: a dead object among 100, sign of life every 100 ms, from its \
-     detection, not from the fault, to its re-creation; mean of 1000.",
-    "b  Ibid.: a cable pulled, signs of life every 3 s, from its detection to the first answer over the \
-     other network, without the 10 s or so that noticing the cable took; mean of 1000.",
+    "All times in milliseconds. The clock of a row starts when the fault is present; it is recovered \
+     when the object answers again, or when messages sent after the fault arrive. A supervisor that \
+     restarts an object at once is faster than the report of the fault. A cut cable is silent: its \
+     medium reports nothing. Symptoms are faults that the modules reported as consequences.",
+    "r  from the return of the cables.  +p  at most so many messages were lost with the killed process.",
+    "a  Baek and Park 2008, table 2, for a panic: 11.1 (at most 12) from the detection of a dead \
+     object among 100, with a sign of life every 100 ms, to its re-creation; mean of 1000.",
+    "b  Ibid., for a cut cable: 12 (at most 13) from its detection, with a sign of life every 3 s, to \
+     the first answer over the other network, without the 10 s of the detection; mean of 1000.",
     "c  Ibid., table 1: event and answer between two PCs (Pentium IV, 3 GHz, Windows XP), mean of \
-     10,000 without the worst; worst 20 ms (Ethernet) and 110 ms (IEEE 1394); its text has the two \
-     networks the other way round. Ours: a request and its \
-     reply between processes on one machine, all of them, during the faults.",
-    "r  From the return of the cables.   p  At most so many went down with the killed process.",
+     10,000 without the worst; worst 20 (Ethernet) and 110 (IEEE 1394). Here: a request and its reply \
+     between processes on one machine, all of them, during the faults.",
 ];
 
 /// The paper's mean response time between two modules, its table 1, in milliseconds.
@@ -195,17 +195,16 @@ const PAPER_RESPONSES: [([Module; 2], &str, f64); 3] = [
 impl Report {
     /// Fills in what was measured along the way.
     pub(crate) fn take_measured(&mut self, measured: &Measured) {
-        self.given_back = measured.given_back;
         self.responses = PAPER_RESPONSES
             .map(|([one, other], over, paper_mean_ms)| {
                 let timings = measured.responses.get(&(one, other));
-                let figures = timings.map(Figures::from).unwrap_or_default();
-                Response { modules: [one.name(), other.name()], over, figures, paper_mean_ms }
+                let figures = timings.map(LatencySummary::from).unwrap_or_default();
+                ResponseTimes { modules: [one.name(), other.name()], over, figures, paper_mean_ms }
             })
             .into();
         self.events = vec![
-            Delivery { filtered: false, figures: Figures::from(&measured.unfiltered) },
-            Delivery { filtered: true, figures: Figures::from(&measured.filtered) },
+            DeliveryTimes { filtered: false, figures: LatencySummary::from(&measured.unfiltered) },
+            DeliveryTimes { filtered: true, figures: LatencySummary::from(&measured.filtered) },
         ];
     }
 }

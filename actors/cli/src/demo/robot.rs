@@ -1,4 +1,4 @@
-//! The robot of the demonstration: its modules, cables, objects and flows, as everyone knows them.
+//! The robot of the demonstration: its modules, cables, objects and flows.
 //!
 //! ```text
 //!             ethernet                 ieee1394
@@ -7,8 +7,8 @@
 //!   operator  ieee1394-b    safety    ethernet-b    odometry
 //! ```
 //!
-//! This is Fig. 9 of Baek and Park (2008): module2 and module3 reach each other through module1 only.
-//! The dashed cables are the second paths.
+//! This is Fig. 9 of Baek and Park (2008): module2 and module3 reach each other through module1
+//! only. The dashed cables are the second paths.
 
 use blastema::core::{NodeName, ObjectAddress, ObjectName};
 use serde::{Deserialize, Serialize};
@@ -67,8 +67,8 @@ impl Module {
         }
     }
 
-    /// Those of them that are passive in the paper's sense: they are asked whether they live, and how
-    /// long messages wait in their queues. All others give signs of life by themselves.
+    /// Those of them that are passive in the paper's sense: they are asked whether they live, and
+    /// how long messages wait in their queues. All others give signs of life by themselves.
     pub(crate) const fn passive(self) -> &'static [&'static str] {
         match self {
             Module::Module1 => &["planner"],
@@ -95,19 +95,19 @@ impl fmt::Display for Module {
 
 /// The two networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Network {
+pub(crate) enum DemoNetwork {
     /// 127.1.0.x
     Ethernet,
     /// 127.2.0.x
     Ieee1394,
 }
 
-impl Network {
+impl DemoNetwork {
     /// The network's address of a module.
     pub(crate) const fn address(self, module: Module) -> Ipv4Addr {
         let network = match self {
-            Network::Ethernet => 1,
-            Network::Ieee1394 => 2,
+            DemoNetwork::Ethernet => 1,
+            DemoNetwork::Ieee1394 => 2,
         };
         Ipv4Addr::new(127, network, 0, module.number())
     }
@@ -115,11 +115,11 @@ impl Network {
 
 /// A cable between two modules; its name is the link's name in both.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Cable {
+pub(crate) struct DemoCable {
     /// Its name.
     pub(crate) name: &'static str,
     /// The network that it belongs to.
-    pub(crate) network: Network,
+    pub(crate) network: DemoNetwork,
     /// The module at its other end; the first is always module1.
     pub(crate) far: Module,
     /// Taken only while the other cable between the same modules is down.
@@ -127,14 +127,34 @@ pub(crate) struct Cable {
 }
 
 /// Every cable.
-pub(crate) const CABLES: [Cable; 4] = [
-    Cable { name: "ethernet", network: Network::Ethernet, far: Module::Module2, second: false },
-    Cable { name: "ieee1394-b", network: Network::Ieee1394, far: Module::Module2, second: true },
-    Cable { name: "ieee1394", network: Network::Ieee1394, far: Module::Module3, second: false },
-    Cable { name: "ethernet-b", network: Network::Ethernet, far: Module::Module3, second: true },
+pub(crate) const CABLES: [DemoCable; 4] = [
+    DemoCable {
+        name: "ethernet",
+        network: DemoNetwork::Ethernet,
+        far: Module::Module2,
+        second: false,
+    },
+    DemoCable {
+        name: "ieee1394-b",
+        network: DemoNetwork::Ieee1394,
+        far: Module::Module2,
+        second: true,
+    },
+    DemoCable {
+        name: "ieee1394",
+        network: DemoNetwork::Ieee1394,
+        far: Module::Module3,
+        second: false,
+    },
+    DemoCable {
+        name: "ethernet-b",
+        network: DemoNetwork::Ethernet,
+        far: Module::Module3,
+        second: true,
+    },
 ];
 
-impl Cable {
+impl DemoCable {
     /// The modules that it joins.
     pub(crate) const fn ends(&self) -> [Module; 2] {
         [Module::Module1, self.far]
@@ -161,7 +181,8 @@ pub(crate) struct Flow {
     pub(crate) rate_hz: u32,
 }
 
-/// Every flow. Each pair of modules has one, and the panic of the story strikes the receiver of one.
+/// Every flow. Each pair of modules has one, and the panic of the scenario strikes the receiver of
+/// one.
 pub(crate) const FLOWS: [Flow; 4] = [
     Flow {
         name: "flow/2-3",

@@ -1,174 +1,155 @@
-//! The table at the end, beside the paper's figures.
+//! The tables at the end of a run, with the figures of the paper.
 
-use super::ink::{Ink, Line};
-use super::report::{Delivery, Figures, Report, Response, Row, counted, millis};
+use super::report::{
+    DeliveryTimes, FaultRow, LatencySummary, Report, ResponseTimes, counted, millis,
+};
+use comfy_table::{CellAlignment, ColumnConstraint, ContentArrangement, Table, presets};
+use std::fmt::Write;
 use std::time::Duration;
 
-/// What the wide form takes; narrower terminals get a paragraph for each row.
-const WIDE: usize = 124;
+/// Text and tables are not wrapped to less.
+const NARROWEST: u16 = 40;
+/// Text is not wrapped to more.
+const WIDEST: u16 = 124;
 
-/// Text is not wrapped to less.
-const NARROWEST: usize = 40;
-
-/// The table as lines; none is wider than `columns` where that can be.
-pub(crate) fn draw(report: &Report, columns: usize) -> Vec<Line> {
-    let mut lines = vec![Line::default()];
-    if columns >= WIDE {
-        lines.push(Line::of(Ink::Strong, wide_heading()));
-        lines.extend(report.rows.iter().flat_map(wide_row));
-    } else {
-        lines.extend(report.rows.iter().flat_map(narrow_row));
-    }
+/// Returns the tables as text, wrapped to `columns` where their words permit it.
+pub(crate) fn draw(report: &Report, columns: u16) -> String {
+    let mut text = String::from("\n");
+    // Writing to a string cannot fail.
+    let _ = writeln!(text, "{}", faults(report, columns).trim_fmt());
     if report.rows_left_out > 0 {
         let rows = counted(report.rows_left_out, "earlier row");
-        let text = format!("({rows} in which nothing broke)");
-        lines.push(Line::of(Ink::Faint, text));
+        text += &wrapped(&format!("({rows} without a problem)"), columns);
     }
-    lines.extend(report.problems.iter().map(|problem| Line::of(Ink::Bad, format!("! {problem}"))));
-    lines.push(Line::default());
-    lines.extend(responses(&report.responses));
-    lines.extend(events(&report.events));
-    lines.push(Line::default());
+    for problem in problems(report) {
+        text += &wrapped(&format!("! {problem}"), columns);
+    }
+    text.push('\n');
+    let _ = writeln!(text, "{}\n", latencies(report, columns).trim_fmt());
     for note in &report.notes {
-        lines.extend(
-            wrapped(note, columns.clamp(NARROWEST, WIDE))
-                .into_iter()
-                .map(|text| Line::of(Ink::Faint, text)),
-        );
+        text += &wrapped(note, columns);
     }
-    lines.push(Line::default());
-    lines.extend(verdict(report, columns));
-    lines
+    text.push('\n');
+    text + &wrapped(&verdict(report), columns)
 }
 
-fn wide_heading() -> String {
-    format!(
-        "{:>3}  {:<24} {:<30} {:<24} {:>9} {:>11} {:>5} {:>8}  {}",
-        "", "fault", "where", "named as", "detected", "recovered", "lost", "doubled", "paper"
-    )
-}
-
-fn wide_row(row: &Row) -> Vec<Line> {
-    let figures = Line::of(
-        Ink::Plain,
-        format!(
-            "{:>3}  {:<24} {:<30} {:<24} {:>9} {:>10}{} ",
-            row.number,
-            row.fault,
-            row.place,
-            name(row),
+fn faults(report: &Report, columns: u16) -> Table {
+    let mut table = table(columns);
+    table.set_header([
+        "",
+        "fault",
+        "where",
+        "found as",
+        "found",
+        "recovered",
+        "lost",
+        "doubled",
+        "symptoms",
+    ]);
+    for column in [0, 4, 5, 6, 7, 8] {
+        right_aligned(&mut table, column);
+    }
+    table.add_rows(report.rows.iter().map(|row| {
+        let recovered = figure(row.recovered_after);
+        let perished =
+            if row.perished == 0 { String::new() } else { format!("+{}p ", row.perished) };
+        [
+            row.number.to_string(),
+            row.fault.to_owned(),
+            row.place.clone(),
+            row.named.as_ref().map_or("-".into(), |named| format!("{} {}", named.code, named.text)),
             figure(row.detected_after),
-            figure(row.recovered_after),
-            if row.from_repair { "r" } else { " " },
-        ),
-    )
-    .and(count_ink(row.lost), format!("{:>5}", row.lost))
-    .and(count_ink(row.doubled), format!("{:>9}", row.doubled))
-    .and(Ink::Plain, format!("  {}{}", perished(row), row.paper.unwrap_or_default()));
-    let problems = row.problems.iter().map(|text| Line::of(Ink::Bad, format!("     ! {text}")));
-    std::iter::once(figures).chain(problems).collect()
+            if row.from_repair { format!("{recovered} r") } else { recovered },
+            format!("{perished}{}", row.lost),
+            row.doubled.to_string(),
+            row.symptoms.to_string(),
+        ]
+    }));
+    table
 }
 
-fn narrow_row(row: &Row) -> Vec<Line> {
-    let mut lines = vec![
-        Line::of(Ink::Strong, format!("{:>3} {} in {}", row.number, row.fault, row.place)),
-        Line::of(
-            Ink::Plain,
-            format!(
-                "    {}, detected {}, recovered {}{}",
-                name(row),
-                figure(row.detected_after),
-                figure(row.recovered_after),
-                if row.from_repair { " r" } else { "" },
-            ),
-        ),
-        Line::of(count_ink(row.lost), format!("    lost {}, ", row.lost))
-            .and(count_ink(row.doubled), format!("doubled {}", row.doubled))
-            .and(Ink::Plain, format!("  {}", perished(row))),
-    ];
-    if let Some(paper) = row.paper {
-        lines.push(Line::of(Ink::Plain, format!("    paper: {paper}")));
+/// Everything that broke a promise, each with its fault.
+fn problems(report: &Report) -> Vec<String> {
+    let in_rows = report.rows.iter().flat_map(|row| {
+        let FaultRow { number, fault, place, .. } = row;
+        row.problems.iter().map(move |problem| format!("{number} {fault} in {place}: {problem}"))
+    });
+    in_rows.chain(report.problems.iter().cloned()).collect()
+}
+
+fn latencies(report: &Report, columns: u16) -> Table {
+    let mut table = table(columns);
+    table.set_header(["latency", "over", "times", "mean", "median", "99 %", "worst", "paper c"]);
+    for column in 2..8 {
+        right_aligned(&mut table, column);
     }
-    lines.extend(row.problems.iter().map(|text| Line::of(Ink::Bad, format!("    ! {text}"))));
-    lines
-}
-
-fn responses(responses: &[Response]) -> Vec<Line> {
-    let heading = format!(
-        "{:<18} {:<9} {:>8} {:>9} {:>9} {:>9} {:>9}  {}",
-        "response time", "over", "times", "mean", "median", "99 %", "worst", "paper's mean c"
-    );
-    let line = |response: &Response| {
-        let [one, other] = response.modules;
-        let between = format!("{one}-{other}");
-        let text = format!("{:<18} {:<9} {}", between, response.over, row_of(&response.figures));
-        Line::of(Ink::Plain, format!("{text}  {:.3}", response.paper_mean_ms))
+    let row = |what: String, over: &str, summary: &LatencySummary, paper: String| {
+        let LatencySummary { count, mean, median, p99, worst, .. } = *summary;
+        let figures = [mean, median, p99, worst].map(figure);
+        [what, over.to_owned(), count.to_string()].into_iter().chain(figures).chain([paper])
     };
-    std::iter::once(Line::of(Ink::Strong, heading)).chain(responses.iter().map(line)).collect()
+    for ResponseTimes { modules: [one, other], over, figures, paper_mean_ms } in &report.responses {
+        let what = format!("request {one}-{other}");
+        table.add_row(row(what, over, figures, format!("{paper_mean_ms:.3}")));
+    }
+    for DeliveryTimes { filtered, figures } in &report.events {
+        let what = if *filtered { "event, filtered" } else { "event, unfiltered" };
+        table.add_row(row(what.to_owned(), "", figures, String::new()));
+    }
+    table
 }
 
-fn events(events: &[Delivery]) -> Vec<Line> {
-    let line = |delivery: &Delivery| {
-        let what = if delivery.filtered { "filtered" } else { "unfiltered" };
-        let figures = row_of(&delivery.figures);
-        Line::of(Ink::Plain, format!("{:<28} {figures}", format!("event delivery, {what}")))
-    };
-    events.iter().map(line).collect()
-}
-
-fn row_of(figures: &Figures) -> String {
-    format!(
-        "{:>8} {:>9} {:>9} {:>9} {:>9}",
-        figures.count,
-        figure(figures.mean),
-        figure(figures.median),
-        figure(figures.p99),
-        figure(figures.worst),
-    )
-}
-
-fn verdict(report: &Report, columns: usize) -> Vec<Line> {
+fn verdict(report: &Report) -> String {
     let sum = &report.messages;
     let rows = report.rows.len() as u64 + report.rows_left_out;
     let is_broken =
         !report.problems.is_empty() || report.rows.iter().any(|row| !row.problems.is_empty());
-    let (ink, verdict) = match (report.promises_kept, report.finished) {
-        (true, _) => (Ink::Good, "Every promise was kept"),
-        (false, false) if !is_broken => (Ink::Strong, "Not run to its end"),
-        (false, _) => (Ink::Bad, "A promise was broken"),
+    let verdict = match (report.promises_kept, report.finished) {
+        (true, _) => "Every promise was kept",
+        (false, false) if !is_broken => "The run was ended early",
+        (false, _) => "A promise was broken",
     };
     let late = match report.late {
         0 => String::new(),
-        late => format!(" ({late} that a row counts as lost came late)"),
+        late => format!(" ({late} that a row counts as lost arrived late)"),
     };
-    let text = format!(
+    format!(
         "{verdict}: {} in {:.1} s, seed {}; reliable messages: {} lost{late}, {} doubled.",
         counted(rows, "fault"),
         report.took.as_secs_f64(),
         report.seed,
         sum.lost,
         sum.doubled
-    );
-    let lines = wrapped(&text, columns.clamp(NARROWEST, WIDE));
-    lines.into_iter().map(|line| Line::of(ink, line)).collect()
+    )
 }
 
-fn name(row: &Row) -> String {
-    match &row.named {
-        Some(named) => format!("{} {}", named.code, named.text),
-        None => "-".into(),
+fn table(columns: u16) -> Table {
+    let mut table = Table::new();
+    table
+        .load_style(presets::NOTHING)
+        .set_content_arrangement(ContentArrangement::Dynamic)
+        .set_width(columns.max(NARROWEST));
+    table
+}
+
+fn right_aligned(table: &mut Table, column: usize) {
+    if let Some(column) = table.column_mut(column) {
+        column.set_cell_alignment(CellAlignment::Right);
+        column.set_constraint(ColumnConstraint::ContentWidth);
     }
 }
 
-fn perished(row: &Row) -> String {
-    if row.perished == 0 { String::new() } else { format!("{} p ", row.perished) }
+/// One paragraph, with the end of its last line.
+fn wrapped(text: &str, columns: u16) -> String {
+    let mut table = table(columns.min(WIDEST));
+    table.add_row([text]);
+    if let Some(column) = table.column_mut(0) {
+        column.set_padding((0, 0));
+    }
+    table.trim_fmt() + "\n"
 }
 
-fn count_ink(count: u64) -> Ink {
-    if count == 0 { Ink::Plain } else { Ink::Bad }
-}
-
-/// Milliseconds, with as many places as say something.
+/// Milliseconds, with more decimals for smaller figures.
 fn figure(span: Option<Duration>) -> String {
     let Some(span) = span else { return "-".into() };
     match millis(span) {
@@ -178,40 +159,23 @@ fn figure(span: Option<Duration>) -> String {
     }
 }
 
-fn wrapped(text: &str, columns: usize) -> Vec<String> {
-    let mut lines = vec![String::new()];
-    for word in text.split(' ') {
-        let last = lines.last_mut().expect("there is always a line");
-        if last.chars().count() + 1 + word.chars().count() > columns && !last.is_empty() {
-            lines.push(format!("   {word}"));
-        } else {
-            if !last.is_empty() {
-                last.push(' ');
-            }
-            last.push_str(word);
-        }
-    }
-    lines
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::demo::ink::Palette;
-    use crate::demo::known::Measured;
-    use crate::demo::ledger::Losses;
-    use crate::demo::report::{NOTES, Named, paper_figure};
+    use crate::demo::flow_accounting::FlowLosses;
+    use crate::demo::report::{NOTES, ReportedFault, paper_figure};
     use crate::demo::robot::Module;
+    use crate::demo::robot_state::Measured;
     use crate::demo::timings::Timings;
     use crate::golden;
 
-    fn row(number: u32, fault: &'static str, place: &str, named: (&str, &str)) -> Row {
+    fn row(number: u32, fault: &'static str, place: &str, named: (&str, &str)) -> FaultRow {
         let (code, text) = named;
-        Row {
+        FaultRow {
             number,
             fault,
             place: place.into(),
-            named: Some(Named {
+            named: Some(ReportedFault {
                 code: code.into(),
                 text: text.into(),
                 place: place.into(),
@@ -223,6 +187,7 @@ mod tests {
             lost: 0,
             doubled: 0,
             perished: 0,
+            symptoms: 0,
             paper: paper_figure(fault),
             problems: vec![],
         }
@@ -239,6 +204,7 @@ mod tests {
         rows[3].recovered_after = None;
         rows[3].lost = 2;
         rows[3].perished = 14;
+        rows[3].symptoms = 15;
         rows[3].problems = vec!["service is not back".into(), "2 messages were lost".into()];
         let mut timings = Timings::default();
         for micros in [40, 55, 1_200] {
@@ -259,10 +225,9 @@ mod tests {
             rows,
             rows_left_out: 3,
             problems: vec!["module2 named hang in module2:laser, where nothing was done".into()],
-            messages: Losses { lost: 2, doubled: 0, perished: 14 },
+            messages: FlowLosses { lost: 2, doubled: 0, perished: 14 },
             late: 0,
             received: 9_000,
-            given_back: 5,
             responses: vec![],
             events: vec![],
             notes: NOTES.into(),
@@ -271,18 +236,14 @@ mod tests {
         report
     }
 
-    fn text(columns: usize) -> String {
-        draw(&report(), columns).iter().map(|line| line.paint(Palette::Plain) + "\n").collect()
+    #[test]
+    fn the_tables_state_each_fault_and_the_papers_figures() {
+        golden::check("table.txt", &draw(&report(), 140));
     }
 
     #[test]
-    fn the_table_stands_beside_the_papers_figures() {
-        golden::check("table.txt", &text(140));
-    }
-
-    #[test]
-    fn a_narrow_terminal_gets_a_paragraph_for_each_row() {
-        golden::check("table_narrow.txt", &text(80));
+    fn a_narrow_terminal_gets_wrapped_tables() {
+        golden::check("table_narrow.txt", &draw(&report(), 80));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! One fault, from its injection to the moment at which all is as before.
+//! One fault, from its injection to the instant at which all is as before.
 //!
 //! ```text
 //! Striking ─► Watching ─────────────────► Settling ─► Tidying ─► Over
@@ -7,76 +7,79 @@
 //!                                         has come    up again
 //! ```
 //!
-//! A phase that does not end within its deadline is a problem, which breaks the row, and the next
-//! phase begins: one broken promise does not hide the next.
+//! A phase that exceeds its deadline adds a problem to the row. The next phase begins nevertheless,
+//! so that one broken promise does not hide the next.
 
-use super::injection::{Injection, Judgement, Return};
-use super::known::Known;
-use super::ledger::Losses;
-use super::moment::Moment;
-use super::protocol::{Command, Event, FaultNote, OrderId};
-use super::report::{Named, Row, counted, paper_figure};
-use super::robot::{Cable, Flow, Module};
-use std::collections::{BTreeMap, VecDeque};
+use super::flow_accounting::FlowLosses;
+use super::injection::{FaultMatch, Injection, ServiceRestored};
+use super::machine_instant::MachineInstant;
+use super::protocol::{DirectorCommand, FaultNote, ModuleEvent, OrderId};
+use super::report::{FaultRow, ReportedFault, counted, paper_figure};
+use super::robot::{DemoCable, Flow, Module};
+use super::robot_state::RobotState;
+use super::scenario::LineTone;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// How long each phase may take before it counts as broken. Ten times what a healthy robot takes, on a
-/// machine that is busy with something else.
+/// How long each phase may take before the promise counts as broken. The limits are generous: they
+/// end a run in which something is missing, and say nothing about speed.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Patience {
-    /// Until an order is carried out.
+pub(crate) struct TrialTimeouts {
+    /// Until an injection is carried out.
     pub(crate) strike: Duration,
     /// From the fault to the return of service; a process must be started within it.
     pub(crate) recovery: Duration,
-    /// Until what was sent has arrived.
+    /// Until all sent messages have arrived.
     pub(crate) settling: Duration,
-    /// How long a cut that must be repaired is left alone.
+    /// The shortest time between a cut and its repair, which also waits for the detection.
     pub(crate) before_repair: Duration,
-    /// How long a step takes at least, so that a person sees it.
+    /// The shortest step, so that a person can follow it.
     pub(crate) least: Duration,
 }
 
-impl Default for Patience {
+impl Default for TrialTimeouts {
     fn default() -> Self {
-        Patience {
-            strike: Duration::from_secs(2),
-            recovery: Duration::from_secs(6),
-            settling: Duration::from_secs(3),
-            before_repair: Duration::from_millis(800),
+        TrialTimeouts {
+            strike: Duration::from_secs(10),
+            recovery: Duration::from_secs(30),
+            settling: Duration::from_secs(30),
+            before_repair: Duration::from_millis(300),
             least: Duration::from_millis(1_200),
         }
     }
 }
 
-/// What a trial wants done.
+/// An output of a trial.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Deed {
-    /// Say this to a module.
-    Send(Module, Command),
+pub(crate) enum TrialOutput {
+    /// Send a command to a module.
+    Send(Module, DirectorCommand),
     /// Kill a module's process with signal 9.
     Kill(Module),
 }
 
 /// The trial of one fault.
 #[derive(Debug)]
-pub(crate) struct Trial {
+pub(crate) struct FaultTrial {
     injection: Injection,
     number: u32,
-    patience: Patience,
+    timeouts: TrialTimeouts,
     phase: Phase,
-    begun_at: Moment,
-    due: Option<Moment>,
-    deeds: VecDeque<Deed>,
+    begun_at: MachineInstant,
+    due: Option<MachineInstant>,
+    outputs: VecDeque<TrialOutput>,
     waiting: Vec<Module>,
     struck: Option<Struck>,
     repair: Repair,
     named: BTreeMap<(Module, u64), FaultNote>,
-    /// Faults that have nothing to do with what was done, unless they turn out to be symptoms.
+    /// Faults without a relation to the injection, unless they are reported as symptoms later.
     foreign: BTreeMap<(Module, u64), FaultNote>,
+    /// Faults that were reported as consequences, in any module.
+    symptoms: BTreeSet<(Module, u64)>,
     reported: bool,
-    served_at: Option<Moment>,
-    passed: BTreeMap<&'static str, Moment>,
-    before: Losses,
+    served_at: Option<MachineInstant>,
+    passed: BTreeMap<&'static str, MachineInstant>,
+    before: FlowLosses,
     problems: Vec<String>,
 }
 
@@ -89,11 +92,11 @@ enum Phase {
     Over,
 }
 
-/// When the fault began: at the first end of a cable, and when it was whole.
+/// When the fault began: at the first end of a cable, and at the last.
 #[derive(Clone, Copy, Debug)]
 struct Struck {
-    first: Moment,
-    last: Moment,
+    first: MachineInstant,
+    last: MachineInstant,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -101,149 +104,186 @@ enum Repair {
     NotNeeded,
     Needed,
     Ordered,
-    Done { at: Moment },
+    Done { at: MachineInstant },
 }
 
-impl Trial {
-    /// Begins with the injection at once.
+impl FaultTrial {
+    /// Starts with the injection.
     pub(crate) fn new(
         injection: Injection,
         number: u32,
-        patience: Patience,
-        known: &Known,
-        now: Moment,
-    ) -> Trial {
+        timeouts: TrialTimeouts,
+        robot: &RobotState,
+        now: MachineInstant,
+    ) -> FaultTrial {
         let repairs = injection.repair(OrderId(0)).is_empty();
-        let mut trial = Trial {
+        let mut trial = FaultTrial {
             number,
-            patience,
+            timeouts,
             phase: Phase::Striking,
             begun_at: now,
-            due: Some(now + patience.strike),
-            deeds: VecDeque::new(),
+            due: Some(now + timeouts.strike),
+            outputs: VecDeque::new(),
             waiting: Vec::new(),
             struck: None,
             repair: if repairs { Repair::NotNeeded } else { Repair::Needed },
             named: BTreeMap::new(),
             foreign: BTreeMap::new(),
+            symptoms: BTreeSet::new(),
             reported: false,
             served_at: None,
             passed: BTreeMap::new(),
-            before: known.ledger.losses(),
+            before: robot.accounting.losses(),
             problems: Vec::new(),
             injection,
         };
         if let Injection::Kill { module } = trial.injection {
-            trial.deeds.push_back(Deed::Kill(module));
+            trial.outputs.push_back(TrialOutput::Kill(module));
         }
         trial.order(trial.injection.strike(trial.strike_order()));
         trial
     }
 
-    /// What is tried.
+    /// Returns the injected fault.
     pub(crate) fn injection(&self) -> &Injection {
         &self.injection
     }
 
-    /// Something came from a module; `known` has it already.
+    /// Handles an event of a module, which `robot` has handled before. Returns the line that it
+    /// adds to the progress: the first report of the fault, a decision about it, or a failure.
     pub(crate) fn handle_event(
         &mut self,
         from: Module,
-        event: &Event,
-        known: &mut Known,
-        now: Moment,
-    ) {
+        event: &ModuleEvent,
+        robot: &mut RobotState,
+        now: MachineInstant,
+    ) -> Option<(LineTone, String)> {
+        let line = self.line(from, event);
         match event {
-            Event::CarriedOut { order, at } => self.handle_carried_out(from, *order, *at, now),
-            Event::Refused { order, reason } if self.is_mine(*order) => {
+            ModuleEvent::CarriedOut { order, at } => {
+                self.handle_carried_out(from, *order, *at, now)
+            }
+            ModuleEvent::Refused { order, reason } if self.is_mine(*order) => {
                 self.problems.push(format!("{from} refused: {reason}"));
                 self.waiting.retain(|module| *module != from);
-                self.enter(Phase::Settling, known, now);
+                self.enter(Phase::Settling, robot, now);
             }
-            Event::Found(note) => self.handle_found(from, note),
-            Event::Explained { id, .. } => {
-                self.foreign.remove(&(from, *id));
+            ModuleEvent::Found(note) => self.handle_found(from, note),
+            ModuleEvent::Explained { id, .. } if self.foreign.remove(&(from, *id)).is_some() => {
+                self.symptoms.insert((from, *id));
             }
-            // An overload is over when the queue has been worked off: nothing is done about it.
-            Event::Recovered { id, .. } | Event::Cleared { id }
+            // An overload ends when the queue is empty again, without a recovery action.
+            ModuleEvent::Recovered { id, .. } | ModuleEvent::Cleared { id }
                 if self.named.contains_key(&(from, *id)) =>
             {
                 self.reported = true;
             }
-            Event::GaveUp { id, reason } => {
+            ModuleEvent::GaveUp { id, reason } => {
                 self.problems.push(format!("{from} gave fault {id} up: {reason}"));
             }
-            Event::Served { order, at, .. } if *order == self.strike_order() => {
+            ModuleEvent::Served { order, at, .. } if *order == self.strike_order() => {
                 self.served_at.get_or_insert(*at);
             }
-            Event::Passed { flow, since, at } if Some(*since) == self.watched_since() => {
+            ModuleEvent::Passed { flow, since, at } if Some(*since) == self.watched_since() => {
                 if let Some(flow) = Flow::from_name(flow) {
                     self.passed.entry(flow.name).or_insert(*at);
                 }
             }
-            // A new process knows nothing of what the old one was asked.
-            Event::Ready => self.watch_in(&[from]),
+            // A new process has not received the requests that its predecessor received.
+            ModuleEvent::Ready => self.watch_in(&[from]),
             _ => {}
         }
-        self.advance(known, now);
+        self.advance(robot, now);
+        line
     }
 
-    /// The process was killed, as ordered.
-    pub(crate) fn handle_killed(&mut self, at: Moment, now: Moment) {
+    /// The line for a person. The symptoms are folded into the last line of the fault.
+    fn line(&self, from: Module, event: &ModuleEvent) -> Option<(LineTone, String)> {
+        match event {
+            ModuleEvent::Found(note)
+                if self.named.is_empty() && self.injection.judge(note) == FaultMatch::Named =>
+            {
+                let FaultNote { kind, place, .. } = note;
+                let text = format!("{from} found {} {kind} in {place}", kind.code());
+                Some((LineTone::Finding, text))
+            }
+            ModuleEvent::Decided { id, measure } if self.root() == Some((from, *id)) => {
+                Some((LineTone::Remark, format!("{from} decided: {measure}")))
+            }
+            ModuleEvent::GaveUp { reason, .. } => {
+                Some((LineTone::Alarm, format!("{from} gave up: {reason}")))
+            }
+            _ => None,
+        }
+    }
+
+    /// The first report of the fault.
+    fn root(&self) -> Option<(Module, u64)> {
+        let first = self.named.iter().min_by_key(|(_, note)| note.found_at);
+        first.map(|(key, _)| *key)
+    }
+
+    /// Counts the other reports of the fault and the reports of its consequences.
+    fn symptoms(&self) -> u64 {
+        (self.named.len().saturating_sub(1) + self.symptoms.len()) as u64
+    }
+
+    /// Handles the kill of a process by the scenario.
+    pub(crate) fn handle_killed(&mut self, at: MachineInstant, now: MachineInstant) {
         if self.phase == Phase::Striking {
             self.struck = Some(Struck { first: at, last: at });
             self.phase = Phase::Watching;
-            self.due = Some(now + self.patience.recovery);
+            self.due = Some(now + self.timeouts.recovery);
             self.watch_in(&Module::ALL);
         }
     }
 
-    /// A process ended that nobody had killed.
+    /// Handles the end of a process that was not ordered.
     pub(crate) fn handle_exit(&mut self, module: Module, how: &str) {
         self.problems.push(format!("{module} ended by itself: {how}"));
     }
 
-    /// What is to be done next.
-    pub(crate) fn poll_deed(&mut self) -> Option<Deed> {
-        self.deeds.pop_front()
+    /// Returns the next output.
+    pub(crate) fn poll_output(&mut self) -> Option<TrialOutput> {
+        self.outputs.pop_front()
     }
 
-    /// When time alone changes something.
-    pub(crate) fn poll_timeout(&self) -> Option<Moment> {
+    /// Returns when the timer expires.
+    pub(crate) fn poll_timeout(&self) -> Option<MachineInstant> {
         let repair = match (self.phase, self.repair, self.struck) {
-            (Phase::Watching, Repair::Needed, Some(struck)) => {
-                Some(struck.last + self.patience.before_repair)
+            (Phase::Watching, Repair::Needed, Some(struck)) if !self.named.is_empty() => {
+                Some(struck.last + self.timeouts.before_repair)
             }
             _ => None,
         };
         self.due.into_iter().chain(repair).min()
     }
 
-    /// Acts on what is due.
-    pub(crate) fn handle_timeout(&mut self, known: &mut Known, now: Moment) {
-        self.advance(known, now);
+    /// Handles the expiry of the timer.
+    pub(crate) fn handle_timeout(&mut self, robot: &mut RobotState, now: MachineInstant) {
+        self.advance(robot, now);
         if self.due.is_none_or(|due| due > now) {
             return;
         }
         match self.phase {
             Phase::Striking => {
                 self.problems.push("the fault could not be injected in time".into());
-                self.enter(Phase::Settling, known, now);
+                self.enter(Phase::Settling, robot, now);
             }
             Phase::Watching => {
-                self.problems.extend(self.what_is_missing(known));
-                self.enter(Phase::Settling, known, now);
+                self.problems.extend(self.what_is_missing(robot));
+                self.enter(Phase::Settling, robot, now);
             }
             Phase::Settling => {
-                let names: Vec<_> = known.ledger.unsettled().map(|flow| flow.name).collect();
+                let names: Vec<_> = robot.accounting.unsettled().map(|flow| flow.name).collect();
                 if !names.is_empty() {
                     self.problems.push(format!("messages did not arrive on {}", names.join(", ")));
                 }
-                self.enter(Phase::Tidying, known, now);
+                self.enter(Phase::Tidying, robot, now);
             }
             Phase::Tidying => {
-                if !self.is_tidy(known) {
-                    let missing = known.missing(|cable| self.expects(cable));
+                if !self.is_tidy(robot) {
+                    let missing = robot.missing(|cable| self.expects(cable));
                     self.problems.push(format!("not as before: {missing}"));
                 }
                 self.phase = Phase::Over;
@@ -251,19 +291,19 @@ impl Trial {
             }
             Phase::Over => {}
         }
-        self.advance(known, now);
+        self.advance(robot, now);
     }
 
-    /// Something broke already.
+    /// Returns whether a promise is broken.
     pub(crate) fn is_broken(&self) -> bool {
         !self.problems.is_empty()
     }
 
-    /// Ends it where it stands; what is still missing is a problem.
-    pub(crate) fn cut_short(&mut self, known: &Known) {
+    /// Ends the trial in its present phase; what is missing is a problem.
+    pub(crate) fn cut_short(&mut self, robot: &RobotState) {
         match self.phase {
             Phase::Striking => self.problems.push("the fault was not injected".into()),
-            Phase::Watching => self.problems.extend(self.what_is_missing(known)),
+            Phase::Watching => self.problems.extend(self.what_is_missing(robot)),
             Phase::Settling | Phase::Tidying | Phase::Over => {}
         }
         self.problems.push("cut short: time is up".into());
@@ -271,14 +311,14 @@ impl Trial {
         self.due = None;
     }
 
-    /// It is over; [`row`](Self::row) is final.
+    /// Returns whether the trial has ended; then [`row`](Self::row) is final.
     pub(crate) fn is_over(&self) -> bool {
         self.phase == Phase::Over
     }
 
-    /// What came of it so far.
-    pub(crate) fn row(&self, known: &Known) -> Row {
-        let Losses { lost, doubled, perished } = known.ledger.losses() - self.before;
+    /// Returns the row up to now.
+    pub(crate) fn row(&self, robot: &RobotState) -> FaultRow {
+        let FlowLosses { lost, doubled, perished } = robot.accounting.losses() - self.before;
         let mut problems = self.problems.clone();
         for ((finder, _), FaultNote { kind, place, detail, .. }) in &self.foreign {
             problems.push(format!("{finder} named {kind} in {place}: {detail}"));
@@ -291,18 +331,20 @@ impl Trial {
         }
         let first_named = self.named.values().min_by_key(|note| note.found_at);
         let struck = self.struck.map(|struck| struck.first);
-        let since = |start: Option<Moment>, end: Option<Moment>| Some(end? - start?);
-        Row {
+        let since =
+            |start: Option<MachineInstant>, end: Option<MachineInstant>| Some(end? - start?);
+        FaultRow {
             number: self.number,
             fault: self.injection.title(),
             place: self.injection.place(),
-            named: first_named.map(Named::from),
+            named: first_named.map(ReportedFault::from),
             detected_after: since(struck, first_named.map(|note| note.found_at)),
-            recovered_after: since(self.recovery_starts(), self.back_at(known)),
+            recovered_after: since(self.recovery_starts(), self.back_at(robot)),
             from_repair: self.repair != Repair::NotNeeded,
             lost,
             doubled,
             perished,
+            symptoms: self.symptoms(),
             paper: paper_figure(self.injection.title()),
             problems,
         }
@@ -324,13 +366,20 @@ impl Trial {
         [self.strike_order(), self.repair_order(), self.tidy_order()].contains(&order)
     }
 
-    fn order(&mut self, commands: Vec<(Module, Command)>) {
+    fn order(&mut self, commands: Vec<(Module, DirectorCommand)>) {
         self.waiting = commands.iter().map(|(module, _)| *module).collect();
-        self.deeds
-            .extend(commands.into_iter().map(|(module, command)| Deed::Send(module, command)));
+        self.outputs.extend(
+            commands.into_iter().map(|(module, command)| TrialOutput::Send(module, command)),
+        );
     }
 
-    fn handle_carried_out(&mut self, from: Module, order: OrderId, at: Moment, now: Moment) {
+    fn handle_carried_out(
+        &mut self,
+        from: Module,
+        order: OrderId,
+        at: MachineInstant,
+        now: MachineInstant,
+    ) {
         if !self.is_mine(order) || !self.waiting.contains(&from) {
             return;
         }
@@ -341,76 +390,82 @@ impl Trial {
             struck.last = struck.last.max(at);
             if self.waiting.is_empty() {
                 self.phase = Phase::Watching;
-                self.due = Some(now + self.patience.recovery);
+                self.due = Some(now + self.timeouts.recovery);
                 self.watch_in(&Module::ALL);
             }
         } else if order == self.repair_order() && self.waiting.is_empty() {
             self.repair = Repair::Done { at };
-            self.due = Some(now + self.patience.recovery);
+            self.due = Some(now + self.timeouts.recovery);
             self.watch_in(&Module::ALL);
         }
     }
 
     fn handle_found(&mut self, from: Module, note: &FaultNote) {
         match self.injection.judge(note) {
-            Judgement::Named => {
+            FaultMatch::Named => {
                 self.named.entry((from, note.id)).or_insert_with(|| note.clone());
             }
-            Judgement::Companion => {}
-            Judgement::Foreign => {
+            FaultMatch::Companion if note.is_warning() => {}
+            FaultMatch::Companion => drop(self.symptoms.insert((from, note.id))),
+            FaultMatch::Foreign => {
                 self.foreign.entry((from, note.id)).or_insert_with(|| note.clone());
             }
         }
     }
 
-    fn advance(&mut self, known: &mut Known, now: Moment) {
+    fn advance(&mut self, robot: &mut RobotState, now: MachineInstant) {
         if self.phase == Phase::Watching {
             self.repair_when_due(now);
-            if self.what_is_missing(known).is_empty() {
-                self.enter(Phase::Settling, known, now);
+            if self.what_is_missing(robot).is_empty() {
+                self.enter(Phase::Settling, robot, now);
             }
         }
-        if self.phase == Phase::Settling && known.ledger.is_settled() {
-            self.enter(Phase::Tidying, known, now);
+        if self.phase == Phase::Settling && robot.accounting.is_settled() {
+            self.enter(Phase::Tidying, robot, now);
         }
-        let seen = now - self.begun_at >= self.patience.least;
-        if self.phase == Phase::Tidying && seen && self.is_tidy(known) {
+        let seen = now - self.begun_at >= self.timeouts.least;
+        if self.phase == Phase::Tidying && seen && self.is_tidy(robot) {
             self.phase = Phase::Over;
             self.due = None;
         }
     }
 
-    fn repair_when_due(&mut self, now: Moment) {
+    fn repair_when_due(&mut self, now: MachineInstant) {
         let Some(struck) = self.struck else { return };
-        if self.repair == Repair::Needed && now >= struck.last + self.patience.before_repair {
+        // A cut that was repaired before its detection would never be found.
+        let is_found = !self.named.is_empty();
+        let is_due = now >= struck.last + self.timeouts.before_repair;
+        if self.repair == Repair::Needed && is_found && is_due {
             self.repair = Repair::Ordered;
             self.order(self.injection.repair(self.repair_order()));
         }
     }
 
-    fn enter(&mut self, phase: Phase, known: &mut Known, now: Moment) {
+    fn enter(&mut self, phase: Phase, robot: &mut RobotState, now: MachineInstant) {
         self.phase = phase;
-        self.due = Some(now + self.patience.settling.max(self.patience.least));
+        self.due = Some(now + self.timeouts.settling.max(self.timeouts.least));
         match phase {
             Phase::Settling => {
-                known.ledger.settle(now);
-                let status = Module::ALL.map(|module| Deed::Send(module, Command::Status));
-                self.deeds.extend(status);
+                robot.accounting.settle(now);
+                let status =
+                    Module::ALL.map(|module| TrialOutput::Send(module, DirectorCommand::Status));
+                self.outputs.extend(status);
             }
             Phase::Tidying => self.order(self.injection.clean_up(self.tidy_order())),
             Phase::Striking | Phase::Watching | Phase::Over => {}
         }
     }
 
-    /// Tells modules to look out for the first message sent since the recovery could begin.
+    /// Makes modules watch for the first message sent since the recovery could begin.
     fn watch_in(&mut self, modules: &[Module]) {
         if let Some(since) = self.watched_since() {
-            let watch = |module: &Module| Deed::Send(*module, Command::Watch { since });
-            self.deeds.extend(modules.iter().map(watch));
+            let watch =
+                |module: &Module| TrialOutput::Send(*module, DirectorCommand::Watch { since });
+            self.outputs.extend(modules.iter().map(watch));
         }
     }
 
-    fn watched_since(&self) -> Option<Moment> {
+    fn watched_since(&self) -> Option<MachineInstant> {
         match (self.phase, self.repair) {
             (Phase::Watching, Repair::NotNeeded) => Some(self.struck?.last),
             (Phase::Watching, Repair::Done { at }) => Some(at),
@@ -418,7 +473,7 @@ impl Trial {
         }
     }
 
-    fn recovery_starts(&self) -> Option<Moment> {
+    fn recovery_starts(&self) -> Option<MachineInstant> {
         match self.repair {
             Repair::NotNeeded => self.struck.map(|struck| struck.first),
             Repair::Done { at } => Some(at),
@@ -426,41 +481,41 @@ impl Trial {
         }
     }
 
-    fn back_at(&self, known: &Known) -> Option<Moment> {
+    fn back_at(&self, robot: &RobotState) -> Option<MachineInstant> {
         let traffic = || {
             let arrivals = self.injection.flows().into_iter();
             let arrivals = arrivals.map(|flow| self.passed.get(flow.name).copied());
             arrivals.collect::<Option<Vec<_>>>()?.into_iter().max()
         };
         match self.injection.comes_back_by() {
-            Return::Service => self.served_at,
-            Return::Traffic => traffic(),
-            Return::Rejoining => traffic().filter(|_| known.are_ready()),
+            ServiceRestored::Service => self.served_at,
+            ServiceRestored::Traffic => traffic(),
+            ServiceRestored::Rejoining => traffic().filter(|_| robot.are_ready()),
         }
     }
 
-    fn what_is_missing(&self, known: &Known) -> Vec<String> {
+    fn what_is_missing(&self, robot: &RobotState) -> Vec<String> {
         let mut missing = Vec::new();
         if self.named.is_empty() {
             missing.push("the fault was not found".to_owned());
         } else if self.injection.wants_report() && !self.reported {
             missing.push("its recovery was not reported".to_owned());
         }
-        if self.back_at(known).is_none() {
+        if self.back_at(robot).is_none() {
             missing.push("service is not back".to_owned());
         }
         missing
     }
 
-    /// Whether a cable should be up when the step is over.
-    fn expects(&self, cable: &Cable) -> bool {
+    /// Returns whether a cable is to be up at the end of the step.
+    fn expects(&self, cable: &DemoCable) -> bool {
         match &self.injection {
             Injection::Cut { cable: cut, returns } => *returns || cut != cable,
             _ => true,
         }
     }
 
-    fn is_tidy(&self, known: &Known) -> bool {
-        self.waiting.is_empty() && known.is_together(|cable| self.expects(cable))
+    fn is_tidy(&self, robot: &RobotState) -> bool {
+        self.waiting.is_empty() && robot.is_together(|cable| self.expects(cable))
     }
 }

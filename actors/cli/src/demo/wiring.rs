@@ -1,6 +1,6 @@
 //! Where the ends of the cables are.
 
-use super::robot::{CABLES, Cable, Module};
+use super::robot::{CABLES, DemoCable, Module};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io;
@@ -15,7 +15,7 @@ pub(crate) struct Wiring(BTreeMap<String, [SocketAddr; 2]>);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct CableEnd {
     /// The cable.
-    pub(crate) cable: Cable,
+    pub(crate) cable: DemoCable,
     /// Our address.
     pub(crate) here: SocketAddr,
     /// The address at the other end.
@@ -49,7 +49,7 @@ impl Wiring {
 
     /// The cable ends of a module.
     pub(crate) fn ends_of(&self, module: Module) -> Vec<CableEnd> {
-        let end = |cable: Cable| {
+        let end = |cable: DemoCable| {
             let &[near, far] = self.0.get(cable.name)?;
             Some(match module {
                 Module::Module1 => CableEnd { cable, here: near, there: far, neighbour: cable.far },

@@ -1,18 +1,18 @@
 //! A cell of the robot's skin: one of a hundred small objects. Some receive a flow.
 
-use super::gauges::Gauges;
+use super::harm::{HarmState, declare, vulnerable};
+use super::measurements::Measurements;
 use super::messages::Numbered;
-use super::wounds::{Wounds, declare, vulnerable};
-use crate::demo::moment::Moment;
+use crate::demo::flow_receiver::Sample;
+use crate::demo::machine_instant::MachineInstant;
 use crate::demo::robot::Flow;
-use crate::demo::tally::Sample;
 use blastema::prelude::*;
 
 /// Feels pressure, ten times a second.
 #[derive(Debug)]
 pub(super) struct Cell {
-    pub(super) wounds: Wounds,
-    pub(super) gauges: Gauges,
+    pub(super) harm: HarmState,
+    pub(super) measurements: Measurements,
     /// The flow that ends here.
     pub(super) flow: Option<&'static Flow>,
     pub(super) pressure: f32,
@@ -25,13 +25,13 @@ impl Component for Cell {
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.initialize()
+        self.harm.initialize()
     }
 
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
         self.pressure = 0.9 * self.pressure + 0.01;
         cx.check_range("pressure", &self.pressure, 0.0..1.0);
-        self.wounds.execute()
+        self.harm.execute()
     }
 }
 
@@ -39,8 +39,8 @@ impl Handle<Numbered> for Cell {
     async fn handle(&mut self, numbered: Numbered, _: &mut Context<Self>) {
         let Numbered { epoch, number, made_ns } = numbered;
         if let Some(flow) = self.flow {
-            let sample = Sample { epoch, number, sent: Moment::from_nanos(made_ns) };
-            self.gauges.arrived(flow, sample);
+            let sample = Sample { epoch, number, sent: MachineInstant::from_nanos(made_ns) };
+            self.measurements.arrived(flow, sample);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The laser scanner on the robot's head.
 
+use super::harm::{HarmState, declare, vulnerable};
 use super::messages::Scan;
-use super::wounds::{Wounds, declare, vulnerable};
 use blastema::prelude::*;
 
 /// Directions in one sweep.
@@ -12,7 +12,7 @@ const WALK: u32 = 200;
 /// Sweeps the room, where a person walks to and fro.
 #[derive(Debug)]
 pub(super) struct Laser {
-    pub(super) wounds: Wounds,
+    pub(super) harm: HarmState,
     pub(super) sweeps: u32,
 }
 
@@ -22,11 +22,11 @@ impl Component for Laser {
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.initialize()
+        self.harm.initialize()
     }
 
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.execute()?;
+        self.harm.execute()?;
         self.sweeps = self.sweeps.wrapping_add(1);
         let ranges: Vec<f32> = (0..RAYS).map(|ray| self.range(ray)).collect();
         for range in &ranges {

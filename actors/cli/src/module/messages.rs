@@ -86,7 +86,7 @@ pub(super) struct Numbered {
 /// A question that is answered at once, to measure response times.
 #[derive(Clone, Copy, Debug, Request)]
 #[contract(name = "demo/echo", reply = u64)]
-pub(super) struct Echo {
+pub(super) struct EchoRequest {
     /// Comes back.
     pub(super) number: u64,
 }
@@ -101,39 +101,39 @@ pub(super) struct Tick {
     pub(super) made_ns: u64,
 }
 
-/// Do yourself harm.
+/// Makes the object harm itself.
 #[derive(Clone, Copy, Debug, Request)]
 #[contract(name = "demo/harm", reply = ())]
-pub(super) struct Harm {
-    /// Which.
-    pub(super) wound: Wound,
+pub(super) struct InjectFault {
+    /// The kind of harm.
+    pub(super) wound: ObjectHarm,
 }
 
 /// The harm that an object can do to itself.
 #[derive(Clone, Copy, Debug, Structure)]
-pub(super) enum Wound {
+pub(super) enum ObjectHarm {
     /// Panic.
     Panic,
     /// Block the thread.
     Hang {
-        /// For so long.
+        /// The duration.
         #[contract(unit = "ms")]
         millis: u64,
     },
     /// Report an error from the next execution.
     Error,
-    /// End, and fail the next initialisation.
+    /// Panic, and fail the next initialisation.
     FailInitialization,
-    /// Give no sign of life any more.
+    /// Stop the signs of life.
     Silence,
 }
 
-/// Who answers?
+/// Asks for the incarnation that answers.
 #[derive(Clone, Copy, Debug, Request)]
 #[contract(name = "demo/poke", reply = u64)]
-pub(super) struct Poke {}
+pub(super) struct Probe {}
 
-/// One message of a flood: of no use to anybody.
+/// One message of a flood.
 #[derive(Clone, Copy, Debug, Event)]
 #[contract(name = "demo/noise")]
-pub(super) struct Noise {}
+pub(super) struct FloodMessage {}

@@ -1,46 +1,46 @@
-//! One module of the demonstration's robot: a node in a process of its own, which does what the
-//! director says and tells what it finds.
+//! One module of the demonstration's robot: a node in a process of its own, which executes the
+//! director's commands and reports its faults.
 //!
 //! ```text
-//!  director ── commands ──► Post ──► Duty ──► objects (each handles its own harm)
-//!           ◄── events ──── Gauges ◄── flows, echoes, ticks; fault history; monitor's table
+//!  director ── commands ──► ModuleAgent ──► FaultTarget ──► objects (each harms itself)
+//!           ◄── events ──── Measurements ◄── flows, echoes, ticks; fault events; monitor's table
 //! ```
 //!
-//! The gauges stand outside of the objects, so that what is measured survives what is done to them.
+//! Measurements are stored outside of the objects, so that they survive the injected faults.
 
-mod aboard;
+mod agent;
 mod cell;
-mod duty;
-mod gauges;
+mod fault_target;
+mod harm;
 mod laser;
+mod measurements;
 mod messages;
+mod module_node;
 mod motors;
 mod odometry;
 mod operator;
 mod pacer;
 mod planner;
-mod post;
 mod report;
 mod safety;
 mod stopwatch;
 mod ticker;
-mod wounds;
 
 use crate::args::ModuleOptions;
 use crate::demo::control::{ControlError, enter};
-use crate::demo::protocol::{Command, Event, VERSION};
+use crate::demo::protocol::{DirectorCommand, ModuleEvent, VERSION};
 use crate::demo::robot::Module;
-use post::Post;
+use agent::ModuleAgent;
 use std::io;
 use tokio::sync::mpsc::channel;
 
 /// Lines that may wait between the module and the director.
 const QUEUE: usize = 4_096;
 
-/// Why a module ends with a failure.
+/// The reason why a module ends with a failure.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ModuleError {
-    /// It was not started by a demonstration.
+    /// The name is not one of the robot's modules.
     #[error("{0:?} is no module of the robot; modules are started by `blastema demo`")]
     Name(String),
     /// See [`ControlError`].
@@ -51,10 +51,10 @@ pub(crate) enum ModuleError {
     System(#[from] io::Error),
 }
 
-/// Runs a module until the director is gone or says that it is over.
+/// Runs a module until the director ends or shuts it down.
 ///
 /// # Errors
-/// It was not started by a director, or cannot reach it.
+/// The module was not started by a director, or cannot reach it.
 pub(crate) fn run(options: &ModuleOptions) -> Result<(), ModuleError> {
     let name = || ModuleError::Name(options.name.clone());
     let module = Module::from_name(&options.name).ok_or_else(name)?;
@@ -65,11 +65,11 @@ pub(crate) fn run(options: &ModuleOptions) -> Result<(), ModuleError> {
 
 async fn serve(module: Module, options: &ModuleOptions) -> Result<(), ModuleError> {
     let (mut reader, mut writer) = enter(&options.control, options.parent).await?;
-    let hello = Event::Hello { name: module.name().into(), version: VERSION };
+    let hello = ModuleEvent::Hello { name: module.name().into(), version: VERSION };
     writer.send(&hello).await?;
-    let Some(Command::Start { wiring }) = reader.next().await? else { return Ok(()) };
+    let Some(DirectorCommand::Start { wiring }) = reader.next().await? else { return Ok(()) };
 
-    let (events, mut told) = channel::<Event>(QUEUE);
+    let (events, mut told) = channel::<ModuleEvent>(QUEUE);
     tokio::spawn(async move {
         while let Some(event) = told.recv().await {
             // A director that is gone is noticed by the reader.
@@ -78,7 +78,7 @@ async fn serve(module: Module, options: &ModuleOptions) -> Result<(), ModuleErro
             }
         }
     });
-    let (heard, commands) = channel::<Command>(QUEUE);
+    let (heard, commands) = channel::<DirectorCommand>(QUEUE);
     tokio::spawn(async move {
         // An end of the channel is an end of the module; so is a line that cannot be understood.
         while let Ok(Some(command)) = reader.next().await {
@@ -87,6 +87,6 @@ async fn serve(module: Module, options: &ModuleOptions) -> Result<(), ModuleErro
             }
         }
     });
-    Post::new(module, events).hold(wiring, commands).await;
+    ModuleAgent::new(module, events).hold(wiring, commands).await;
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! The motors of the base.
 
+use super::harm::{HarmState, declare, vulnerable};
 use super::messages::{Stop, Velocity, Wheels};
-use super::wounds::{Wounds, declare, vulnerable};
 use blastema::prelude::*;
 
 /// One round of control, in seconds: the motors run at 100 Hz.
@@ -12,7 +12,7 @@ const PATIENCE: u32 = 20;
 /// Turns the wheels as commanded, and stops when commands cease.
 #[derive(Debug)]
 pub(super) struct Motors {
-    pub(super) wounds: Wounds,
+    pub(super) harm: HarmState,
     pub(super) velocity: Velocity,
     pub(super) rounds_since: u32,
 }
@@ -24,11 +24,11 @@ impl Component for Motors {
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.initialize()
+        self.harm.initialize()
     }
 
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.execute()?;
+        self.harm.execute()?;
         self.rounds_since = self.rounds_since.saturating_add(1);
         if self.rounds_since > PATIENCE {
             self.velocity = Velocity::default();

@@ -1,13 +1,13 @@
 //! Odometry: where the wheels have carried the robot.
 
+use super::harm::{HarmState, declare, vulnerable};
 use super::messages::{Pose, Wheels};
-use super::wounds::{Wounds, declare, vulnerable};
 use blastema::prelude::*;
 
 /// Adds up the turns of the wheels.
 #[derive(Debug)]
 pub(super) struct Odometry {
-    pub(super) wounds: Wounds,
+    pub(super) harm: HarmState,
     pub(super) pose: Pose,
 }
 
@@ -18,11 +18,11 @@ impl Component for Odometry {
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.initialize()
+        self.harm.initialize()
     }
 
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.execute()?;
+        self.harm.execute()?;
         cx.publish(self.pose);
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! The operator's panel on the robot's head.
 
+use super::harm::{HarmState, declare, vulnerable};
 use super::messages::{Goal, Pose};
-use super::wounds::{Wounds, declare, vulnerable};
 use blastema::prelude::*;
 
 /// How near the robot must come to a goal.
@@ -12,7 +12,7 @@ const ROUND: [(f64, f64); 4] = [(2.0, 0.0), (2.0, 2.0), (0.0, 2.0), (0.0, 0.0)];
 /// Sends the robot on its round, one corner after the other.
 #[derive(Debug)]
 pub(super) struct Operator {
-    pub(super) wounds: Wounds,
+    pub(super) harm: HarmState,
     pub(super) corner: usize,
 }
 
@@ -23,11 +23,11 @@ impl Component for Operator {
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.initialize()
+        self.harm.initialize()
     }
 
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.execute()?;
+        self.harm.execute()?;
         let (x, y) = ROUND[self.corner % ROUND.len()];
         cx.publish(Goal { x, y });
         Ok(())

@@ -1,7 +1,7 @@
 //! The planner: from where the robot is to where it shall be.
 
+use super::harm::{HarmState, declare, vulnerable};
 use super::messages::{Goal, Pose, Scan, Velocity};
-use super::wounds::{Wounds, declare, vulnerable};
 use blastema::prelude::*;
 use std::f64::consts::PI;
 
@@ -15,7 +15,7 @@ const CLEAR_M: f32 = 2.0;
 /// Steers towards the goal, more slowly where something is near.
 #[derive(Debug)]
 pub(super) struct Planner {
-    pub(super) wounds: Wounds,
+    pub(super) harm: HarmState,
     pub(super) motors: &'static str,
     pub(super) pose: Option<Pose>,
     pub(super) goal: Option<Goal>,
@@ -31,11 +31,11 @@ impl Component for Planner {
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.initialize()
+        self.harm.initialize()
     }
 
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.execute()?;
+        self.harm.execute()?;
         let (Some(pose), Some(goal)) = (self.pose, self.goal) else { return Ok(()) };
         let motors = cx.sender::<Velocity>(self.motors).map_err(|why| why.to_string())?;
         // The motors stand still by themselves when no command comes; the next one is better.

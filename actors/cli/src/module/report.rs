@@ -1,16 +1,16 @@
-//! How the module's monitor and detector see it, in the words of the control channel.
+//! Converts fault events and the monitor's table for the control channel.
 
-use crate::demo::moment::Moment;
-use crate::demo::protocol::{Event, FaultNote, LinkState, ObjectState, Opinion};
+use crate::demo::machine_instant::MachineInstant;
+use crate::demo::protocol::{CableState, FaultNote, ModuleEvent, ObjectOpinion, ObjectState};
 use blastema::core::detection::{self, ObjectKind, Row, Turn};
 use blastema::{FaultEvent, Lifecycle, Place};
 
-/// One step in the history of a fault, if it is one that is told.
-pub(super) fn event_of(step: FaultEvent) -> Option<Event> {
+/// Returns the event of a fault that the director receives.
+pub(super) fn event_of(step: FaultEvent) -> Option<ModuleEvent> {
     let FaultEvent { fault, at, turn } = step;
     let id = fault.id.0;
     Some(match turn {
-        Turn::Found => Event::Found(FaultNote {
+        Turn::Found => ModuleEvent::Found(FaultNote {
             id,
             kind: fault.kind,
             place: fault.place,
@@ -18,19 +18,19 @@ pub(super) fn event_of(step: FaultEvent) -> Option<Event> {
             detail: fault.detail,
             symptom_of: fault.symptom_of.map(|root| root.0),
         }),
-        Turn::Repeated => Event::Repeated { id, count: fault.count },
+        Turn::Repeated => ModuleEvent::Repeated { id, count: fault.count },
         Turn::Explained => {
-            Event::Explained { id, symptom_of: fault.symptom_of.map_or(id, |r| r.0) }
+            ModuleEvent::Explained { id, symptom_of: fault.symptom_of.map_or(id, |r| r.0) }
         }
-        Turn::Decided { measure } => Event::Decided { id, measure },
-        Turn::Recovered => Event::Recovered { id, at: Moment::from(at) },
-        Turn::GaveUp { reason } => Event::GaveUp { id, reason },
-        Turn::Cleared => Event::Cleared { id },
+        Turn::Decided { measure } => ModuleEvent::Decided { id, measure },
+        Turn::Recovered => ModuleEvent::Recovered { id, at: MachineInstant::from(at) },
+        Turn::GaveUp { reason } => ModuleEvent::GaveUp { id, reason },
+        Turn::Cleared => ModuleEvent::Cleared { id },
         _ => return None,
     })
 }
 
-/// The objects of the table that are shown.
+/// Returns the components of the table.
 pub(super) fn objects_of(table: &[Row]) -> Vec<ObjectState> {
     let object = |row: &Row| match (&row.place, row.kind) {
         (Place::Object(address), ObjectKind::Component) => Some(ObjectState {
@@ -44,22 +44,23 @@ pub(super) fn objects_of(table: &[Row]) -> Vec<ObjectState> {
     table.iter().filter_map(object).collect()
 }
 
-/// The cables of the table.
-pub(super) fn links_of(table: &[Row]) -> Vec<LinkState> {
+/// Returns the cables of the table.
+pub(super) fn links_of(table: &[Row]) -> Vec<CableState> {
     let link = |row: &Row| match &row.place {
-        Place::Link { link, .. } => Some(LinkState {
+        Place::Link { link, .. } => Some(CableState {
             cable: link.to_string(),
-            up: row.opinion == detection::Opinion::Trusted,
+            // A degraded link is suspected, and still carries messages.
+            up: row.opinion != detection::Opinion::Failed,
         }),
         _ => None,
     };
     table.iter().filter_map(link).collect()
 }
 
-fn opinion_of(opinion: detection::Opinion) -> Opinion {
+fn opinion_of(opinion: detection::Opinion) -> ObjectOpinion {
     match opinion {
-        detection::Opinion::Trusted => Opinion::Trusted,
-        detection::Opinion::Failed => Opinion::Failed,
-        _ => Opinion::Suspect,
+        detection::Opinion::Trusted => ObjectOpinion::Trusted,
+        detection::Opinion::Failed => ObjectOpinion::Failed,
+        _ => ObjectOpinion::Suspect,
     }
 }

@@ -1,7 +1,7 @@
-//! The safety officer: stops the robot when somebody is too near.
+//! Stops the robot when an obstacle is too near.
 
+use super::harm::{HarmState, declare, vulnerable};
 use super::messages::{Scan, Stop};
-use super::wounds::{Wounds, declare, vulnerable};
 use blastema::prelude::*;
 
 /// Nearer than this, the robot stands still.
@@ -10,7 +10,7 @@ const TOO_NEAR_M: f32 = 0.3;
 /// Looks at those sweeps only in which something is too near.
 #[derive(Debug)]
 pub(super) struct Safety {
-    pub(super) wounds: Wounds,
+    pub(super) harm: HarmState,
     pub(super) motors: &'static str,
 }
 
@@ -21,11 +21,11 @@ impl Component for Safety {
     }
 
     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.initialize()
+        self.harm.initialize()
     }
 
     async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        self.wounds.execute()
+        self.harm.execute()
     }
 }
 

@@ -1,8 +1,8 @@
 //! Measures how long other modules take to answer.
 
-use super::gauges::Gauges;
-use super::messages::Echo;
-use crate::demo::moment::Moment;
+use super::measurements::Measurements;
+use super::messages::EchoRequest;
+use crate::demo::machine_instant::MachineInstant;
 use crate::demo::robot::Module;
 use blastema::prelude::*;
 use std::time::Duration;
@@ -16,20 +16,22 @@ const DEADLINE: Duration = Duration::from_millis(50);
 /// Asks one other module again and again.
 #[derive(Debug)]
 pub(super) struct Stopwatch {
-    pub(super) gauges: Gauges,
+    pub(super) measurements: Measurements,
     pub(super) of: Module,
     pub(super) number: u64,
 }
 
 impl Component for Stopwatch {
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        let Ok(other) = cx.sender::<Echo>(&format!("{}:{ECHO}", self.of)) else { return Ok(()) };
+        let Ok(other) = cx.sender::<EchoRequest>(&format!("{}:{ECHO}", self.of)) else {
+            return Ok(());
+        };
         self.number += 1;
-        let asked = Moment::now();
+        let asked = MachineInstant::now();
         // A request that fails is not an answer: the flows count what is lost.
-        let answer = other.ask_within(Echo { number: self.number }, DEADLINE).await;
+        let answer = other.ask_within(EchoRequest { number: self.number }, DEADLINE).await;
         if answer.is_ok_and(|number| number == self.number) {
-            self.gauges.answered(self.of, Moment::now() - asked);
+            self.measurements.answered(self.of, MachineInstant::now() - asked);
         }
         Ok(())
     }
@@ -41,12 +43,12 @@ pub(super) struct Answerer;
 
 impl Component for Answerer {
     fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Echo>();
+        ports.serve::<EchoRequest>();
     }
 }
 
-impl Handle<Echo> for Answerer {
-    async fn handle(&mut self, echo: Echo, _: &mut Context<Self>) -> u64 {
+impl Handle<EchoRequest> for Answerer {
+    async fn handle(&mut self, echo: EchoRequest, _: &mut Context<Self>) -> u64 {
         echo.number
     }
 }

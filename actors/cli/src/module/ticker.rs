@@ -1,8 +1,8 @@
 //! Measures how long an event takes within a module, with a condition and without (Fig. 10).
 
-use super::gauges::Gauges;
+use super::measurements::Measurements;
 use super::messages::Tick;
-use crate::demo::moment::Moment;
+use crate::demo::machine_instant::MachineInstant;
 use blastema::prelude::*;
 
 /// Publishes.
@@ -14,7 +14,7 @@ pub(super) struct Ticker {
 impl Component for Ticker {
     async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
         self.number += 1;
-        cx.publish(Tick { number: self.number, made_ns: Moment::now().as_nanos() });
+        cx.publish(Tick { number: self.number, made_ns: MachineInstant::now().as_nanos() });
         Ok(())
     }
 }
@@ -22,7 +22,7 @@ impl Component for Ticker {
 /// Listens without a condition.
 #[derive(Debug)]
 pub(super) struct Listener {
-    pub(super) gauges: Gauges,
+    pub(super) measurements: Measurements,
 }
 
 impl Component for Listener {
@@ -33,14 +33,15 @@ impl Component for Listener {
 
 impl Handle<Tick> for Listener {
     async fn handle(&mut self, tick: Tick, _: &mut Context<Self>) {
-        self.gauges.heard(false, Moment::now() - Moment::from_nanos(tick.made_ns));
+        self.measurements
+            .heard(false, MachineInstant::now() - MachineInstant::from_nanos(tick.made_ns));
     }
 }
 
 /// Listens to every second event only.
 #[derive(Debug)]
 pub(super) struct ChoosyListener {
-    pub(super) gauges: Gauges,
+    pub(super) measurements: Measurements,
 }
 
 impl Component for ChoosyListener {
@@ -51,6 +52,7 @@ impl Component for ChoosyListener {
 
 impl Handle<Tick> for ChoosyListener {
     async fn handle(&mut self, tick: Tick, _: &mut Context<Self>) {
-        self.gauges.heard(true, Moment::now() - Moment::from_nanos(tick.made_ns));
+        self.measurements
+            .heard(true, MachineInstant::now() - MachineInstant::from_nanos(tick.made_ns));
     }
 }

@@ -1,34 +1,34 @@
-//! What a running node knows of itself, as it shows it at its window.
+//! Prints the snapshots of running nodes.
 
-mod look;
+mod client;
 mod tables;
 
-use self::look::{LookError, look};
+use self::client::{InspectError, look};
 use crate::args::MonitorOptions;
 use std::io::{self, Write};
 
-/// Why nodes cannot be shown.
+/// The reason why a node cannot be shown.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum MonitorError {
-    /// One of them is not to be seen.
+    /// A snapshot cannot be read.
     #[error(transparent)]
-    Look(#[from] LookError),
-    /// Nobody reads what is printed.
-    #[error("the picture could not be printed: {0}")]
+    Look(#[from] InspectError),
+    /// Standard output failed.
+    #[error("the snapshot could not be printed: {0}")]
     Print(io::Error),
 }
 
-/// Prints the picture of every node that is asked for.
+/// Prints the snapshot of each node of the command line.
 ///
 /// # Errors
-/// The first of them that cannot be shown; those before it have been.
+/// The first node that cannot be shown; those before it have been printed.
 pub(crate) fn run(options: &MonitorOptions) -> Result<(), MonitorError> {
     for path in &options.windows {
         let seen = blastema::run(look(path, options.within))?;
         let shown = if options.json { seen.text } else { tables::draw(&seen.picture) };
         let printed = io::stdout().write_all(shown.as_bytes()).and_then(|()| io::stdout().flush());
         match printed {
-            // Whoever reads has seen enough, as `head` has.
+            // The reader has closed its end, as `head` does.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(()),
             printed => printed.map_err(MonitorError::Print)?,
         }

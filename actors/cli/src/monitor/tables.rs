@@ -1,12 +1,13 @@
-//! A node's picture as text: one table for each thing that it knows.
+//! Formats the snapshot of a node as tables.
 
+use comfy_table::{CellAlignment, Table, presets};
 use serde_json::Value;
 use std::fmt::Write;
 
-/// A column: its heading, and the name that its value has in the picture.
+/// A column: its heading, and the key of its value in the snapshot.
 type Column = (&'static str, &'static str);
 
-/// The tables, in the order in which they are drawn: a title, their name in the picture, their columns.
+/// The tables in their order: the title, the key in the snapshot, the columns.
 const TABLES: [(&str, &str, &[Column]); 8] = [
     (
         "objects",
@@ -14,7 +15,7 @@ const TABLES: [(&str, &str, &[Column]); 8] = [
         &[
             ("place", "place"),
             ("kind", "kind"),
-            ("life", "incarnation"),
+            ("incarnation", "incarnation"),
             ("state", "state"),
             ("opinion", "opinion"),
             ("last sign", "last_sign_ms"),
@@ -65,7 +66,7 @@ const TABLES: [(&str, &str, &[Column]); 8] = [
         &[
             ("node", "node"),
             ("state", "state"),
-            ("life", "incarnation"),
+            ("incarnation", "incarnation"),
             ("round trip", "round_trip_ms"),
             ("unacknowledged", "unacknowledged"),
             ("in flight", "in_flight"),
@@ -115,7 +116,7 @@ const TABLES: [(&str, &str, &[Column]); 8] = [
             ("contract", "contract"),
             ("state", "state"),
             ("commander", "commander"),
-            ("life", "incarnation"),
+            ("incarnation", "incarnation"),
             ("epoch", "epoch"),
             ("lease left", "left_ms"),
         ],
@@ -128,7 +129,7 @@ const TABLES: [(&str, &str, &[Column]); 8] = [
             ("code", "code"),
             ("kind", "kind"),
             ("place", "place"),
-            ("life", "incarnation"),
+            ("incarnation", "incarnation"),
             ("times", "count"),
             ("symptom of", "symptom_of"),
             ("found before", "age_ms"),
@@ -139,11 +140,11 @@ const TABLES: [(&str, &str, &[Column]); 8] = [
     ),
 ];
 
-/// Longer texts are cut, with a sign: what they say in full is in the JSON.
+/// The longest text of a cell. The JSON document has longer texts in full.
 const WIDEST: usize = 60;
 
-/// The picture as lines of text. What it does not know stands as a dash; tables that are empty are left
-/// out, and those of which the node did not hear in time say so.
+/// Returns the snapshot as text. An unknown value is a dash. Empty tables are left out; a table of
+/// a part that has not answered says so.
 pub(crate) fn draw(picture: &Value) -> String {
     let mut text = format!("{} {}", cell("", &picture["node"]), cell("", &picture["state"]));
     if let Some(reason) = picture["reason"].as_str() {
@@ -156,26 +157,28 @@ pub(crate) fn draw(picture: &Value) -> String {
         }
         let rows = picture[name].as_array().map(Vec::as_slice).unwrap_or_default();
         if !rows.is_empty() {
-            let _ = write!(text, "\n{title}\n");
-            table(&mut text, columns, rows);
+            let _ = write!(text, "\n{title}\n{}", table(columns, rows));
         }
     }
     text
 }
 
-fn table(text: &mut String, columns: &[Column], rows: &[Value]) {
-    let heading = columns.iter().map(|(heading, _)| (*heading).to_owned()).collect();
-    let cells = |row: &Value| columns.iter().map(|(_, name)| cell(name, &row[*name])).collect();
-    let lines: Vec<Vec<String>> = std::iter::once(heading).chain(rows.iter().map(cells)).collect();
-    let width = |at: usize| lines.iter().map(|line| line[at].chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..columns.len()).map(width).collect();
-    for line in lines {
-        let padded = line.iter().zip(&widths).map(|(cell, width)| format!("{cell:width$}"));
-        let _ = writeln!(text, "  {}", padded.collect::<Vec<_>>().join("  ").trim_end());
+fn table(columns: &[Column], rows: &[Value]) -> String {
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING).set_header(columns.iter().map(|(heading, _)| *heading));
+    for (at, (_, name)) in columns.iter().enumerate() {
+        let is_figure = |row: &Value| row[*name].is_number() || row[*name].is_null();
+        if let Some(column) = table.column_mut(at)
+            && rows.iter().all(is_figure)
+        {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
     }
+    table.add_rows(rows.iter().map(|row| columns.iter().map(|(_, name)| cell(name, &row[*name]))));
+    table.trim_fmt() + "\n"
 }
 
-/// On one line, and without what a terminal would take for orders: texts come from other nodes, too.
+/// Replaces control characters: texts also come from other nodes.
 fn plain(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
@@ -231,9 +234,9 @@ mod tests {
 module1 running
 
 claimed names
-  name  node     object  epoch  known for
-  map   module1  slam    7      0.25 ms
-  base  -        b       12     61.0 s
+ name  node     object  epoch  known for
+ map   module1  slam        7    0.25 ms
+ base  -        b          12     61.0 s
 
 faults: not answered
 ";

@@ -1,32 +1,31 @@
-//! Counts what of a numbered flow arrives, at the receiving object.
+//! Counts the received messages of a numbered flow.
 
-use super::moment::Moment;
+use super::machine_instant::MachineInstant;
 use super::protocol::SinkState;
 use std::collections::{BTreeSet, VecDeque};
 use std::ops::Range;
 
-/// Numbers remembered as missing; beyond it the oldest are taken for lost for good. Ten seconds of the
-/// fastest flow.
+/// Missing numbers that are stored, ten seconds of the fastest flow. Older ones count as lost.
 const MISSING_LIMIT: usize = 2_000;
 
 /// Arrivals remembered so that a watch may look back: two seconds of the fastest flow.
 const RECENT_LIMIT: usize = 400;
 
-/// What arrived of one flow. It is kept outside the receiving object, so that it survives that
-/// object's restarts.
+/// The received messages of one flow. It is kept outside the receiving object, so that it survives
+/// the restarts of that object.
 #[derive(Debug)]
-pub(crate) struct Tally {
+pub(crate) struct FlowReceiver {
     state: SinkState,
     missing: BTreeSet<u64>,
     given_up: u64,
     recent: VecDeque<Arrival>,
-    watched: Option<Moment>,
+    watched: Option<MachineInstant>,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Arrival {
-    sent: Moment,
-    arrived: Moment,
+    sent: MachineInstant,
+    arrived: MachineInstant,
 }
 
 /// One message of a flow.
@@ -37,13 +36,13 @@ pub(crate) struct Sample {
     /// Its number in it, from 1.
     pub(crate) number: u64,
     /// When it was first offered to the middleware.
-    pub(crate) sent: Moment,
+    pub(crate) sent: MachineInstant,
 }
 
-impl Tally {
-    /// Of a flow of which nothing has arrived in this process.
-    pub(crate) fn new(flow: &str, process: u64) -> Tally {
-        Tally {
+impl FlowReceiver {
+    /// Creates the receiver of a flow before its first message.
+    pub(crate) fn new(flow: &str, process: u64) -> FlowReceiver {
+        FlowReceiver {
             state: SinkState { flow: flow.into(), process, ..SinkState::default() },
             missing: BTreeSet::new(),
             given_up: 0,
@@ -52,8 +51,12 @@ impl Tally {
         }
     }
 
-    /// Counts an arrival. If it is the first that was sent after the watched moment, that moment.
-    pub(crate) fn handle_sample(&mut self, sample: Sample, now: Moment) -> Option<Moment> {
+    /// Counts an arrival. If it is the first that was sent after the watched instant, that instant.
+    pub(crate) fn handle_sample(
+        &mut self,
+        sample: Sample,
+        now: MachineInstant,
+    ) -> Option<MachineInstant> {
         if sample.epoch != self.state.epoch {
             self.begin_epoch(sample);
         }
@@ -71,13 +74,13 @@ impl Tally {
     }
 
     /// Watches for the first message sent after `since`. If it has arrived already: when.
-    pub(crate) fn watch(&mut self, since: Moment) -> Option<Moment> {
+    pub(crate) fn watch(&mut self, since: MachineInstant) -> Option<MachineInstant> {
         let passed = self.recent.iter().find(|arrival| arrival.sent >= since);
         self.watched = if passed.is_some() { None } else { Some(since) };
         passed.map(|arrival| arrival.arrived)
     }
 
-    /// How it stands.
+    /// Returns the counters.
     pub(crate) fn state(&self) -> SinkState {
         let missing = self.missing.len() as u64 + self.given_up;
         SinkState { missing, ..self.state.clone() }
@@ -108,11 +111,11 @@ mod tests {
     use super::*;
 
     fn tally(samples: &[(u64, u64)]) -> SinkState {
-        let mut tally = Tally::new("flow", 9);
+        let mut tally = FlowReceiver::new("flow", 9);
         for &(epoch, number) in samples {
             tally.handle_sample(
-                Sample { epoch, number, sent: Moment::default() },
-                Moment::default(),
+                Sample { epoch, number, sent: MachineInstant::default() },
+                MachineInstant::default(),
             );
         }
         tally.state()
@@ -142,10 +145,10 @@ mod tests {
 
     #[test]
     fn a_long_gap_takes_no_more_room_than_the_limit_and_stays_counted() {
-        let mut tally = Tally::new("flow", 9);
+        let mut tally = FlowReceiver::new("flow", 9);
         for number in [1, 1_000_000_000_000] {
-            let sample = Sample { epoch: 1, number, sent: Moment::default() };
-            tally.handle_sample(sample, Moment::default());
+            let sample = Sample { epoch: 1, number, sent: MachineInstant::default() };
+            tally.handle_sample(sample, MachineInstant::default());
         }
 
         assert_eq!(tally.state().missing, 999_999_999_998);
@@ -154,9 +157,9 @@ mod tests {
 
     #[test]
     fn a_watch_answers_once_from_the_past_or_from_the_future() {
-        let at = Moment::from_millis;
+        let at = MachineInstant::from_millis;
         let sample = |number, sent| Sample { epoch: 1, number, sent: at(sent) };
-        let mut tally = Tally::new("flow", 9);
+        let mut tally = FlowReceiver::new("flow", 9);
         tally.handle_sample(sample(1, 10), at(11));
         tally.handle_sample(sample(2, 20), at(21));
 

@@ -1,15 +1,15 @@
-//! Whole runs, told by a robot that is made up.
+//! Runs of the scenario on a simulated robot.
 
 use super::*;
 use crate::demo::fake::{FakeRobot, Flaw};
 
-fn tell(plan: Plan, flaw: Flaw) -> Report {
-    FakeRobot::new(flaw).perform(Story::new(plan, Moment::default()))
+fn tell(plan: ScenarioPlan, flaw: Flaw) -> Report {
+    FakeRobot::new(flaw).perform(Scenario::new(plan, MachineInstant::default()))
 }
 
 #[test]
 fn a_robot_that_recovers_keeps_every_promise_in_less_than_thirty_seconds() {
-    let report = tell(Plan::default(), Flaw::None);
+    let report = tell(ScenarioPlan::default(), Flaw::None);
 
     let problems: Vec<_> = report.rows.iter().flat_map(|row| &row.problems).collect();
     assert!(report.promises_kept, "{problems:?} {:?}", report.problems);
@@ -28,10 +28,17 @@ fn a_robot_that_recovers_keeps_every_promise_in_less_than_thirty_seconds() {
 
 #[test]
 fn what_the_robot_does_wrong_breaks_the_row_in_which_it_happens() {
+    // Short enough that a run with a broken promise reaches its last fault.
+    let timeouts = TrialTimeouts {
+        strike: Duration::from_secs(2),
+        recovery: Duration::from_secs(6),
+        settling: Duration::from_secs(3),
+        ..TrialTimeouts::default()
+    };
     let check = |flaw, fault: &str, problem: &str| {
-        let report = tell(Plan::default(), flaw);
+        let report = tell(ScenarioPlan { timeouts, ..ScenarioPlan::default() }, flaw);
         assert!(!report.promises_kept, "{flaw:?}");
-        assert_eq!(report.rows.len(), 10, "{flaw:?}: the story goes on");
+        assert_eq!(report.rows.len(), 10, "{flaw:?}: the scenario goes on");
         for row in &report.rows {
             let hit = row.problems.iter().any(|text| text.contains(problem));
             assert_eq!(hit, row.fault == fault, "{flaw:?}: {row:?}");
@@ -48,17 +55,17 @@ fn what_the_robot_does_wrong_breaks_the_row_in_which_it_happens() {
 }
 
 #[test]
-fn a_fault_that_nobody_made_is_a_broken_promise() {
-    let report = tell(Plan::default(), Flaw::FalseAlarm);
+fn a_fault_that_was_not_injected_is_a_broken_promise() {
+    let report = tell(ScenarioPlan::default(), Flaw::FalseAlarm);
 
     assert!(!report.promises_kept);
     assert_eq!(report.problems.len(), 1, "a symptom is none: {:?}", report.problems);
-    assert!(report.problems[0].contains("where nothing was done"), "{:?}", report.problems);
+    assert!(report.problems[0].contains("where no fault was injected"), "{:?}", report.problems);
 }
 
 #[test]
 fn a_robot_that_never_comes_together_ends_the_story_and_says_what_is_missing() {
-    let report = tell(Plan::default(), Flaw::NeverTogether);
+    let report = tell(ScenarioPlan::default(), Flaw::NeverTogether);
 
     assert!(!report.promises_kept && !report.finished && report.rows.is_empty());
     for told in ["module3 is not ready", "module1 found node lost in module3: as ordered"] {
@@ -68,7 +75,7 @@ fn a_robot_that_never_comes_together_ends_the_story_and_says_what_is_missing() {
 
 #[test]
 fn a_robot_with_a_module_that_is_stopped_for_good_ends_within_the_time_that_the_help_says() {
-    let report = tell(Plan::default(), Flaw::StopsForGood);
+    let report = tell(ScenarioPlan::default(), Flaw::StopsForGood);
 
     // The director takes up to four seconds to end the processes.
     assert!(report.took <= Duration::from_secs(26), "{:?}", report.took);
@@ -79,7 +86,7 @@ fn a_robot_with_a_module_that_is_stopped_for_good_ends_within_the_time_that_the_
 
 #[test]
 fn what_a_row_counts_as_lost_and_comes_late_is_said_at_the_end() {
-    let report = tell(Plan::default(), Flaw::ComesLate);
+    let report = tell(ScenarioPlan::default(), Flaw::ComesLate);
 
     let in_rows: u64 = report.rows.iter().map(|row| row.lost).sum();
     assert!(in_rows > 0, "{report:?}");
@@ -90,7 +97,7 @@ fn what_a_row_counts_as_lost_and_comes_late_is_said_at_the_end() {
 #[test]
 fn chaos_goes_on_until_the_time_is_up_and_is_the_same_for_the_same_seed() {
     let minute = Some(Duration::from_secs(60));
-    let plan = Plan { chaos: true, seed: 5, length: minute, ..Plan::default() };
+    let plan = ScenarioPlan { chaos: true, seed: 5, length: minute, ..ScenarioPlan::default() };
     let report = tell(plan, Flaw::None);
 
     assert!(report.promises_kept, "{:?}", report.rows);
@@ -101,7 +108,7 @@ fn chaos_goes_on_until_the_time_is_up_and_is_the_same_for_the_same_seed() {
 
 #[test]
 fn a_longer_story_is_told_again_and_no_cut_is_left_behind() {
-    let plan = Plan { length: Some(Duration::from_secs(24)), ..Plan::default() };
+    let plan = ScenarioPlan { length: Some(Duration::from_secs(24)), ..ScenarioPlan::default() };
     let report = tell(plan, Flaw::None);
 
     assert!(report.promises_kept);

@@ -1,8 +1,9 @@
-//! What is aboard a module: its node, its cables, its objects.
+//! The node of a module, with its cables and objects.
 
 use super::cell::Cell;
-use super::gauges::Gauges;
+use super::harm::HarmState;
 use super::laser::Laser;
+use super::measurements::Measurements;
 use super::messages::{Pose, Velocity};
 use super::motors::Motors;
 use super::odometry::Odometry;
@@ -12,7 +13,6 @@ use super::planner::Planner;
 use super::safety::Safety;
 use super::stopwatch::{Answerer, ECHO, Stopwatch};
 use super::ticker::{ChoosyListener, Listener, Ticker};
-use super::wounds::Wounds;
 use crate::demo::robot::{FLOWS, Module, SIGN_OF_LIFE_MILLIS, skin};
 use crate::demo::wiring::{CableEnd, Wiring};
 use blastema::core::detection::Pull;
@@ -22,42 +22,45 @@ use std::io;
 use std::net::UdpSocket;
 use std::time::Duration;
 
-/// Restarts that a supervisor of the demonstration makes in [`PERIOD`]: its objects are struck again
-/// and again, on purpose.
+/// Restarts that a supervisor of the demonstration makes in [`PERIOD`]: its objects are struck
+/// again and again, on purpose.
 const RESTARTS: u32 = 50;
 /// See [`RESTARTS`].
 const PERIOD: Duration = Duration::from_secs(10);
-/// How long a handler may keep its arbiter. A robot's handlers take microseconds; a busy machine may
-/// leave a thread waiting for some tens of milliseconds.
-const BLOCK: Duration = Duration::from_millis(150);
-/// How long a message may wait for an object that is asked, before that is an overload.
+/// How long a handler may keep its arbiter. A robot's handlers take microseconds; on a machine with
+/// ten times more ready threads than processors, a thread waits for up to 200 ms.
+const BLOCK: Duration = Duration::from_millis(400);
+/// Signs of life in a row that an object may miss, for the same reason.
+const MISSED_SIGNS: u32 = 5;
+/// How long a passive object may take to answer a ping, for the same reason.
+const PING: Duration = Duration::from_millis(300);
+/// How long a message may wait for a passive object before that is an overload.
 const PATIENCE: Duration = Duration::from_millis(500);
 /// Messages that wait for an object: two seconds of the fastest flow. What a cable cut holds back
 /// arrives at once.
 const FLOW_QUEUE: usize = 4_096;
-/// Messages that wait for an object that is asked: more than it serves in its patience, so that a
-/// flood is seen.
-const PASSIVE_QUEUE: usize = 1_024;
+/// Messages that wait for a passive object: more than it serves before they are an overload.
+const PASSIVE_QUEUE: usize = 512;
 /// Messages that wait for an object that no flow ends at.
 const QUEUE: usize = 512;
-/// How often both ends of a cable say hello: three and a half later a silent cut is found. A debug
-/// build is ten times slower and shares the machine with a compiler.
-const HELLO: Duration = Duration::from_millis(if cfg!(debug_assertions) { 50 } else { 20 });
+/// How often both ends of a cable send a hello: after three and a half intervals without one a silent
+/// cut is found. Longer, and after the return of both cables the links are up too late for sessions,
+/// which wait for two seconds; shorter, and a busy machine delays hellos beyond the limit.
+const HELLO: Duration = Duration::from_millis(if cfg!(debug_assertions) { 100 } else { 50 });
 /// What the cable of the paper's Fig. 9 costs.
 const FIRST_COST: u16 = 10;
 /// What the second path costs: it is taken only if the first is down.
 const SECOND_COST: u16 = 15;
-/// How often response times are measured.
-const ECHOES_HZ: f64 = 100.0;
-/// How often the delivery of an event is measured.
-const TICKS_HZ: f64 = 100.0;
+/// How often response times and the delivery of an event are measured. A debug build measures less
+/// often, because it takes ten times as long for each message.
+const PROBES_HZ: f64 = if cfg!(debug_assertions) { 20.0 } else { 100.0 };
 
 /// The robot's work, and what measures it, in the order of their start.
-pub(super) fn build(module: Module, wiring: &Wiring, gauges: &Gauges) -> NodeBuilder {
+pub(super) fn build(module: Module, wiring: &Wiring, measurements: &Measurements) -> NodeBuilder {
     let mut node = Node::builder(module.name())
-        .supervisor(work_of(module, gauges))
-        .supervisor(skin_of(module, gauges))
-        .supervisor(measurements_of(module, gauges));
+        .supervisor(work_of(module, measurements))
+        .supervisor(skin_of(module, measurements))
+        .supervisor(measurements_of(module, measurements));
     for end in wiring.ends_of(module) {
         node = node.network(network(&end));
     }
@@ -80,7 +83,7 @@ pub(super) fn check_addresses(module: Module, wiring: &Wiring) -> io::Result<()>
     wiring.ends_of(module).iter().try_for_each(|end| UdpSocket::bind(end.here).map(drop))
 }
 
-/// Lets nothing through a cable any more, at this end. The medium does not notice.
+/// Blocks a cable at this end. The medium reports nothing.
 ///
 /// # Errors
 /// There is no such cable.
@@ -88,7 +91,7 @@ pub(super) fn cut(node: &Node, name: &str) -> Result<(), Why> {
     cable(node, name).map(|cable| cable.cut(Direction::Both, false))
 }
 
-/// Plugs a cable in again, at this end.
+/// Unblocks a cable at this end.
 ///
 /// # Errors
 /// There is no such cable.
@@ -104,7 +107,7 @@ fn supervisor(name: &str) -> SupervisorSpec {
     SupervisorSpec::new(name, Strategy::OneForOne).intensity(RESTARTS, PERIOD)
 }
 
-/// An object that gives signs of life.
+/// An active object, which sends signs of life.
 fn active<C: Component>(
     name: &str,
     rate_hz: f64,
@@ -114,49 +117,51 @@ fn active<C: Component>(
     ChildSpec::new(name, factory)
         .rate_hz(rate_hz)
         .queue(QUEUE, WhenFull::Refuse)
-        .watch(Watch::push(sign_of_life, 3))
+        .watch(Watch::push(sign_of_life, MISSED_SIGNS))
         .max_block(BLOCK)
 }
 
-/// An object that is asked whether it lives.
+/// A passive object, which is pinged.
 fn passive<C: Component>(
     name: &str,
     rate_hz: f64,
     factory: impl Fn() -> C + Send + Sync + 'static,
 ) -> ChildSpec<C> {
-    active(name, rate_hz, factory)
-        .queue(PASSIVE_QUEUE, WhenFull::Refuse)
-        .watch(Watch::Pull(Pull { patience: PATIENCE, ..Pull::default() }))
+    active(name, rate_hz, factory).queue(PASSIVE_QUEUE, WhenFull::Refuse).watch(Watch::Pull(Pull {
+        within: PING,
+        patience: PATIENCE,
+        ..Pull::default()
+    }))
 }
 
-fn skin_of(module: Module, gauges: &Gauges) -> SupervisorSpec {
+fn skin_of(module: Module, measurements: &Measurements) -> SupervisorSpec {
     let mut cells = supervisor("skin");
     for name in module.skin().map(skin) {
-        let (scar, gauges) = (gauges.scar(&name), gauges.clone());
+        let (record, measurements) = (measurements.record(&name), measurements.clone());
         let flow = FLOWS.iter().find(|flow| flow.to == module && flow.sink == name);
         let queue = if flow.is_some() { FLOW_QUEUE } else { QUEUE };
         let cell = move || {
-            let (wounds, gauges) = (Wounds::new(&scar), gauges.clone());
-            Cell { wounds, gauges, flow, pressure: 0.0 }
+            let (harm, measurements) = (HarmState::new(&record), measurements.clone());
+            Cell { harm, measurements, flow, pressure: 0.0 }
         };
         cells = cells.child(active(&name, 10.0, cell).queue(queue, WhenFull::Refuse));
     }
     cells
 }
 
-fn work_of(module: Module, gauges: &Gauges) -> SupervisorSpec {
-    let wounds = |name: &str| {
-        let scar = gauges.scar(name);
-        move || Wounds::new(&scar)
+fn work_of(module: Module, measurements: &Measurements) -> SupervisorSpec {
+    let harm = |name: &str| {
+        let record = measurements.record(name);
+        move || HarmState::new(&record)
     };
     let work = supervisor("work");
     match module {
         Module::Module1 => {
-            let (planner, safety) = (wounds("planner"), wounds("safety"));
+            let (planner, safety) = (harm("planner"), harm("safety"));
             let motors = "module3:motors";
-            work.child(active("safety", 50.0, move || Safety { wounds: safety(), motors })).child(
+            work.child(active("safety", 50.0, move || Safety { harm: safety(), motors })).child(
                 passive("planner", 20.0, move || Planner {
-                    wounds: planner(),
+                    harm: planner(),
                     motors,
                     pose: None,
                     goal: None,
@@ -165,56 +170,55 @@ fn work_of(module: Module, gauges: &Gauges) -> SupervisorSpec {
             )
         }
         Module::Module2 => {
-            let (laser, operator) = (wounds("laser"), wounds("operator"));
-            work.child(active("laser", 20.0, move || Laser { wounds: laser(), sweeps: 0 })).child(
-                passive("operator", 10.0, move || Operator { wounds: operator(), corner: 0 }),
-            )
+            let (laser, operator) = (harm("laser"), harm("operator"));
+            work.child(active("laser", 20.0, move || Laser { harm: laser(), sweeps: 0 }))
+                .child(passive("operator", 10.0, move || Operator { harm: operator(), corner: 0 }))
         }
         Module::Module3 => {
-            let (motors, odometry) = (wounds("motors"), wounds("odometry"));
+            let (motors, odometry) = (harm("motors"), harm("odometry"));
             let velocity = Velocity::default();
             work.child(active("motors", 100.0, move || Motors {
-                wounds: motors(),
+                harm: motors(),
                 velocity,
                 rounds_since: 0,
             }))
             .child(active("odometry", 50.0, move || Odometry {
-                wounds: odometry(),
+                harm: odometry(),
                 pose: Pose::default(),
             }))
         }
     }
 }
 
-fn measurements_of(module: Module, gauges: &Gauges) -> SupervisorSpec {
-    let mut measurements = supervisor("measure").child(ChildSpec::new(ECHO, || Answerer));
+fn measurements_of(module: Module, measurements: &Measurements) -> SupervisorSpec {
+    let mut instruments = supervisor("measure").child(ChildSpec::new(ECHO, || Answerer));
     for flow in FLOWS.iter().filter(|flow| flow.from == module) {
-        let gauges = gauges.clone();
-        let pacer = move || Pacer { gauges: gauges.clone(), flow };
+        let measurements = measurements.clone();
+        let pacer = move || Pacer { measurements: measurements.clone(), flow };
         let spec = ChildSpec::new(flow.name, pacer).rate_hz(f64::from(flow.rate_hz));
-        measurements = measurements.child(spec);
+        instruments = instruments.child(spec);
     }
     for of in asked_by(module) {
-        let gauges = gauges.clone();
-        let stopwatch = move || Stopwatch { gauges: gauges.clone(), of: *of, number: 0 };
-        let spec = ChildSpec::new(&format!("measure/{of}"), stopwatch).rate_hz(ECHOES_HZ);
-        measurements = measurements.child(spec);
+        let measurements = measurements.clone();
+        let stopwatch =
+            move || Stopwatch { measurements: measurements.clone(), of: *of, number: 0 };
+        let spec = ChildSpec::new(&format!("measure/{of}"), stopwatch).rate_hz(PROBES_HZ);
+        instruments = instruments.child(spec);
     }
     // In one module only: listeners elsewhere would have the events sent over the network.
     if module == Module::Module1 {
-        let (plain, choosy) = (gauges.clone(), gauges.clone());
-        let plain = move || Listener { gauges: plain.clone() };
-        let choosy = move || ChoosyListener { gauges: choosy.clone() };
-        measurements = measurements
+        let (plain, choosy) = (measurements.clone(), measurements.clone());
+        let plain = move || Listener { measurements: plain.clone() };
+        let choosy = move || ChoosyListener { measurements: choosy.clone() };
+        instruments = instruments
             .child(ChildSpec::new("measure/listener", plain))
             .child(ChildSpec::new("measure/choosy", choosy))
-            .child(ChildSpec::new("measure/ticker", || Ticker { number: 0 }).rate_hz(TICKS_HZ));
+            .child(ChildSpec::new("measure/ticker", || Ticker { number: 0 }).rate_hz(PROBES_HZ));
     }
-    measurements
+    instruments
 }
 
-/// Whose response times a module measures, so that each pair is measured once and, in the story, by
-/// modules that live on.
+/// Returns the modules whose response times a module measures: each pair once.
 fn asked_by(module: Module) -> &'static [Module] {
     match module {
         Module::Module1 => &[Module::Module2, Module::Module3],

@@ -1,106 +1,106 @@
-//! The story that the demonstration tells: which fault after which, and whether all was well.
+//! The scenario of the demonstration: the order of the faults, and whether each promise was kept.
 //!
-//! A pure machine: it is given the time and what the modules say, and says what is to be done. A test
-//! tells it a whole run in no time.
+//! A pure state machine: its inputs are the time and the events of the modules, its outputs are
+//! commands and progress lines. A test runs it in virtual time.
 
-use super::chaos::{Chaos, Dice, FLOOD_MESSAGES, HANG_MILLIS};
-use super::injection::{Injection, Judgement};
-use super::known::Known;
-use super::moment::Moment;
-use super::protocol::{Event, FaultNote, Sabotage};
-use super::report::{NOTES, Report, Row, counted};
+use super::chaos::{FLOOD_MESSAGES, HANG_MILLIS, RandomFaults, SeededRandom};
+use super::injection::{FaultMatch, Injection};
+use super::machine_instant::MachineInstant;
+use super::protocol::{FaultNote, ModuleEvent, ObjectFault};
+use super::report::{FaultRow, NOTES, Report, counted};
 use super::robot::{CABLES, Module};
-use super::trial::{Deed, Patience, Trial};
+use super::robot_state::RobotState;
+use super::trial::{FaultTrial, TrialOutput, TrialTimeouts};
 use blastema::core::Place;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-/// Until all three processes have found each other, on a machine that is busy with something else.
-const ASSEMBLY: Duration = Duration::from_secs(15);
-/// A story in which something broke ends then, with whatever has not been tried: what it would still
-/// tell is not worth minutes of a person's time.
+/// How long the three processes may take to connect, on a busy machine.
+const ASSEMBLY: Duration = Duration::from_secs(30);
+/// A scenario in which something broke ends then, with whatever has not been tried: what it would
+/// still tell is not worth minutes of a person's time.
 const BROKEN_AT_MOST: Duration = Duration::from_secs(25);
-/// Faults found while the robot should come together that are kept, to say why it does not.
+/// Faults found during the assembly that are kept, to explain a failed assembly.
 const HINDRANCE_LIMIT: usize = 5;
-/// Between two faults at least.
+/// The shortest pause between two faults.
 const PAUSE: Duration = Duration::from_millis(300);
-/// And at most so much more, by chance, so that faults meet timers in every phase.
+/// The random part of the pause, so that faults meet timers in every phase.
 const PAUSE_SPREAD: Duration = Duration::from_millis(200);
-/// Rows that are kept; of more the oldest in which nothing broke are left out.
+/// Rows that are kept. Of more, the oldest rows without a problem are left out.
 const ROW_LIMIT: usize = 1_000;
-/// Problems outside of rows that are kept; the first ones tell.
+/// Problems outside of rows that are kept, beginning with the first.
 const PROBLEM_LIMIT: usize = 100;
 
-/// The machine that tells the story.
+/// The state machine of a run.
 #[derive(Debug)]
-pub(crate) struct Story {
-    plan: Plan,
+pub(crate) struct Scenario {
+    plan: ScenarioPlan,
     script: Script,
-    dice: Dice,
-    /// What the modules told.
-    pub(crate) known: Known,
+    random: SeededRandom,
+    /// The state of the robot as reported by its modules.
+    pub(crate) robot: RobotState,
     scene: Scene,
-    began_at: Moment,
-    now: Moment,
+    began_at: MachineInstant,
+    now: MachineInstant,
     last: Option<Injection>,
     number: u32,
-    rows: Vec<Row>,
+    rows: Vec<FaultRow>,
     rows_left_out: u64,
     broken: bool,
     finished: bool,
     problems: Vec<String>,
-    /// Faults that nobody made, unless they turn out to be symptoms.
+    /// Faults that were found and not injected, unless they are reported as symptoms later.
     stray: BTreeMap<(Module, u64), String>,
-    /// What was found while the robot should come together.
+    /// Faults found during the assembly.
     hindrances: BTreeMap<Place, String>,
-    outputs: VecDeque<Output>,
+    outputs: VecDeque<ScenarioOutput>,
 }
 
-/// How it is to be told.
+/// The settings of a run.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Plan {
+pub(crate) struct ScenarioPlan {
     /// Random faults instead of the script.
     pub(crate) chaos: bool,
-    /// Decides over everything random.
+    /// The seed of everything random.
     pub(crate) seed: u64,
-    /// No step begins later than this after the start; `None` for one telling.
+    /// No step begins later than this after the start; `None` runs the scenario once.
     pub(crate) length: Option<Duration>,
     /// The deadlines.
-    pub(crate) patience: Patience,
+    pub(crate) timeouts: TrialTimeouts,
 }
 
-/// What is to be done or shown.
+/// An output of the scenario.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Output {
-    /// Do this.
-    Do(Deed),
-    /// Tell this to the person who watches.
-    Tell(News),
-    /// It is over.
+pub(crate) enum ScenarioOutput {
+    /// An action on the robot.
+    Do(TrialOutput),
+    /// A line for the display.
+    Tell(ProgressLine),
+    /// The run has ended.
     Finished,
-    /// It cannot be told: the robot does not come together. What is missing, and what was found.
+    /// The robot was not assembled: what is missing, and which faults were found.
     Stillborn(String),
 }
 
-/// A line for the person who watches.
+/// A line of the progress.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct News {
+pub(crate) struct ProgressLine {
     /// Since the start.
     pub(crate) after: Duration,
-    /// How it is to be taken.
-    pub(crate) tone: Tone,
+    /// Its meaning.
+    pub(crate) tone: LineTone,
     /// The text.
     pub(crate) text: String,
 }
 
-/// How a piece of news is to be taken.
+/// The meaning of a progress line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Tone {
+pub(crate) enum LineTone {
     /// A fault was injected.
-    Deed,
+    Injection,
     /// A fault was found.
     Finding,
-    /// All is well again.
+    /// The fault is recovered.
     Relief,
     /// A promise is broken.
     Alarm,
@@ -110,30 +110,30 @@ pub(crate) enum Tone {
 
 #[derive(Debug)]
 enum Scene {
-    Assembling { due: Moment },
-    Pausing { until: Moment },
-    Trying(Box<Trial>),
+    Assembling { due: MachineInstant },
+    Pausing { until: MachineInstant },
+    Trying(Box<FaultTrial>),
     Over,
 }
 
 #[derive(Debug)]
 enum Script {
     Told(VecDeque<Injection>),
-    Random(Chaos),
+    Random(RandomFaults),
 }
 
-impl Story {
-    /// Begins with the assembly of the robot.
-    pub(crate) fn new(plan: Plan, now: Moment) -> Story {
+impl Scenario {
+    /// Starts with the assembly of the robot.
+    pub(crate) fn new(plan: ScenarioPlan, now: MachineInstant) -> Scenario {
         let script = if plan.chaos {
-            Script::Random(Chaos::new(plan.seed))
+            Script::Random(RandomFaults::new(plan.seed))
         } else {
             Script::Told(script().into())
         };
-        Story {
+        Scenario {
             script,
-            dice: Dice::new(plan.seed),
-            known: Known::default(),
+            random: SeededRandom::new(plan.seed),
+            robot: RobotState::default(),
             scene: Scene::Assembling { due: now + ASSEMBLY },
             began_at: now,
             now,
@@ -151,41 +151,44 @@ impl Story {
         }
     }
 
-    /// A module said something.
-    pub(crate) fn handle_event(&mut self, from: Module, event: &Event, now: Moment) {
+    /// Handles an event of a module.
+    pub(crate) fn handle_event(&mut self, from: Module, event: &ModuleEvent, now: MachineInstant) {
         self.now = now;
-        self.known.handle_event(from, event);
-        self.tell(from, event);
-        if let Event::Explained { id, .. } = event {
-            self.stray.remove(&(from, *id));
+        self.robot.handle_event(from, event);
+        match event {
+            ModuleEvent::Explained { id, .. } => drop(self.stray.remove(&(from, *id))),
+            ModuleEvent::Ready => self.say(LineTone::Remark, format!("{from} is ready")),
+            _ => {}
         }
         match (&mut self.scene, event) {
-            (Scene::Trying(trial), Event::Found(note)) => {
+            (Scene::Trying(trial), ModuleEvent::Found(note)) => {
                 let late = self.last.as_ref().map(|last| last.judge(note));
-                let belated = matches!(late, Some(Judgement::Named | Judgement::Companion));
-                if !belated || trial.injection().judge(note) != Judgement::Foreign {
-                    trial.handle_event(from, event, &mut self.known, now);
+                let belated = matches!(late, Some(FaultMatch::Named | FaultMatch::Companion));
+                if !belated || trial.injection().judge(note) != FaultMatch::Foreign {
+                    let line = trial.handle_event(from, event, &mut self.robot, now);
+                    self.say_all(line);
                 }
             }
             (Scene::Trying(trial), event) => {
-                trial.handle_event(from, event, &mut self.known, now);
+                let line = trial.handle_event(from, event, &mut self.robot, now);
+                self.say_all(line);
             }
-            (Scene::Pausing { .. }, Event::Found(note)) => self.judge_between(from, note),
-            // Until all have found each other, cables and nodes are rightly missed; objects are not.
-            (Scene::Assembling { .. }, Event::Found(note))
+            (Scene::Pausing { .. }, ModuleEvent::Found(note)) => self.judge_between(from, note),
+            // During the assembly missing cables and nodes are expected; missing objects are not.
+            (Scene::Assembling { .. }, ModuleEvent::Found(note))
                 if matches!(note.place, Place::Object(_)) =>
             {
                 self.judge_between(from, note);
                 self.hinder(from, note);
             }
-            (Scene::Assembling { .. }, Event::Found(note)) => self.hinder(from, note),
+            (Scene::Assembling { .. }, ModuleEvent::Found(note)) => self.hinder(from, note),
             _ => {}
         }
         self.advance();
     }
 
-    /// A process was killed, as ordered.
-    pub(crate) fn handle_killed(&mut self, at: Moment, now: Moment) {
+    /// Handles the kill of a process by the scenario.
+    pub(crate) fn handle_killed(&mut self, at: MachineInstant, now: MachineInstant) {
         self.now = now;
         if let Scene::Trying(trial) = &mut self.scene {
             trial.handle_killed(at, now);
@@ -193,15 +196,20 @@ impl Story {
         self.advance();
     }
 
-    /// A process has ended; `unasked` tells how, unless it had been killed as ordered.
-    pub(crate) fn handle_exit(&mut self, module: Module, unasked: Option<&str>, now: Moment) {
+    /// Handles the end of a process; `unasked` describes an end that was not ordered.
+    pub(crate) fn handle_exit(
+        &mut self,
+        module: Module,
+        unasked: Option<&str>,
+        now: MachineInstant,
+    ) {
         self.now = now;
-        self.known.handle_exit(module);
+        self.robot.handle_exit(module);
         if let Some(how) = unasked {
             match &mut self.scene {
                 Scene::Trying(trial) => {
                     trial.handle_exit(module, how);
-                    self.say(Tone::Alarm, format!("{module} ended by itself: {how}"));
+                    self.say(LineTone::Alarm, format!("{module} ended by itself: {how}"));
                 }
                 _ => self.complain(format!("{module} ended by itself: {how}")),
             }
@@ -209,27 +217,27 @@ impl Story {
         self.advance();
     }
 
-    /// Acts on what is due.
-    pub(crate) fn handle_timeout(&mut self, now: Moment) {
+    /// Handles the expiry of the timer.
+    pub(crate) fn handle_timeout(&mut self, now: MachineInstant) {
         self.now = now;
         if let Scene::Trying(trial) = &mut self.scene {
-            trial.handle_timeout(&mut self.known, now);
+            trial.handle_timeout(&mut self.robot, now);
         }
         self.advance();
     }
 
-    /// What is to be done or shown next.
-    pub(crate) fn poll_output(&mut self) -> Option<Output> {
+    /// Returns the next output.
+    pub(crate) fn poll_output(&mut self) -> Option<ScenarioOutput> {
         if let Scene::Trying(trial) = &mut self.scene
-            && let Some(deed) = trial.poll_deed()
+            && let Some(output) = trial.poll_output()
         {
-            return Some(Output::Do(deed));
+            return Some(ScenarioOutput::Do(output));
         }
         self.outputs.pop_front()
     }
 
-    /// When it wants to be woken.
-    pub(crate) fn poll_timeout(&self) -> Option<Moment> {
+    /// Returns when the timer expires.
+    pub(crate) fn poll_timeout(&self) -> Option<MachineInstant> {
         match &self.scene {
             Scene::Assembling { due } => Some(*due),
             Scene::Pausing { until } => Some(*until),
@@ -241,17 +249,17 @@ impl Story {
         }
     }
 
-    /// What is being done, for the picture.
+    /// Returns the present step, for the live view.
     pub(crate) fn caption(&self) -> String {
         match &self.scene {
-            Scene::Assembling { .. } => "the robot comes together".into(),
-            Scene::Pausing { .. } => "all is well".into(),
+            Scene::Assembling { .. } => "the robot is being assembled".into(),
+            Scene::Pausing { .. } => "no fault".into(),
             Scene::Trying(trial) => format!("{}: {}", self.number, trial.injection()),
             Scene::Over => "the end".into(),
         }
     }
 
-    /// How many faults there will be, if that is known.
+    /// How many faults there will be, if that is robot.
     pub(crate) fn steps(&self) -> Option<usize> {
         match (&self.script, self.plan.length) {
             (Script::Told(rest), None) => {
@@ -261,18 +269,18 @@ impl Story {
         }
     }
 
-    /// When it began.
-    pub(crate) fn began_at(&self) -> Moment {
+    /// Returns the start of the run.
+    pub(crate) fn began_at(&self) -> MachineInstant {
         self.began_at
     }
 
-    /// What came of it so far.
+    /// Returns the report up to now.
     pub(crate) fn report(&self) -> Report {
-        let messages = self.known.ledger.losses();
-        let in_rows = |count: fn(&Row) -> u64| self.rows.iter().map(count).sum::<u64>();
+        let messages = self.robot.accounting.losses();
+        let in_rows = |count: fn(&FaultRow) -> u64| self.rows.iter().map(count).sum::<u64>();
         let mut problems: Vec<String> =
             self.problems.iter().chain(self.stray.values()).cloned().collect();
-        // While a trial is under way, what was sent may still come.
+        // During a trial, messages may still be in flight.
         if !matches!(self.scene, Scene::Trying(_)) {
             let between = [
                 (messages.lost.saturating_sub(in_rows(|row| row.lost)), "lost"),
@@ -294,31 +302,30 @@ impl Story {
             problems,
             late: in_rows(|row| row.lost).saturating_sub(messages.lost),
             messages,
-            received: self.known.ledger.received(),
-            given_back: 0,
+            received: self.robot.accounting.received(),
             responses: Vec::new(),
             events: Vec::new(),
             notes: NOTES.into(),
         };
-        report.take_measured(&self.known.measured());
+        report.take_measured(&self.robot.measured());
         report
     }
 
     fn advance(&mut self) {
         match &self.scene {
             Scene::Assembling { due } => {
-                if self.known.is_together(|_| true) {
-                    let text = "the robot is together: three processes, four cables";
-                    self.say(Tone::Remark, text.into());
+                if self.robot.is_together(|_| true) {
+                    let text = "the robot is assembled: three processes, four cables";
+                    self.say(LineTone::Remark, text.into());
                     self.pause();
                 } else if self.now >= *due {
-                    let missing = std::iter::once(self.known.missing(|_| true));
+                    let missing = std::iter::once(self.robot.missing(|_| true));
                     let found = self.hindrances.values().cloned();
                     let text = missing.chain(found).collect::<Vec<_>>().join("; ");
-                    // They say why, and were not made by a story that never began.
+                    // They explain the failure, and no fault was injected.
                     self.stray.clear();
                     self.scene = Scene::Over;
-                    self.outputs.push_back(Output::Stillborn(text));
+                    self.outputs.push_back(ScenarioOutput::Stillborn(text));
                 }
             }
             Scene::Pausing { until } if self.now >= *until => self.begin_next(),
@@ -331,12 +338,12 @@ impl Story {
     }
 
     fn pause(&mut self) {
-        let until = self.now + PAUSE + self.dice.pause(PAUSE_SPREAD);
+        let until = self.now + PAUSE + self.random.pause(PAUSE_SPREAD);
         self.scene = Scene::Pausing { until };
     }
 
-    /// When a story in which something broke is to end: only one that is told once has an end.
-    fn must_end_at(&self, trial: &Trial) -> Option<Moment> {
+    /// Returns when a run with a broken promise ends; a run with a fixed length has its own end.
+    fn must_end_at(&self, trial: &FaultTrial) -> Option<MachineInstant> {
         let is_broken = self.broken || trial.is_broken();
         (self.plan.length.is_none() && is_broken).then_some(self.began_at + BROKEN_AT_MOST)
     }
@@ -366,9 +373,10 @@ impl Story {
             return;
         };
         self.number += 1;
-        self.say(Tone::Deed, format!("{injection}"));
-        let patience = self.plan.patience;
-        let trial = Trial::new(injection, self.number, patience, &self.known, self.now);
+        let steps = self.steps().map(|steps| format!(" of {steps}")).unwrap_or_default();
+        self.say(LineTone::Injection, format!("{}{steps}: {injection}", self.number));
+        let timeouts = self.plan.timeouts;
+        let trial = FaultTrial::new(injection, self.number, timeouts, &self.robot, self.now);
         self.scene = Scene::Trying(Box::new(trial));
     }
 
@@ -397,21 +405,20 @@ impl Story {
         let scene = std::mem::replace(&mut self.scene, Scene::Over);
         let Scene::Trying(mut trial) = scene else { return };
         if !trial.is_over() {
-            trial.cut_short(&self.known);
+            trial.cut_short(&self.robot);
         }
-        let row = trial.row(&self.known);
+        let row = trial.row(&self.robot);
         for problem in &row.problems {
             self.broken = true;
-            let text = format!("{}: {problem}", row.fault);
-            self.outputs.push_back(Output::Tell(News {
-                after: self.now - self.began_at,
-                tone: Tone::Alarm,
-                text,
-            }));
+            self.say(LineTone::Alarm, problem.clone());
         }
         if row.problems.is_empty() {
             let span = row.recovered_after.map(|span| format!(" after {span:.1?}"));
-            self.say(Tone::Relief, format!("recovered{}", span.unwrap_or_default()));
+            let symptoms = match row.symptoms {
+                0 => String::new(),
+                count => format!(", and {}", counted(count, "symptom")),
+            };
+            self.say(LineTone::Relief, format!("recovered{}{symptoms}", span.unwrap_or_default()));
         }
         if self.rows.len() == ROW_LIMIT {
             let good = self.rows.iter().position(|row| row.problems.is_empty());
@@ -426,15 +433,16 @@ impl Story {
     fn finish(&mut self) {
         self.scene = Scene::Over;
         self.finished = true;
-        self.outputs.push_back(Output::Finished);
+        self.outputs.push_back(ScenarioOutput::Finished);
     }
 
     fn judge_between(&mut self, from: Module, note: &FaultNote) {
-        let belongs = |last: &Injection| last.judge(note) != Judgement::Foreign;
+        let belongs = |last: &Injection| last.judge(note) != FaultMatch::Foreign;
         let excused = note.is_warning() || note.symptom_of.is_some();
         if !excused && !self.last.as_ref().is_some_and(belongs) {
             let FaultNote { kind, place, detail, .. } = note;
-            let text = format!("{from} named {kind} in {place}, where nothing was done: {detail}");
+            let text =
+                format!("{from} named {kind} in {place}, where no fault was injected: {detail}");
             if self.stray.len() < PROBLEM_LIMIT {
                 self.stray.insert((from, note.id), text);
             }
@@ -444,54 +452,38 @@ impl Story {
     fn complain(&mut self, problem: String) {
         self.broken = true;
         if self.problems.len() < PROBLEM_LIMIT {
-            self.say(Tone::Alarm, problem.clone());
+            self.say(LineTone::Alarm, problem.clone());
             self.problems.push(problem);
         }
     }
 
-    fn tell(&mut self, from: Module, event: &Event) {
-        match event {
-            Event::Ready => self.say(Tone::Remark, format!("{from} is ready")),
-            Event::Found(FaultNote { kind, place, symptom_of, .. }) => {
-                let symptom = if symptom_of.is_some() { ", a symptom" } else { "" };
-                let code = kind.code();
-                let text = format!("{from} found {code} {kind} in {place}{symptom}");
-                self.say(Tone::Finding, text);
-            }
-            Event::Decided { measure, .. } => {
-                self.say(Tone::Remark, format!("{from} decided: {measure}"));
-            }
-            Event::GaveUp { reason, .. } => {
-                self.say(Tone::Alarm, format!("{from} gave up: {reason}"));
-            }
-            _ => {}
+    fn say_all(&mut self, line: Option<(LineTone, String)>) {
+        if let Some((tone, text)) = line {
+            self.say(tone, text);
         }
     }
 
-    fn say(&mut self, tone: Tone, text: String) {
+    fn say(&mut self, tone: LineTone, text: String) {
         let after = self.now - self.began_at;
-        self.outputs.push_back(Output::Tell(News { after, tone, text }));
+        self.outputs.push_back(ScenarioOutput::Tell(ProgressLine { after, tone, text }));
     }
 }
 
-/// The ten faults, in their order.
+/// Returns the ten faults in their order.
 fn script() -> Vec<Injection> {
-    let object = |module, object: &str, sabotage| Injection::Object {
-        module,
-        object: object.into(),
-        sabotage,
-    };
+    let object =
+        |module, object: &str, fault| Injection::Object { module, object: object.into(), fault };
     vec![
-        object(Module::Module1, "skin/17", Sabotage::Panic),
-        object(Module::Module2, "laser", Sabotage::Hang { millis: HANG_MILLIS }),
-        object(Module::Module3, "motors", Sabotage::ErrorState),
-        object(Module::Module1, "planner", Sabotage::FailInitialization),
-        object(Module::Module3, "odometry", Sabotage::Silence),
+        object(Module::Module1, "skin/17", ObjectFault::Panic),
+        object(Module::Module2, "laser", ObjectFault::Hang { millis: HANG_MILLIS }),
+        object(Module::Module3, "motors", ObjectFault::ErrorState),
+        object(Module::Module1, "planner", ObjectFault::FailInitialization),
+        object(Module::Module3, "odometry", ObjectFault::Silence),
         Injection::Cut { cable: CABLES[0], returns: false },
         Injection::Blackout { far: CABLES[0].far },
         Injection::Router { module: Module::Module1 },
         Injection::Kill { module: Module::Module3 },
-        object(Module::Module2, "operator", Sabotage::Flood { messages: FLOOD_MESSAGES }),
+        object(Module::Module2, "operator", ObjectFault::Flood { messages: FLOOD_MESSAGES }),
     ]
 }
 

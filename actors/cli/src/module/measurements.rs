@@ -1,37 +1,37 @@
-//! The measuring apparatus of a module. It stands outside of the objects, so that their restarts do
-//! not touch it.
+//! The measurements of a module. They are stored outside of the objects, so that restarts of
+//! objects do not change them.
 
-use super::wounds::Scar;
-use crate::demo::moment::Moment;
-use crate::demo::protocol::{Event, Snapshot, SourceState};
+use super::harm::HarmRecord;
+use crate::demo::flow_receiver::{FlowReceiver, Sample};
+use crate::demo::machine_instant::MachineInstant;
+use crate::demo::protocol::{ModuleEvent, Snapshot, SourceState};
 use crate::demo::robot::{FLOWS, Flow, Module};
-use crate::demo::tally::{Sample, Tally};
 use crate::demo::timings::Timings;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::mpsc::Sender;
 
-/// Messages of a flow that the middleware gave back and that wait to be offered again: a quarter of a
-/// minute of the fastest flow. When it is full the flow makes no new ones.
+/// Messages of a flow that the middleware gave back and that wait to be offered again: a quarter of
+/// a minute of the fastest flow. When it is full the flow makes no new ones.
 const BACKLOG: usize = 3_000;
 
 /// Everything that is measured in a module. Clones share it.
 #[derive(Clone, Debug)]
-pub(super) struct Gauges {
-    events: Sender<Event>,
+pub(super) struct Measurements {
+    events: Sender<ModuleEvent>,
     process: u64,
     readings: Arc<Mutex<Readings>>,
 }
 
 #[derive(Debug, Default)]
 struct Readings {
-    tallies: BTreeMap<&'static str, Tally>,
+    receivers: BTreeMap<&'static str, FlowReceiver>,
     sources: BTreeMap<&'static str, Source>,
     responses: BTreeMap<Module, Timings>,
     unfiltered: Timings,
     filtered: Timings,
-    scars: BTreeMap<String, Arc<Scar>>,
+    records: BTreeMap<String, Arc<HarmRecord>>,
 }
 
 /// The sending end of a flow.
@@ -39,61 +39,60 @@ struct Readings {
 struct Source {
     made: u64,
     waiting: VecDeque<Sample>,
-    given_back: u64,
 }
 
-impl Gauges {
-    /// Of a process that began now; what they see goes to `events`.
-    pub(super) fn new(module: Module, events: Sender<Event>) -> Gauges {
-        let process = Moment::now().as_nanos().max(1);
+impl Measurements {
+    /// Creates the measurements of a process that has just started; reports go to `events`.
+    pub(super) fn new(module: Module, events: Sender<ModuleEvent>) -> Measurements {
+        let process = MachineInstant::now().as_nanos().max(1);
         let mut readings = Readings::default();
         for flow in FLOWS.iter().filter(|flow| flow.to == module) {
-            readings.tallies.insert(flow.name, Tally::new(flow.name, process));
+            readings.receivers.insert(flow.name, FlowReceiver::new(flow.name, process));
         }
         for flow in FLOWS.iter().filter(|flow| flow.from == module) {
             readings.sources.insert(flow.name, Source::default());
         }
-        Gauges { events, process, readings: Arc::new(Mutex::new(readings)) }
+        Measurements { events, process, readings: Arc::new(Mutex::new(readings)) }
     }
 
-    /// Tells the director.
-    pub(super) fn tell(&self, event: Event) {
-        // A director that does not read is about to end; what it would have been told is void.
+    /// Reports to the director.
+    pub(super) fn tell(&self, event: ModuleEvent) {
+        // A director that does not read is about to end; its events are void.
         let _ = self.events.try_send(event);
     }
 
-    /// The scar of the object of this name.
-    pub(super) fn scar(&self, object: &str) -> Arc<Scar> {
-        self.read().scars.entry(object.to_owned()).or_default().clone()
+    /// Returns the harm record of the object of this name.
+    pub(super) fn record(&self, object: &str) -> Arc<HarmRecord> {
+        self.read().records.entry(object.to_owned()).or_default().clone()
     }
 
     /// A message of a flow arrived.
     pub(super) fn arrived(&self, flow: &Flow, sample: Sample) {
-        let now = Moment::now();
+        let now = MachineInstant::now();
         let mut readings = self.read();
-        let tally = readings.tallies.get_mut(flow.name);
-        let passed = tally.and_then(|tally| tally.handle_sample(sample, now));
+        let receiver = readings.receivers.get_mut(flow.name);
+        let passed = receiver.and_then(|receiver| receiver.handle_sample(sample, now));
         drop(readings);
         if let Some(since) = passed {
-            self.tell(Event::Passed { flow: flow.name.into(), since, at: now });
+            self.tell(ModuleEvent::Passed { flow: flow.name.into(), since, at: now });
         }
     }
 
     /// Watches all flows that end here for the first message sent after `since`.
-    pub(super) fn watch(&self, since: Moment) {
+    pub(super) fn watch(&self, since: MachineInstant) {
         let mut passed = Vec::new();
-        for (flow, tally) in &mut self.read().tallies {
-            passed.extend(tally.watch(since).map(|at| (flow.to_string(), at)));
+        for (flow, receiver) in &mut self.read().receivers {
+            passed.extend(receiver.watch(since).map(|at| (flow.to_string(), at)));
         }
         for (flow, at) in passed {
-            self.tell(Event::Passed { flow, since, at });
+            self.tell(ModuleEvent::Passed { flow, since, at });
         }
     }
 
     /// Makes one more message of the flow, and offers all that wait, in order, as long as they are
     /// taken.
     pub(super) fn offer(&self, flow: &Flow, mut take: impl FnMut(Sample) -> bool) {
-        let now = Moment::now();
+        let now = MachineInstant::now();
         let mut readings = self.read();
         let Some(source) = readings.sources.get_mut(flow.name) else { return };
         if source.waiting.len() < BACKLOG {
@@ -103,7 +102,6 @@ impl Gauges {
         }
         while let Some(sample) = source.waiting.front() {
             if !take(*sample) {
-                source.given_back += 1;
                 break;
             }
             source.waiting.pop_front();
@@ -122,23 +120,22 @@ impl Gauges {
         timings.record(after);
     }
 
-    /// All that was measured; objects and links are for others to fill in.
+    /// Returns all measurements; the caller adds objects and links.
     pub(super) fn snapshot(&self) -> Snapshot {
         let readings = self.read();
         let source = |(name, source): (&&'static str, &Source)| SourceState {
             flow: (*name).into(),
             epoch: self.process,
             sent: source.made - source.waiting.len() as u64,
-            given_back: source.given_back,
         };
         let response =
             |(module, timings): (&Module, &Timings)| (module.to_string(), timings.clone());
         Snapshot {
-            at: Moment::now(),
+            at: MachineInstant::now(),
             objects: Vec::new(),
             links: Vec::new(),
             sources: readings.sources.iter().map(source).collect(),
-            sinks: readings.tallies.values().map(Tally::state).collect(),
+            sinks: readings.receivers.values().map(FlowReceiver::state).collect(),
             responses: readings.responses.iter().map(response).collect(),
             unfiltered: readings.unfiltered.clone(),
             filtered: readings.filtered.clone(),
@@ -146,7 +143,7 @@ impl Gauges {
     }
 
     fn read(&self) -> MutexGuard<'_, Readings> {
-        // A panic in between leaves counters that are still right.
+        // A panic while the lock is held leaves valid counters.
         self.readings.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -158,58 +155,64 @@ mod tests {
 
     const FLOW: &Flow = &FLOWS[0];
 
-    fn gauges(module: Module) -> (Gauges, Receiver<Event>) {
+    fn measurements(module: Module) -> (Measurements, Receiver<ModuleEvent>) {
         let (events, told) = channel(16);
-        (Gauges::new(module, events), told)
+        (Measurements::new(module, events), told)
     }
 
-    fn source(gauges: &Gauges) -> SourceState {
-        let snapshot = gauges.snapshot();
+    fn source(measurements: &Measurements) -> SourceState {
+        let snapshot = measurements.snapshot();
         snapshot.sources.into_iter().find(|source| source.flow == FLOW.name).expect("it is here")
     }
 
     #[test]
     fn what_is_given_back_is_offered_again_in_order() {
-        let (gauges, _told) = gauges(FLOW.from);
+        let (measurements, _told) = measurements(FLOW.from);
         let mut taken = Vec::new();
 
-        gauges.offer(FLOW, |_| false);
-        gauges.offer(FLOW, |_| false);
-        let between = source(&gauges);
-        gauges.offer(FLOW, |sample| {
+        measurements.offer(FLOW, |_| false);
+        measurements.offer(FLOW, |_| false);
+        let between = source(&measurements);
+        measurements.offer(FLOW, |sample| {
             taken.push(sample.number);
             true
         });
 
-        assert_eq!((between.sent, between.given_back), (0, 2));
+        assert_eq!(between.sent, 0);
         assert_eq!(taken, [1, 2, 3]);
-        assert_eq!(source(&gauges).sent, 3);
+        assert_eq!(source(&measurements).sent, 3);
     }
 
     #[test]
     fn a_flow_that_nobody_takes_makes_no_more_than_its_backlog_holds() {
-        let (gauges, _told) = gauges(FLOW.from);
+        let (measurements, _told) = measurements(FLOW.from);
 
         for _ in 0..2 * BACKLOG {
-            gauges.offer(FLOW, |_| false);
+            measurements.offer(FLOW, |_| false);
         }
 
-        assert_eq!(gauges.read().sources[FLOW.name].waiting.len(), BACKLOG);
+        assert_eq!(measurements.read().sources[FLOW.name].waiting.len(), BACKLOG);
     }
 
     #[test]
     fn a_watched_flow_tells_once_when_it_passes() {
-        let (gauges, mut told) = gauges(FLOW.to);
-        let sample = |number, sent| Sample { epoch: 1, number, sent: Moment::from_millis(sent) };
+        let (measurements, mut told) = measurements(FLOW.to);
+        let sample =
+            |number, sent| Sample { epoch: 1, number, sent: MachineInstant::from_millis(sent) };
 
-        gauges.watch(Moment::from_millis(10));
-        gauges.arrived(FLOW, sample(1, 9));
-        gauges.arrived(FLOW, sample(2, 10));
-        gauges.arrived(FLOW, sample(3, 11));
+        measurements.watch(MachineInstant::from_millis(10));
+        measurements.arrived(FLOW, sample(1, 9));
+        measurements.arrived(FLOW, sample(2, 10));
+        measurements.arrived(FLOW, sample(3, 11));
 
-        let Ok(Event::Passed { flow, since, .. }) = told.try_recv() else { panic!("not told") };
-        assert_eq!((flow.as_str(), since), (FLOW.name, Moment::from_millis(10)));
+        let Ok(ModuleEvent::Passed { flow, since, .. }) = told.try_recv() else {
+            panic!("not told")
+        };
+        assert_eq!((flow.as_str(), since), (FLOW.name, MachineInstant::from_millis(10)));
         assert!(told.try_recv().is_err());
-        assert_eq!(gauges.snapshot().sinks.iter().filter(|sink| sink.highest == 3).count(), 1);
+        assert_eq!(
+            measurements.snapshot().sinks.iter().filter(|sink| sink.highest == 3).count(),
+            1
+        );
     }
 }

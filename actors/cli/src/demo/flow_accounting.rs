@@ -1,35 +1,38 @@
-//! Reconciles what the flows' sources sent with what their sinks received.
+//! Compares the messages that the flows' sources sent with those that their sinks received.
+//!
+//! Dead letters and session counters state what the middleware has noticed. A message that it loses
+//! or doubles without noticing is in neither; the numbers of the flows show it.
 
-use super::moment::Moment;
+use super::machine_instant::MachineInstant;
 use super::protocol::{SinkState, Snapshot, SourceState};
 use super::robot::{FLOWS, Flow};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::ops::Sub;
 
-/// The books of all flows.
+/// The accounts of all flows.
 #[derive(Debug)]
-pub(crate) struct Ledger {
+pub(crate) struct FlowAccounting {
     accounts: BTreeMap<&'static str, Account>,
 }
 
-/// What became of reliable messages.
+/// Losses of reliable messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub(crate) struct Losses {
-    /// Accepted, and never delivered, though both ends lived: a broken promise.
+pub(crate) struct FlowLosses {
+    /// Accepted and not delivered, although both processes ran: a broken promise.
     pub(crate) lost: u64,
     /// Delivered more than once: a broken promise.
     pub(crate) doubled: u64,
-    /// Went down with the process that held them; at most so many.
+    /// Lost with the killed process that held them, at most.
     pub(crate) perished: u64,
 }
 
-impl Sub for Losses {
-    type Output = Losses;
+impl Sub for FlowLosses {
+    type Output = FlowLosses;
 
-    /// What came after `earlier`. What was late then and has come since is no gain.
-    fn sub(self, earlier: Losses) -> Losses {
-        Losses {
+    /// The losses since `earlier`. A message that arrived late does not make a count negative.
+    fn sub(self, earlier: FlowLosses) -> FlowLosses {
+        FlowLosses {
             lost: self.lost.saturating_sub(earlier.lost),
             doubled: self.doubled.saturating_sub(earlier.doubled),
             perished: self.perished.saturating_sub(earlier.perished),
@@ -41,9 +44,9 @@ impl Sub for Losses {
 struct Account {
     source: SourceState,
     sink: SinkState,
-    /// Of the sink's processes that are gone.
-    closed: Losses,
-    /// How far the source's last process had come when it ended.
+    /// The losses of the sink's former processes.
+    closed: FlowLosses,
+    /// The last number of the source's former process.
     old_epoch_sent: u64,
     settling: Settling,
 }
@@ -52,20 +55,20 @@ struct Account {
 enum Settling {
     #[default]
     No,
-    /// The source is to say how far it has come, later than this.
-    Asked { since: Moment },
+    /// Waits for a report of the source that is later than this.
+    Asked { since: MachineInstant },
     /// All up to this number of this epoch must have arrived.
     Until { epoch: u64, number: u64 },
 }
 
-impl Default for Ledger {
+impl Default for FlowAccounting {
     fn default() -> Self {
-        Ledger { accounts: FLOWS.map(|flow| (flow.name, Account::default())).into() }
+        FlowAccounting { accounts: FLOWS.map(|flow| (flow.name, Account::default())).into() }
     }
 }
 
-impl Ledger {
-    /// Takes over what one module tells about the ends of flows.
+impl FlowAccounting {
+    /// Handles the snapshot of one module.
     pub(crate) fn handle_snapshot(&mut self, snapshot: &Snapshot) {
         for source in &snapshot.sources {
             if let Some(account) = self.accounts.get_mut(source.flow.as_str()) {
@@ -79,8 +82,9 @@ impl Ledger {
         }
     }
 
-    /// From now on [`is_settled`](Self::is_settled) tells whether all that was sent up to now arrived.
-    pub(crate) fn settle(&mut self, now: Moment) {
+    /// From now on [`is_settled`](Self::is_settled) tells whether all that was sent up to now
+    /// arrived.
+    pub(crate) fn settle(&mut self, now: MachineInstant) {
         for account in self.accounts.values_mut() {
             account.settling = Settling::Asked { since: now };
         }
@@ -97,8 +101,8 @@ impl Ledger {
     }
 
     /// The sum over all flows since the start.
-    pub(crate) fn losses(&self) -> Losses {
-        let mut sum = Losses::default();
+    pub(crate) fn losses(&self) -> FlowLosses {
+        let mut sum = FlowLosses::default();
         for losses in self.accounts.values().map(Account::losses) {
             sum.lost += losses.lost;
             sum.doubled += losses.doubled;
@@ -120,10 +124,10 @@ impl Ledger {
 }
 
 impl Account {
-    fn handle_source(&mut self, source: &SourceState, at: Moment) {
+    fn handle_source(&mut self, source: &SourceState, at: MachineInstant) {
         if source.epoch != self.source.epoch {
             self.old_epoch_sent = self.source.sent;
-            // What an ended process had sent has come or perished: it is awaited no more.
+            // Messages of an ended process have arrived or are lost: they are not awaited.
             if let Settling::Until { .. } = self.settling {
                 self.settling = Settling::Until { epoch: source.epoch, number: 0 };
             }
@@ -137,7 +141,7 @@ impl Account {
     }
 
     fn handle_sink(&mut self, sink: &SinkState) {
-        // A process that has received nothing yet has nothing to say about its predecessor.
+        // Before its first message, a process gives no evidence about its predecessor.
         if sink.epoch == 0 {
             return;
         }
@@ -152,7 +156,7 @@ impl Account {
         }
         if old.epoch != 0 && sink.epoch != old.epoch {
             self.closed.perished += self.old_epoch_sent.saturating_sub(old.highest);
-            // The new source's first messages were sent to a sink that lived.
+            // The first messages of the new source were sent to a running sink.
             self.closed.lost += sink.first.saturating_sub(1);
         }
         self.sink.clone_from(sink);
@@ -173,7 +177,7 @@ impl Account {
         self.source.epoch != 0 && self.sink.epoch == self.source.epoch
     }
 
-    fn losses(&self) -> Losses {
+    fn losses(&self) -> FlowLosses {
         let tail = match self.settling {
             Settling::Until { epoch, number } if epoch == self.sink.epoch => {
                 number.saturating_sub(self.sink.highest)
@@ -181,7 +185,7 @@ impl Account {
             Settling::Until { number, .. } => number,
             Settling::No | Settling::Asked { .. } => 0,
         };
-        Losses {
+        FlowLosses {
             lost: self.closed.lost + self.sink.missing + self.sink.missing_before + tail,
             doubled: self.closed.doubled + self.sink.doubled,
             perished: self.closed.perished,
@@ -201,16 +205,21 @@ mod tests {
     const FLOW: &str = "flow/2-3";
 
     fn source(epoch: u64, sent: u64) -> SourceState {
-        SourceState { flow: FLOW.into(), epoch, sent, given_back: 0 }
+        SourceState { flow: FLOW.into(), epoch, sent }
     }
 
     fn sink(process: u64, epoch: u64, first: u64, highest: u64) -> SinkState {
         SinkState { flow: FLOW.into(), process, epoch, first, highest, ..SinkState::default() }
     }
 
-    fn told(ledger: &mut Ledger, at: u64, sources: &[SourceState], sinks: &[SinkState]) {
-        let at = Moment::from_millis(at);
-        ledger.handle_snapshot(&Snapshot {
+    fn told(
+        accounting: &mut FlowAccounting,
+        at: u64,
+        sources: &[SourceState],
+        sinks: &[SinkState],
+    ) {
+        let at = MachineInstant::from_millis(at);
+        accounting.handle_snapshot(&Snapshot {
             at,
             sources: sources.to_vec(),
             sinks: sinks.to_vec(),
@@ -219,91 +228,91 @@ mod tests {
     }
 
     /// The other flows stand still and are at peace.
-    fn ledger() -> Ledger {
-        let mut ledger = Ledger::default();
-        ledger.accounts.retain(|name, _| *name == FLOW);
-        ledger
+    fn accounting() -> FlowAccounting {
+        let mut accounting = FlowAccounting::default();
+        accounting.accounts.retain(|name, _| *name == FLOW);
+        accounting
     }
 
     #[test]
     fn a_flow_has_settled_when_all_that_was_sent_before_has_arrived() {
-        let mut ledger = ledger();
-        told(&mut ledger, 10, &[source(1, 100)], &[sink(1, 1, 1, 90)]);
-        assert!(ledger.is_flowing() && ledger.is_settled());
+        let mut accounting = accounting();
+        told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 90)]);
+        assert!(accounting.is_flowing() && accounting.is_settled());
 
-        ledger.settle(Moment::from_millis(15));
-        assert!(!ledger.is_settled());
-        told(&mut ledger, 14, &[source(1, 105)], &[sink(1, 1, 1, 120)]);
-        assert!(!ledger.is_settled(), "the source spoke too early");
-        told(&mut ledger, 16, &[source(1, 121)], &[sink(1, 1, 1, 120)]);
-        assert_eq!(ledger.losses(), Losses { lost: 1, ..Losses::default() });
-        assert_eq!(ledger.unsettled().count(), 1);
-        told(&mut ledger, 20, &[source(1, 130)], &[sink(1, 1, 1, 121)]);
+        accounting.settle(MachineInstant::from_millis(15));
+        assert!(!accounting.is_settled());
+        told(&mut accounting, 14, &[source(1, 105)], &[sink(1, 1, 1, 120)]);
+        assert!(!accounting.is_settled(), "the source spoke too early");
+        told(&mut accounting, 16, &[source(1, 121)], &[sink(1, 1, 1, 120)]);
+        assert_eq!(accounting.losses(), FlowLosses { lost: 1, ..FlowLosses::default() });
+        assert_eq!(accounting.unsettled().count(), 1);
+        told(&mut accounting, 20, &[source(1, 130)], &[sink(1, 1, 1, 121)]);
 
-        assert!(ledger.is_settled());
-        assert_eq!(ledger.losses(), Losses::default());
-        assert_eq!(ledger.received(), 121);
+        assert!(accounting.is_settled());
+        assert_eq!(accounting.losses(), FlowLosses::default());
+        assert_eq!(accounting.received(), 121);
     }
 
     #[test]
     fn a_gap_is_lost_and_a_second_copy_is_doubled() {
-        let mut ledger = ledger();
+        let mut accounting = accounting();
         let torn = SinkState { missing: 3, doubled: 2, missing_before: 1, ..sink(1, 1, 1, 50) };
-        told(&mut ledger, 10, &[source(1, 50)], &[torn]);
+        told(&mut accounting, 10, &[source(1, 50)], &[torn]);
 
-        assert_eq!(ledger.losses(), Losses { lost: 4, doubled: 2, perished: 0 });
+        assert_eq!(accounting.losses(), FlowLosses { lost: 4, doubled: 2, perished: 0 });
     }
 
     #[test]
     fn what_was_on_its_way_to_a_killed_process_perished_and_was_not_lost() {
-        let mut ledger = ledger();
-        told(&mut ledger, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
-        told(&mut ledger, 20, &[source(1, 110)], &[sink(2, 0, 0, 0)]);
-        assert_eq!(ledger.losses(), Losses::default());
-        told(&mut ledger, 30, &[source(1, 130)], &[sink(2, 1, 111, 130)]);
+        let mut accounting = accounting();
+        told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
+        told(&mut accounting, 20, &[source(1, 110)], &[sink(2, 0, 0, 0)]);
+        assert_eq!(accounting.losses(), FlowLosses::default());
+        told(&mut accounting, 30, &[source(1, 130)], &[sink(2, 1, 111, 130)]);
 
-        assert_eq!(ledger.losses(), Losses { perished: 15, ..Losses::default() });
+        assert_eq!(accounting.losses(), FlowLosses { perished: 15, ..FlowLosses::default() });
     }
 
     #[test]
     fn what_an_earlier_life_had_taken_is_doubled_when_it_comes_to_the_next() {
-        let mut ledger = ledger();
-        told(&mut ledger, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
-        told(&mut ledger, 30, &[source(1, 130)], &[sink(2, 1, 94, 130)]);
+        let mut accounting = accounting();
+        told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
+        told(&mut accounting, 30, &[source(1, 130)], &[sink(2, 1, 94, 130)]);
 
-        assert_eq!(ledger.losses(), Losses { doubled: 2, ..Losses::default() });
+        assert_eq!(accounting.losses(), FlowLosses { doubled: 2, ..FlowLosses::default() });
     }
 
     #[test]
     fn a_killed_source_begins_anew_and_takes_its_unsent_messages_along() {
-        let mut ledger = ledger();
-        told(&mut ledger, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
-        told(&mut ledger, 20, &[source(2, 0)], &[]);
-        assert!(!ledger.is_flowing());
-        told(&mut ledger, 30, &[source(2, 9)], &[sink(1, 2, 1, 9)]);
+        let mut accounting = accounting();
+        told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
+        told(&mut accounting, 20, &[source(2, 0)], &[]);
+        assert!(!accounting.is_flowing());
+        told(&mut accounting, 30, &[source(2, 9)], &[sink(1, 2, 1, 9)]);
 
-        assert!(ledger.is_flowing());
-        assert_eq!(ledger.losses(), Losses { perished: 5, ..Losses::default() });
+        assert!(accounting.is_flowing());
+        assert_eq!(accounting.losses(), FlowLosses { perished: 5, ..FlowLosses::default() });
     }
 
     #[test]
     fn what_a_killed_source_had_sent_is_not_awaited_any_more() {
-        let mut ledger = ledger();
-        ledger.settle(Moment::from_millis(5));
-        told(&mut ledger, 10, &[source(1, 100)], &[sink(1, 1, 1, 100)]);
-        assert!(ledger.is_settled());
-        told(&mut ledger, 20, &[source(2, 3)], &[]);
-        told(&mut ledger, 30, &[source(2, 9)], &[sink(1, 2, 1, 9)]);
+        let mut accounting = accounting();
+        accounting.settle(MachineInstant::from_millis(5));
+        told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 100)]);
+        assert!(accounting.is_settled());
+        told(&mut accounting, 20, &[source(2, 3)], &[]);
+        told(&mut accounting, 30, &[source(2, 9)], &[sink(1, 2, 1, 9)]);
 
-        assert!(ledger.is_settled());
-        assert_eq!(ledger.losses(), Losses::default());
+        assert!(accounting.is_settled());
+        assert_eq!(accounting.losses(), FlowLosses::default());
     }
 
     #[test]
     fn only_what_came_later_counts_for_a_step() {
-        let before = Losses { lost: 5, doubled: 1, perished: 0 };
-        let after = Losses { lost: 3, doubled: 4, perished: 2 };
+        let before = FlowLosses { lost: 5, doubled: 1, perished: 0 };
+        let after = FlowLosses { lost: 3, doubled: 4, perished: 2 };
 
-        assert_eq!(after - before, Losses { lost: 0, doubled: 3, perished: 2 });
+        assert_eq!(after - before, FlowLosses { lost: 0, doubled: 3, perished: 2 });
     }
 }

@@ -1,4 +1,4 @@
-//! Looking through a node's window, and why there is nothing to be seen.
+//! Reads the snapshot of a node from its inspection socket, and explains a failure.
 
 use rustix::io::Errno;
 use serde_json::Value;
@@ -11,35 +11,35 @@ use tokio::io::AsyncReadExt;
 use tokio::net::UnixStream;
 use tokio::time::{sleep, timeout};
 
-/// The longest picture that is read: that of ten thousand components takes a third of it.
+/// The longest snapshot that is read: that of ten thousand components takes a third of it.
 const LONGEST: u64 = 16 << 20;
 /// The longest path of a Unix-domain socket on Linux, in bytes, without the closing zero.
 const LONGEST_PATH: usize = 107;
-/// Where as many wait at a window as the system lets, there may be room after so long.
+/// The pause after which a socket with a full listen backlog is tried again.
 const PAUSE: Duration = Duration::from_millis(10);
 
 /// Why a node cannot be shown.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum LookError {
-    /// Nobody shows anything there.
+pub(crate) enum InspectError {
+    /// No node serves the socket.
     #[error("no node answers at {}: {reason}", path.display())]
     Nobody {
         /// The path.
         path: PathBuf,
-        /// What is there, and what to do.
+        /// The cause, and what to do.
         reason: String,
     },
-    /// Somebody listens there, and says nothing in time.
+    /// The process at the socket has not answered in time.
     #[error("the node at {} did not answer within {}: {reason}", path.display(), span(.within))]
     Silent {
         /// The path.
         path: PathBuf,
-        /// How long it was waited for.
+        /// The time limit.
         within: Duration,
-        /// What may help.
+        /// A hint.
         reason: String,
     },
-    /// Somebody else listens there.
+    /// The process at the socket is not a node.
     #[error(
         "this is not a node's window: {} shows {reason}; give the path that NodeBuilder::shown_at \
          was given",
@@ -57,26 +57,26 @@ fn span(within: &Duration) -> String {
     format!("{} s", within.as_secs_f64())
 }
 
-/// What a node shows of itself: as it was sent, and as a document.
-pub(super) struct Seen {
+/// The snapshot of a node: as received, and as a document.
+pub(super) struct ReceivedSnapshot {
     pub(super) text: String,
     pub(super) picture: Value,
 }
 
-/// Who is at the other end of a window.
+/// The process at the other end of the socket.
 #[derive(Clone, Copy)]
 enum Peer {
-    /// Nobody has taken the connection.
+    /// The connection has not been accepted.
     Unreached,
-    /// A process, by its number; there is none for one of a container that we cannot look into.
+    /// A process, by its id; a process of another PID namespace has none.
     There { process: Option<i32> },
 }
 
 /// Looks once.
 ///
 /// # Errors
-/// What is there instead of a node, and what to do.
-pub(super) async fn look(path: &Path, within: Duration) -> Result<Seen, LookError> {
+/// The cause, and what to do.
+pub(super) async fn look(path: &Path, within: Duration) -> Result<ReceivedSnapshot, InspectError> {
     let mut peer = Peer::Unreached;
     let looked = timeout(within, async {
         let window = connect(path).await?;
@@ -88,13 +88,13 @@ pub(super) async fn look(path: &Path, within: Duration) -> Result<Seen, LookErro
     });
     match looked.await {
         Ok(Ok(bytes)) => {
-            read(bytes).map_err(|reason| LookError::NoNode { path: path.to_owned(), reason })
+            read(bytes).map_err(|reason| InspectError::NoNode { path: path.to_owned(), reason })
         }
         Ok(Err(error)) => {
-            Err(LookError::Nobody { path: path.to_owned(), reason: explain(path, &error) })
+            Err(InspectError::Nobody { path: path.to_owned(), reason: explain(path, &error) })
         }
         Err(_) => {
-            Err(LookError::Silent { path: path.to_owned(), within, reason: silence_of(peer) })
+            Err(InspectError::Silent { path: path.to_owned(), within, reason: silence_of(peer) })
         }
     }
 }
@@ -102,14 +102,14 @@ pub(super) async fn look(path: &Path, within: Duration) -> Result<Seen, LookErro
 async fn connect(path: &Path) -> io::Result<UnixStream> {
     loop {
         match UnixStream::connect(path).await {
-            // As many wait there already as the system lets.
+            // The listen backlog is full.
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => sleep(PAUSE).await,
             connected => return connected,
         }
     }
 }
 
-fn read(bytes: Vec<u8>) -> Result<Seen, String> {
+fn read(bytes: Vec<u8>) -> Result<ReceivedSnapshot, String> {
     if bytes.is_empty() {
         return Err("nothing".to_owned());
     }
@@ -120,12 +120,12 @@ fn read(bytes: Vec<u8>) -> Result<Seen, String> {
     let picture: Value = serde_json::from_str(&text)
         .map_err(|error| format!("what is no JSON document ({error})"))?;
     match lacking(&picture) {
-        None => Ok(Seen { text, picture }),
+        None => Ok(ReceivedSnapshot { text, picture }),
         Some(lacking) => Err(format!("a document without {lacking:?}")),
     }
 }
 
-/// What every node's picture has, and this one has not.
+/// Returns a required key that the snapshot lacks.
 fn lacking(picture: &Value) -> Option<&'static str> {
     let known = |part: &Value| part.is_array() || part.is_null();
     let has = |key: &str, is: fn(&Value) -> bool| picture.get(key).is_some_and(is);
@@ -135,7 +135,7 @@ fn lacking(picture: &Value) -> Option<&'static str> {
     texts.or(number).or(parts.into_iter().find(|key| !picture.get(*key).is_some_and(known)))
 }
 
-/// What stands in the way of connecting there.
+/// Describes why no connection is possible.
 fn explain(path: &Path, error: &io::Error) -> String {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     match error.kind() {
@@ -150,23 +150,23 @@ fn explain(path: &Path, error: &io::Error) -> String {
                 .to_owned()
         }
         io::ErrorKind::NotFound if folder.is_some_and(|folder| !folder.exists()) => {
-            format!("there is no folder {}: mend the path", folder.unwrap_or(path).display())
+            format!("there is no folder {}: correct the path", folder.unwrap_or(path).display())
         }
         io::ErrorKind::NotFound => {
             "nothing is there: start the node, or give it this window by NodeBuilder::shown_at"
                 .to_owned()
         }
         io::ErrorKind::ConnectionRefused => {
-            "the node that was shown there has died, or does not listen yet: start it anew".to_owned()
+            "the node that was shown there has died, or does not listen yet: restart it".to_owned()
         }
         io::ErrorKind::PermissionDenied => {
             "only the user who runs the node may look: run this as that user".to_owned()
         }
         io::ErrorKind::NotADirectory => {
-            "what should be its folder is a file: mend the path".to_owned()
+            "what should be its folder is a file: correct the path".to_owned()
         }
         io::ErrorKind::ConnectionReset => {
-            "it has ended in that moment: look again when it has begun anew".to_owned()
+            "the node has just ended: try again after its restart".to_owned()
         }
         _ if error.raw_os_error() == Some(Errno::PROTOTYPE.raw_os_error()) => {
             "it is a socket of another kind: give the path that NodeBuilder::shown_at was given"
@@ -176,7 +176,7 @@ fn explain(path: &Path, error: &io::Error) -> String {
     }
 }
 
-/// What may be known of a process that does not answer.
+/// Describes a process that does not answer.
 fn silence_of(peer: Peer) -> String {
     let process = match peer {
         Peer::Unreached => {
@@ -197,10 +197,10 @@ fn silence_of(peer: Peer) -> String {
     )
 }
 
-/// Whether a signal, or a debugger, has stopped it. Only Linux tells.
+/// Returns whether a signal or a debugger has stopped the process. Only Linux reports it.
 fn is_stopped(process: i32) -> bool {
     let status = fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
-    // The name before it, in brackets, may hold anything.
+    // The name before it, in brackets, may hold any character.
     let state = status.rsplit_once(')').and_then(|(_, rest)| rest.trim_start().chars().next());
     matches!(state, Some('T' | 't'))
 }
