@@ -339,6 +339,14 @@ impl Topics {
         Ok(topic)
     }
 
+    /// On how many arbiters a topic has listeners.
+    #[cfg(test)]
+    #[track_caller]
+    pub(crate) fn hubs<E: Event>(&self, topic: &str) -> usize {
+        let topic = self.topic::<E>(topic, Location::caller());
+        topic.map_or(0, |topic| lock(&topic.hubs).list.len())
+    }
+
     /// A way to publish on the topic of this name.
     #[track_caller]
     pub(crate) fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {

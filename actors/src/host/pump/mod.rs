@@ -104,6 +104,8 @@ pub(crate) struct Pump<C: Component> {
     budget: Rc<TurnBudget>,
     /// The last turn went to the component's tasks; this one begins with the next step.
     step_first: bool,
+    /// The last step went to a round or a timer.
+    message_next: bool,
     slot: Slot,
     seat: Seat,
     pulse: Arc<Pulse>,
@@ -139,6 +141,7 @@ impl<C: Component> Pump<C> {
             chores: Box::default(),
             budget: Rc::default(),
             step_first: false,
+            message_next: false,
             slot,
             pulse: seat.pulse.clone(),
             seat,
@@ -326,12 +329,19 @@ impl<C: Component> Pump<C> {
                 }
             }
         }
-        if let Some(chore) = self.chores.next_due() {
+        // A message follows each round and timer, so that those which are late all the time leave room.
+        if !std::mem::take(&mut self.message_next)
+            && let Some(chore) = self.chores.next_due()
+        {
+            self.message_next = true;
             return self.do_chore(chore, cx);
         }
         match self.anchor.lane.take(self.life.incarnation, cx.waker()) {
             Taken::Got(mail) => self.open(mail, cx),
-            Taken::Empty => Progress::Wait,
+            Taken::Empty => match self.chores.next_due() {
+                Some(chore) => self.do_chore(chore, cx),
+                None => Progress::Wait,
+            },
             Taken::Retired => {
                 self.life.token.end();
                 Progress::Over
