@@ -4,16 +4,15 @@
 //! runs under its name, guard and stamp as its handler does, and where either takes long, the hub ends
 //! its turn and goes on from there in the next.
 
+use super::ear::{Ear, Resident};
 use super::{Condition, Hubs, Subscription, Topic, lock};
-use crate::component::{Component, Handle};
+use crate::component::Handle;
 use crate::host::anchor::Anchor;
 use crate::host::label::label;
 use crate::host::pulse::Pulse;
-use crate::host::pump::{self, Pump};
 use crate::host::stamp::Place;
 use crate::host::turn_budget::TurnBudget;
 use crate::lane::{Lane, Pushed, Taken, WhenFull};
-use crate::letter;
 use crate::panics::Guarded;
 use crate::platform;
 use blastema_core::{Event, Incarnation, Instant, Why};
@@ -22,11 +21,10 @@ use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, VecDeque};
 use std::future::poll_fn;
-use std::hint::black_box;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::rc::{Rc, Weak};
+use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, Weak};
 use std::task::{self, Poll};
 
 /// Events that may wait for a hub's turn: a burst of several hundred from a publisher that does not
@@ -38,7 +36,7 @@ const BUDGET: usize = 8;
 /// A hub's lane has one owner for ever.
 const OWNER: Incarnation = Incarnation::FIRST;
 /// What the stamp and the fault say while a condition runs.
-const CONDITION: &str = "a condition of a subscription";
+pub(super) const CONDITION: &str = "a condition of a subscription";
 
 /// What publishers know of a hub, and listeners that leave it.
 pub(crate) struct HubLane<E> {
@@ -114,7 +112,7 @@ impl<E: Event> HubLane<E> {
 struct Hub<E: Event> {
     shared: Arc<HubLane<E>>,
     /// For what its events do when they are copied and dropped.
-    topic: std::sync::Weak<Topic<E>>,
+    topic: Weak<Topic<E>>,
     ears: RefCell<Vec<Ear<E>>>,
     /// Those that came since the last event.
     newcomers: RefCell<Vec<Ear<E>>>,
@@ -459,102 +457,6 @@ impl<E: Event> Hub<E> {
 #[inline]
 fn step(next: &AtomicUsize) {
     next.store(next.load(Relaxed) + 1, Relaxed);
-}
-
-/// One listener, as its hub sees it: what is looked at for every event, side by side with the others.
-struct Ear<E> {
-    only_if: Option<Condition<E>>,
-    /// Which ear of the subscription is served now, and which this one is.
-    present: Arc<AtomicU64>,
-    number: u64,
-    /// The number of the first event that it gets here.
-    since: u64,
-    /// Names the component to the watch while its condition and its handler run.
-    place: Cell<Option<Place>>,
-    listener: Box<dyn Listener<E>>,
-}
-
-impl<E> Ear<E> {
-    fn is_present(&self) -> bool {
-        self.present.load(Relaxed) == self.number
-    }
-}
-
-/// The component behind an ear.
-trait Listener<E> {
-    /// Serves the event, or queues it where the component is busy. Answers where the component is.
-    fn take(&self, event: E, at: Instant, pulse: &Pulse, ear: &Ear<E>) -> Option<Place>;
-    /// Where the component is.
-    fn place(&self) -> Option<Place>;
-    /// Brings what it consists of nearer to the processor, while the one before it is served.
-    fn call_up(&self);
-    /// It took long over an event.
-    fn overdraw(&self);
-    /// Its condition panicked.
-    fn die(&self, payload: Box<dyn Any + Send>);
-    fn bury(&self, why: &Why);
-}
-
-struct Resident<C: Component> {
-    anchor: Arc<Anchor<C>>,
-    pump: RefCell<Weak<RefCell<Pump<C>>>>,
-}
-
-impl<C: Component> Resident<C> {
-    #[inline]
-    fn with_pump<R>(&self, then: impl FnOnce(&mut Pump<C>) -> R) -> Option<R> {
-        let mut known = self.pump.borrow_mut();
-        if known.strong_count() == 0 {
-            *known = pump::local(&self.anchor)?; // It was born again.
-        }
-        let pump = known.upgrade()?;
-        drop(known);
-        let mut pump = pump.try_borrow_mut().ok()?;
-        Some(then(&mut pump))
-    }
-}
-
-impl<C: Handle<E>, E: Event> Listener<E> for Resident<C> {
-    #[inline]
-    fn take(&self, event: E, at: Instant, pulse: &Pulse, ear: &Ear<E>) -> Option<Place> {
-        let mut event = Some(event);
-        let place = self.with_pump(|pump| {
-            let place = pump.place();
-            pulse.run(Some(place.index));
-            if pump.is_free()
-                && let Some(event) = event.take()
-            {
-                letter::pass(pump, event, at);
-            }
-            place
-        });
-        // One that has gone meanwhile has brought along what is not served here.
-        if let Some(event) = event.filter(|_| ear.is_present()) {
-            self.anchor.queue_event(event, at);
-        }
-        place
-    }
-
-    fn place(&self) -> Option<Place> {
-        self.with_pump(|pump| pump.place())
-    }
-
-    #[inline]
-    fn call_up(&self) {
-        black_box(self.pump.borrow().strong_count());
-    }
-
-    fn overdraw(&self) {
-        self.with_pump(|pump| pump.overdraw());
-    }
-
-    fn die(&self, payload: Box<dyn Any + Send>) {
-        self.with_pump(|pump| pump.die_of(payload, CONDITION));
-    }
-
-    fn bury(&self, why: &Why) {
-        self.anchor.record.bury(E::NAME, why);
-    }
 }
 
 /// A component's subscription to one topic.

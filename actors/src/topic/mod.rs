@@ -15,6 +15,7 @@
 //! same sender no order is promised. Publishing never waits: a hub that falls behind drops its oldest
 //! events, which are counted among the dead letters under the topic's name.
 
+mod ear;
 mod hub;
 
 pub(crate) use hub::Listening;

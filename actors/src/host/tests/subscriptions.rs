@@ -9,8 +9,8 @@ use blastema_contract::reports::Sighted;
 use blastema_core::Contract;
 use blastema_core::scanner::ScannerConfig;
 use blastema_doubles::{Probe, paused, settle};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
-use std::sync::{Arc, Mutex};
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
 #[derive(Clone, Debug, PartialEq, Event)]
@@ -18,17 +18,17 @@ struct Sample(u64);
 
 /// Keeps whatever waits for it until it is let go.
 #[derive(Clone, Default)]
-struct Barrier(Arc<AtomicBool>);
+struct Barrier(Arc<(Mutex<bool>, Condvar)>);
 
 impl Barrier {
     fn wait(&self) {
-        while !self.0.load(Relaxed) {
-            std::thread::sleep(Duration::from_millis(1));
-        }
+        let closed = |open: &mut bool| !*open;
+        drop(self.0.1.wait_while(self.0.0.lock().unwrap(), closed).unwrap());
     }
 
     fn open(&self) {
-        self.0.store(true, Relaxed);
+        *self.0.0.lock().unwrap() = true;
+        self.0.1.notify_all();
     }
 }
 
