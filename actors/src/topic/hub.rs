@@ -263,7 +263,8 @@ async fn run<E: Event>(hub: Rc<Hub<E>>, _leave: Leave) {
 
 impl<E: Event> Hub<E> {
     fn turn(&self, cx: &task::Context<'_>) -> Poll<()> {
-        if self.batch.borrow().is_none() {
+        let resumed = self.batch.borrow().is_some();
+        if !resumed {
             match self.next_batch(cx) {
                 Taken::Got(batch) => drop(self.batch.replace(Some(batch))),
                 Taken::Empty => return Poll::Pending,
@@ -275,8 +276,9 @@ impl<E: Event> Hub<E> {
             Progress::Slow => return Poll::Pending,
             Progress::Lost => return Poll::Ready(()),
         }
-        let full = self.finish();
-        if full && !self.budget.is_spent() {
+        // What came while it rested has used up the waker that the lane keeps.
+        let more = self.finish() || resumed;
+        if more && !self.budget.is_spent() {
             self.budget.pause(cx.waker());
         }
         Poll::Pending
