@@ -35,6 +35,14 @@ pub(crate) enum Taken<T> {
     Retired,
 }
 
+/// What came of a message that went in; for whoever let go of locks of its own meanwhile.
+pub(crate) struct Pushed<T> {
+    /// The older one that had to leave.
+    pub(crate) displaced: Option<T>,
+    /// To be woken.
+    pub(crate) parked: Option<Waker>,
+}
+
 /// A bounded queue from many senders to the one life that owns it.
 pub(crate) struct Lane<T> {
     inner: Mutex<Inner<T>>,
@@ -92,6 +100,21 @@ impl<T> Lane<T> {
         message: M,
         pack: impl FnOnce(M) -> T,
     ) -> Result<Option<T>, (M, Why)> {
+        let Pushed { displaced, parked } = self.push_quietly(message, pack)?;
+        // To wake across threads is a system call, so it happens outside of the lock.
+        if let Some(waker) = parked {
+            waker.wake();
+        }
+        Ok(displaced)
+    }
+
+    /// The same for who wakes the owner later.
+    #[inline]
+    pub(crate) fn push_quietly<M>(
+        &self,
+        message: M,
+        pack: impl FnOnce(M) -> T,
+    ) -> Result<Pushed<T>, (M, Why)> {
         let mut lane = self.lock();
         if lane.stopped {
             return Err((message, Why::Stopped));
@@ -107,12 +130,7 @@ impl<T> Lane<T> {
         }
         lane.queue.push_back(pack(message));
         self.length.store(lane.queue.len(), Relaxed);
-        let parked = lane.parked.take();
-        drop(lane); // To wake across threads is a system call, so it happens outside of the lock.
-        if let Some(waker) = parked {
-            waker.wake();
-        }
-        Ok(displaced)
+        Ok(Pushed { displaced, parked: lane.parked.take() })
     }
 
     /// Completes when there may be room. Who wakes then tries again; a claim that is dropped is
@@ -186,6 +204,11 @@ impl<T> Lane<T> {
     /// Keeps everything in the lane, or lets it flow again.
     pub(crate) fn hold(&self, held: bool) {
         self.held.store(held, Relaxed);
+        self.wake();
+    }
+
+    /// Has its owner look again.
+    pub(crate) fn wake(&self) {
         let parked = self.lock().parked.take();
         if let Some(waker) = parked {
             waker.wake();

@@ -41,6 +41,22 @@ pub fn now() -> Instant {
     }
 }
 
+/// The system's coarse clock, in nanoseconds: a few nanoseconds to read, and it ticks every 1 to 10 ms.
+#[inline]
+pub(crate) fn tick() -> u64 {
+    let coarse = rustix::time::clock_gettime(rustix::time::ClockId::MonotonicCoarse);
+    (coarse.tv_sec * 1_000_000_000 + coarse.tv_nsec).cast_unsigned()
+}
+
+/// Whether a test has paused this thread's clock. Takes a microsecond.
+pub(crate) fn clock_stands() -> bool {
+    let (before, since) = (tokio::time::Instant::now(), std::time::Instant::now());
+    while since.elapsed() < Duration::from_micros(1) {
+        hint::spin_loop();
+    }
+    tokio::time::Instant::now() == before
+}
+
 /// Waits for so long on this thread's clock, and keeps nobody else from the thread.
 ///
 /// In a component, [a timer](crate::Context::after) leaves it free to serve meanwhile.

@@ -97,11 +97,12 @@ impl HostEnvironment {
     /// An environment of its own, whose components live on `arbiters`.
     pub(crate) fn new(arbiters: Arbiters, reports: Reports) -> Self {
         let dead_letters = DeadLetterOffice::default();
+        let topics = Topics::new(dead_letters.clone(), reports.clone());
         HostEnvironment {
             reports,
             arbiters,
             registry: Registry::default(),
-            topics: Topics::new(dead_letters.clone()),
+            topics,
             dead_letters,
             watch_list: WatchList::default(),
             variables: Store::default(),

@@ -35,6 +35,7 @@ pub(crate) mod pump;
 pub(crate) mod spec;
 pub(crate) mod stamp;
 pub(crate) mod threads;
+pub(crate) mod turn_budget;
 pub(crate) mod watch;
 
 #[cfg(test)]

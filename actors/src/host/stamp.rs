@@ -56,6 +56,14 @@ impl Stamp {
         self.step();
     }
 
+    /// Names what runs now, beside what is in service; answers the label of that.
+    #[inline]
+    pub(crate) fn relabel(&self, label: u32) -> u32 {
+        let before = self.during.load(Relaxed);
+        self.during.store(label, Relaxed);
+        before
+    }
+
     #[inline]
     pub(crate) fn give_sign(&self) {
         self.alive.store(self.alive.load(Relaxed) + 1, Relaxed);

@@ -1,26 +1,31 @@
 //! The listeners of one topic on one arbiter.
+//!
+//! A hub gives each listener a few events in turn. What it gives belongs to the listener: its condition
+//! runs under its name, guard and stamp as its handler does, and where either takes long, the hub ends
+//! its turn and goes on from there in the next.
 
-use super::{Condition, Subscription, Topic, lock};
-use crate::component::{Component, Handle};
+use super::ear::{Ear, Resident};
+use super::{Condition, Hubs, Subscription, Topic, lock};
+use crate::component::Handle;
 use crate::host::anchor::Anchor;
+use crate::host::label::label;
 use crate::host::pulse::Pulse;
-use crate::host::pump::{self, Pump};
-use crate::lane::{Lane, Taken, WhenFull};
-use crate::letter;
+use crate::host::stamp::Place;
+use crate::host::turn_budget::TurnBudget;
+use crate::lane::{Lane, Pushed, Taken, WhenFull};
 use crate::panics::Guarded;
 use crate::platform;
 use blastema_core::{Event, Incarnation, Instant, Why};
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::future::poll_fn;
-use std::hint::black_box;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::rc::{Rc, Weak};
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed};
-use std::sync::{Arc, Mutex};
-use std::task::Poll;
+use std::rc::Rc;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, Weak};
+use std::task::{self, Poll};
 
 /// Events that may wait for a hub's turn: a burst of several hundred from a publisher that does not
 /// yield, and still under 100 KiB of small events.
@@ -30,56 +35,124 @@ const CAPACITY: usize = 1024;
 const BUDGET: usize = 8;
 /// A hub's lane has one owner for ever.
 const OWNER: Incarnation = Incarnation::FIRST;
+/// What the stamp and the fault say while a condition runs.
+pub(super) const CONDITION: &str = "a condition of a subscription";
 
-/// What publishers know of a hub.
+/// What publishers know of a hub, and listeners that leave it.
 pub(crate) struct HubLane<E> {
     lane: Lane<Posted<E>>,
     id: u64,
+    /// Changed under the topic's lock.
     listeners: AtomicU64,
-    /// The events that are being handed out, for listeners that leave a hub that is stuck.
-    serving: Mutex<Arc<[Posted<E>]>>,
-    /// The number of the last ear that was offered them; ears have their turn by rising numbers.
+    /// Its last listener has left. Changed under the topic's lock.
+    retired: AtomicBool,
+    serving: Mutex<Serving<E>>,
+    /// The number of the last ear that was offered what is served; ears have their turn by rising
+    /// numbers.
     reached: AtomicU64,
-    /// Which event that ear is looking at, or serves.
-    next: AtomicUsize,
+    /// How many of these events that ear has begun to look at.
+    begun: AtomicUsize,
     /// How often an ear has gone from here, so that the hub need not ask each whether it is still here.
     gone: AtomicU64,
 }
 
+/// What a hub has taken from its lane, or is to give to one ear before that: for listeners that leave
+/// a hub that is stuck.
+struct Serving<E> {
+    events: Arc<Vec<Posted<E>>>,
+    /// They are for this ear only.
+    only: Option<u64>,
+    /// What ears brought along from the hubs that they left.
+    brought: VecDeque<(u64, Vec<Posted<E>>)>,
+}
+
 #[derive(Clone)]
-struct Posted<E> {
+pub(super) struct Posted<E> {
     event: E,
     at: Instant,
+    /// Counts the topic's events.
+    number: u64,
 }
 
 impl<E> HubLane<E> {
+    /// Hands an event over; a hub drops its oldest one where it has no room.
     #[inline]
-    pub(super) fn has_listeners(&self) -> bool {
-        self.listeners.load(Relaxed) > 0
+    pub(super) fn push(&self, event: E, at: Instant, number: u64) -> Pushed<Posted<E>> {
+        let pushed = self.lane.push_quietly(event, |event| Posted { event, at, number });
+        // Refused only where the hub has retired, which publishers no longer know.
+        pushed.unwrap_or(Pushed { displaced: None, parked: None })
     }
+}
 
-    /// One of its ears is not served any more.
-    fn leave(&self) {
-        self.listeners.fetch_sub(1, Relaxed);
-        self.gone.fetch_add(1, Relaxed);
-    }
-
-    /// Says whether nothing was lost.
-    #[inline]
-    pub(super) fn push(&self, event: E, at: Instant) -> bool {
-        matches!(self.lane.push_with(event, |event| Posted { event, at }), Ok(None))
+impl<E: Event> HubLane<E> {
+    /// What this ear would still have got here of what was published since it came. `leave` says,
+    /// once and before anything is looked at, that it gets nothing here any more.
+    fn leftover(&self, since: u64, leave: impl FnOnce() -> u64) -> Vec<Posted<E>> {
+        let mut serving = lock(&self.serving);
+        let ear = leave();
+        let mut left = Vec::new();
+        if let Some(at) = serving.brought.iter().position(|(of, _)| *of == ear) {
+            left.extend(serving.brought.remove(at).into_iter().flat_map(|(_, events)| events));
+        }
+        let past = match ear.cmp(&self.reached.load(Relaxed)) {
+            _ if serving.only.is_some_and(|only| only != ear) => serving.events.len(),
+            Ordering::Less => serving.events.len(),
+            // What it served when it was given up is not served again.
+            Ordering::Equal => self.begun.load(Relaxed),
+            Ordering::Greater => 0,
+        };
+        let served = serving.events.iter().skip(past);
+        left.extend(served.filter(|p| serving.only.is_some() || p.number >= since).cloned());
+        left.extend(self.lane.snapshot().into_iter().filter(|posted| posted.number >= since));
+        left
     }
 }
 
 /// A hub on its own arbiter.
 struct Hub<E: Event> {
     shared: Arc<HubLane<E>>,
+    /// For what its events do when they are copied and dropped.
+    topic: Weak<Topic<E>>,
     ears: RefCell<Vec<Ear<E>>>,
     /// Those that came since the last event.
     newcomers: RefCell<Vec<Ear<E>>>,
     /// How many had gone when they were last taken out.
     gone: Cell<u64>,
     pulse: Arc<Pulse>,
+    budget: TurnBudget,
+    /// What is handed out now, and which ear has its turn.
+    batch: RefCell<Option<Batch<E>>>,
+    turn_of: Cell<usize>,
+    /// Whose code runs.
+    runs: Cell<Runs>,
+    condition: u32,
+}
+
+struct Batch<E> {
+    events: Arc<Vec<Posted<E>>>,
+    only: Option<u64>,
+    /// There may be more in the lane.
+    full: bool,
+}
+
+/// Whose code a hub runs.
+#[derive(Clone, Copy)]
+enum Runs {
+    /// The condition of the ear that has its turn; where the component was serving something, with
+    /// the label of that.
+    Condition(Option<u32>),
+    /// What the publisher wrote of the event, or the middleware.
+    Other,
+}
+
+/// How far a hub came in a turn.
+#[derive(PartialEq, Eq)]
+enum Progress {
+    Done,
+    /// Something took long.
+    Slow,
+    /// The arbiter was given up; the listeners go elsewhere, with their events.
+    Lost,
 }
 
 thread_local! {
@@ -88,146 +161,296 @@ thread_local! {
 }
 
 impl<E: Event> Topic<E> {
-    /// The hub of this arbiter.
-    fn hub_here(self: &Arc<Self>) -> Rc<Hub<E>> {
+    /// The hub of this arbiter, known to publishers.
+    fn hub_here(self: &Arc<Self>, hubs: &mut Hubs<E>) -> Rc<Hub<E>> {
         static NEXT: AtomicU64 = AtomicU64::new(1);
         let known = HUBS.with_borrow(|hubs| hubs.get(&self.id).cloned());
-        if let Some(hub) = known.and_then(|hub| hub.downcast::<Hub<E>>().ok()) {
+        let known = known.and_then(|hub| hub.downcast::<Hub<E>>().ok());
+        if let Some(hub) = known.filter(|hub| !hub.shared.retired.load(Relaxed)) {
             return hub;
         }
         let lane = Lane::new(CAPACITY, WhenFull::DropOldest);
         lane.give_to(Some(OWNER));
-        let id = NEXT.fetch_add(1, Relaxed);
+        let serving = Serving { events: Arc::default(), only: None, brought: VecDeque::new() };
         let shared = Arc::new(HubLane {
             lane,
-            id,
+            id: NEXT.fetch_add(1, Relaxed),
             listeners: AtomicU64::new(0),
-            serving: Mutex::default(),
+            retired: AtomicBool::new(false),
+            serving: Mutex::new(serving),
             reached: AtomicU64::new(0),
-            next: AtomicUsize::new(0),
+            begun: AtomicUsize::new(0),
             gone: AtomicU64::new(0),
         });
         let hub = Rc::new(Hub {
             shared: shared.clone(),
+            topic: Arc::downgrade(self),
             ears: RefCell::default(),
             newcomers: RefCell::default(),
             gone: Cell::new(0),
             pulse: Pulse::enrol_here(),
+            budget: TurnBudget::default(),
+            batch: RefCell::new(None),
+            turn_of: Cell::new(0),
+            runs: Cell::new(Runs::Other),
+            condition: label(CONDITION),
         });
         HUBS.with_borrow_mut(|hubs| hubs.insert(self.id, hub.clone()));
-        let mut hubs = lock(&self.hubs);
-        *hubs = hubs.iter().cloned().chain([shared]).collect();
-        drop(hubs);
-        actix_rt::spawn(run(hub.clone(), Leave { topic: self.id }));
+        hubs.list = hubs.list.iter().cloned().chain([shared]).collect();
+        actix_rt::spawn(run(hub.clone(), Leave { topic: self.id, hub: hub.clone() }));
         hub
+    }
+
+    /// One of the hub's ears is not served any more. A hub without any is released.
+    fn leave(&self, hub: &Arc<HubLane<E>>) {
+        let mut hubs = lock(&self.hubs);
+        hub.gone.fetch_add(1, Relaxed);
+        if hub.listeners.fetch_sub(1, Relaxed) > 1 {
+            return;
+        }
+        hub.retired.store(true, Relaxed);
+        hubs.list = hubs.list.iter().filter(|known| known.id != hub.id).cloned().collect();
+        drop(hubs);
+        self.discard(hub.lane.stop());
+        let mut serving = lock(&hub.serving);
+        let (events, brought) =
+            (std::mem::take(&mut serving.events), std::mem::take(&mut serving.brought));
+        drop(serving);
+        self.discard(Arc::into_inner(events).unwrap_or_default());
+        self.discard(brought.into_iter().flat_map(|(_, events)| events));
     }
 }
 
 impl<E: Event> Drop for Topic<E> {
     fn drop(&mut self) {
         // The hubs' tasks end, each on its own arbiter.
-        lock(&self.hubs).iter().for_each(|hub| drop(hub.lane.stop()));
+        let hubs = lock(&self.hubs).list.clone();
+        hubs.iter().for_each(|hub| self.discard(hub.lane.stop()));
     }
 }
 
 /// Takes a hub out of its arbiter's table when its task ends.
 struct Leave {
     topic: u64,
+    hub: Rc<dyn Any>,
 }
 
 impl Drop for Leave {
     fn drop(&mut self) {
-        let hub = HUBS.try_with(|hubs| hubs.borrow_mut().remove(&self.topic));
+        let hub = HUBS.try_with(|hubs| {
+            let mut hubs = hubs.borrow_mut();
+            // Another may have taken its place.
+            let mine = hubs.get(&self.topic).is_some_and(|hub| Rc::ptr_eq(hub, &self.hub));
+            mine.then(|| hubs.remove(&self.topic))
+        });
         drop(hub);
     }
 }
 
 async fn run<E: Event>(hub: Rc<Hub<E>>, _leave: Leave) {
     poll_fn(|cx| {
-        let mut events = Vec::new();
-        while events.len() < BUDGET {
-            match hub.shared.lane.take(OWNER, cx.waker()) {
-                Taken::Got(posted) => events.push(posted),
-                Taken::Empty => break,
-                Taken::Retired => return Poll::Ready(()),
-            }
-        }
-        if events.is_empty() {
+        if hub.budget.is_resting() {
             return Poll::Pending;
         }
-        if events.len() == BUDGET {
-            cx.waker().wake_by_ref();
-        }
-        hub.distribute(events);
-        Poll::Pending
+        hub.budget.begin();
+        let polled = hub.turn(cx);
+        hub.pulse.run(None);
+        hub.budget.end(cx.waker());
+        polled
     })
     .await;
 }
 
 impl<E: Event> Hub<E> {
-    fn distribute(&self, mut events: Vec<Posted<E>>) {
-        let mut ears = self.ears.borrow_mut();
-        ears.append(&mut self.newcomers.borrow_mut());
-        if let Some(limit) = E::MAX_AGE {
-            let now = platform::now();
-            events.retain(|posted| {
-                let valid = now - posted.at <= limit;
-                if !valid {
-                    ears.iter().for_each(|ear| ear.listener.bury(&Why::Expired));
-                }
-                valid
-            });
-        }
-        let events: Arc<[Posted<E>]> = events.into();
-        let HubLane { next, reached, serving, gone, .. } = &*self.shared;
-        reached.store(0, Relaxed);
-        next.store(0, Relaxed);
-        lock(serving).clone_from(&events);
-        // A condition is the listener's code: where one panics, the listener is dead, and the event
-        // goes on to the next.
-        let at = Cell::new(0);
-        while at.get() < ears.len() {
-            let guarded = Guarded::enter();
-            let offered = catch_unwind(AssertUnwindSafe(|| {
-                for (ear, after) in
-                    (at.get()..).map_while(|at| Some((ears.get(at)?, ears.get(at + 1))))
-                {
-                    if let Some(after) = after.filter(|after| after.only_if.is_none()) {
-                        after.listener.call_up();
-                    }
-                    self.offer(ear, &events);
-                    next.store(0, Relaxed);
-                    at.set(at.get() + 1);
-                }
-            }));
-            drop(guarded);
-            if let Err(payload) = offered {
-                ears[at.get()].listener.die(payload);
-                step(next);
+    fn turn(&self, cx: &task::Context<'_>) -> Poll<()> {
+        let resumed = self.batch.borrow().is_some();
+        if !resumed {
+            match self.next_batch(cx) {
+                Taken::Got(batch) => drop(self.batch.replace(Some(batch))),
+                Taken::Empty => return Poll::Pending,
+                Taken::Retired => return Poll::Ready(()),
             }
         }
-        *lock(serving) = Arc::default();
-        self.pulse.run(None);
-        let gone = gone.load(Relaxed);
-        if self.gone.replace(gone) != gone {
-            ears.retain(Ear::is_present);
+        match self.distribute() {
+            Progress::Done => {}
+            Progress::Slow => return Poll::Pending,
+            Progress::Lost => return Poll::Ready(()),
         }
+        // What came while it rested has used up the waker that the lane keeps.
+        let more = self.finish() || resumed;
+        if more && !self.budget.is_spent() {
+            self.budget.pause(cx.waker());
+        }
+        Poll::Pending
+    }
+
+    /// What an ear brought along, or some events from the lane.
+    fn next_batch(&self, cx: &task::Context<'_>) -> Taken<Batch<E>> {
+        let mut ears = self.ears.borrow_mut();
+        ears.append(&mut self.newcomers.borrow_mut());
+        let HubLane { lane, serving, reached, begun, .. } = &*self.shared;
+        let mut serving = lock(serving);
+        let (mut events, mut only, mut full) = (Vec::new(), None, true);
+        if let Some((ear, brought)) = serving.brought.pop_front() {
+            (events, only) = (brought, Some(ear));
+        }
+        while only.is_none() && events.len() < BUDGET {
+            match lane.take(OWNER, cx.waker()) {
+                Taken::Got(posted) => events.push(posted),
+                Taken::Empty if events.is_empty() => return Taken::Empty,
+                Taken::Empty => {
+                    full = false;
+                    break;
+                }
+                Taken::Retired => return Taken::Retired,
+            }
+        }
+        let mut stale = Vec::new();
+        if let Some(limit) = E::MAX_AGE {
+            let now = platform::now();
+            stale.extend(events.extract_if(.., |posted| now - posted.at > limit));
+        }
+        let events = Arc::new(events);
+        reached.store(0, Relaxed);
+        begun.store(0, Relaxed);
+        (serving.events, serving.only) = (events.clone(), only);
+        drop(serving);
+        for _ in &stale {
+            let concerned = ears.iter().filter(|ear| only.is_none_or(|only| only == ear.number));
+            concerned.for_each(|ear| ear.listener.bury(&Why::Expired));
+        }
+        self.discard(stale);
+        self.turn_of.set(0);
+        Taken::Got(Batch { events, only, full })
+    }
+
+    /// Gives every ear the events that it wants, until something takes long.
+    fn distribute(&self) -> Progress {
+        let (ears, batch) = (self.ears.borrow(), self.batch.borrow());
+        let Some(batch) = &*batch else { return Progress::Done };
+        loop {
+            let guarded = Guarded::enter();
+            let offered = catch_unwind(AssertUnwindSafe(|| self.offer_to_all(&ears, batch)));
+            drop(guarded);
+            match offered {
+                Ok(progress) => return progress,
+                Err(payload) => self.blame(&ears[self.turn_of.get()], payload),
+            }
+        }
+    }
+
+    fn offer_to_all(&self, ears: &[Ear<E>], batch: &Batch<E>) -> Progress {
+        while let Some(ear) = ears.get(self.turn_of.get()) {
+            if let Some(after) = ears.get(self.turn_of.get() + 1)
+                && after.only_if.is_none()
+            {
+                after.listener.call_up();
+            }
+            let progress = self.offer(ear, batch);
+            if progress != Progress::Done {
+                return progress;
+            }
+            self.shared.begun.store(0, Relaxed);
+            self.turn_of.set(self.turn_of.get() + 1);
+        }
+        Progress::Done
     }
 
     /// Gives an ear the events that it wants, from the next one on.
     #[inline]
-    fn offer(&self, ear: &Ear<E>, events: &[Posted<E>]) {
-        let HubLane { next, reached, gone, .. } = &*self.shared;
+    fn offer(&self, ear: &Ear<E>, batch: &Batch<E>) -> Progress {
+        let HubLane { begun, reached, gone, .. } = &*self.shared;
         if gone.load(Relaxed) != self.gone.get() && !ear.is_present() {
-            return;
+            return Progress::Done;
+        }
+        if batch.only.is_some_and(|only| only != ear.number) {
+            return Progress::Done;
         }
         reached.store(ear.number, Relaxed);
-        self.pulse.run(ear.slot.get());
-        while let Some(posted) = events.get(next.load(Relaxed)) {
-            if ear.only_if.as_ref().is_none_or(|wanted| wanted(&posted.event)) {
-                ear.slot.set(ear.listener.take(posted, &self.pulse));
+        if ear.only_if.is_some() || ear.place.get().is_none() {
+            ear.place.set(ear.listener.place());
+        }
+        self.pulse.run(ear.place.get().map(|place| place.index));
+        while let Some(posted) = batch.events.get(begun.load(Relaxed)) {
+            step(begun);
+            // It gets the earlier ones from the hub that it left.
+            if posted.number < ear.since && batch.only.is_none() {
+                continue;
             }
-            step(next);
+            if ear.only_if.as_ref().is_none_or(|wanted| self.is_wanted(ear, wanted, posted)) {
+                let event = posted.event.clone();
+                ear.place.set(ear.listener.take(event, posted.at, &self.pulse, ear));
+            }
+            if self.pulse.is_fenced() {
+                // Whoever kept the thread has returned.
+                self.pulse.lift();
+                if self.pulse.is_lost() {
+                    return Progress::Lost;
+                }
+            }
+            if !self.budget.lasts() {
+                ear.listener.overdraw();
+                return Progress::Slow;
+            }
+        }
+        Progress::Done
+    }
+
+    /// Asks the listener's condition, which is the component's code as its handlers are.
+    fn is_wanted(&self, ear: &Ear<E>, wanted: &Condition<E>, posted: &Posted<E>) -> bool {
+        let stamp = ear.place.get().map(|place| place.stamp);
+        let busy = stamp.filter(|stamp| stamp.is_busy());
+        let before = busy.map(|stamp| stamp.relabel(self.condition));
+        if let (Some(stamp), None) = (stamp, before) {
+            stamp.begin(self.condition);
+        }
+        self.runs.set(Runs::Condition(before));
+        let wants = wanted(&posted.event);
+        self.condition_ends(ear, before);
+        wants
+    }
+
+    fn condition_ends(&self, ear: &Ear<E>, before: Option<u32>) {
+        self.runs.set(Runs::Other);
+        match (ear.place.get(), before) {
+            (Some(Place { stamp, .. }), Some(label)) => drop(stamp.relabel(label)),
+            (Some(Place { stamp, .. }), None) => stamp.step(),
+            (None, _) => {}
+        }
+    }
+
+    /// Something panicked. Where a condition does, the listener is dead, and the event goes on to the
+    /// next.
+    #[cold]
+    fn blame(&self, ear: &Ear<E>, payload: Box<dyn Any + Send>) {
+        let Runs::Condition(before) = self.runs.get() else {
+            if let Some(topic) = self.topic.upgrade() {
+                topic.complain(payload);
+            }
+            return;
+        };
+        self.condition_ends(ear, before);
+        ear.listener.die(payload);
+    }
+
+    /// All have got what is handed out. Says whether there may be more.
+    fn finish(&self) -> bool {
+        let Some(batch) = self.batch.take() else { return false };
+        let mut serving = lock(&self.shared.serving);
+        (serving.events, serving.only) = (Arc::default(), None);
+        drop(serving);
+        let gone = self.shared.gone.load(Relaxed);
+        if self.gone.replace(gone) != gone {
+            self.ears.borrow_mut().retain(Ear::is_present);
+        }
+        self.discard(Arc::into_inner(batch.events).unwrap_or_default());
+        batch.full
+    }
+
+    /// Drops what is the publisher's.
+    fn discard(&self, events: Vec<Posted<E>>) {
+        if let Some(topic) = self.topic.upgrade() {
+            topic.discard(events);
         }
     }
 }
@@ -238,157 +461,83 @@ fn step(next: &AtomicUsize) {
     next.store(next.load(Relaxed) + 1, Relaxed);
 }
 
-/// One listener, as its hub sees it: what is looked at for every event, side by side with the others.
-struct Ear<E> {
-    only_if: Option<Condition<E>>,
-    /// Which ear of the subscription is served now, and which this one is.
-    present: Arc<AtomicU64>,
-    number: u64,
-    /// Names the component to the watch while its condition runs.
-    slot: Cell<Option<u32>>,
-    listener: Box<dyn Listener<E>>,
-}
-
-impl<E> Ear<E> {
-    fn is_present(&self) -> bool {
-        self.present.load(Relaxed) == self.number
-    }
-}
-
-/// The component behind an ear.
-trait Listener<E> {
-    /// Serves the event, or queues it where the component is busy. Answers the component's slot.
-    fn take(&self, posted: &Posted<E>, pulse: &Pulse) -> Option<u32>;
-    /// Brings what it consists of nearer to the processor, while the one before it is served.
-    fn call_up(&self);
-    fn die(&self, payload: Box<dyn Any + Send>);
-    fn bury(&self, why: &Why);
-}
-
-struct Resident<C: Component> {
-    anchor: Arc<Anchor<C>>,
-    pump: RefCell<Weak<RefCell<Pump<C>>>>,
-}
-
-impl<C: Component> Resident<C> {
-    #[inline]
-    fn with_pump<R>(&self, then: impl FnOnce(&mut Pump<C>) -> R) -> Option<R> {
-        let mut known = self.pump.borrow_mut();
-        if known.strong_count() == 0 {
-            *known = pump::local(&self.anchor)?; // It was born again.
-        }
-        let pump = known.upgrade()?;
-        drop(known);
-        let mut pump = pump.try_borrow_mut().ok()?;
-        Some(then(&mut pump))
-    }
-}
-
-impl<C: Handle<E>, E: Event> Listener<E> for Resident<C> {
-    #[inline]
-    fn take(&self, posted: &Posted<E>, pulse: &Pulse) -> Option<u32> {
-        let mut event = Some(posted.event.clone());
-        let slot = self.with_pump(|pump| {
-            pulse.run(Some(pump.slot()));
-            if pump.is_free()
-                && let Some(event) = event.take()
-            {
-                letter::pass(pump, event, posted.at);
-            }
-            pump.slot()
-        });
-        if let Some(event) = event {
-            self.anchor.queue_event(event, posted.at);
-        }
-        slot
-    }
-
-    #[inline]
-    fn call_up(&self) {
-        black_box(self.pump.borrow().strong_count());
-    }
-
-    fn die(&self, payload: Box<dyn Any + Send>) {
-        self.with_pump(|pump| pump.die_of(payload, "a condition of a subscription"));
-    }
-
-    fn bury(&self, why: &Why) {
-        self.anchor.record.bury(E::NAME, why);
-    }
-}
-
 /// A component's subscription to one topic.
 pub(crate) struct Listening<E: Event> {
     topic: Arc<Topic<E>>,
     only_if: Option<Condition<E>>,
     /// The number of the ear that is served now; 0 for none.
     present: Arc<AtomicU64>,
-    /// The lane of its hub.
-    lane: Mutex<Option<Arc<HubLane<E>>>>,
+    /// Its hub.
+    hub: Mutex<Option<At<E>>>,
+}
+
+/// Where a subscription is served, and from which of the topic's events on.
+struct At<E> {
+    lane: Arc<HubLane<E>>,
+    since: u64,
 }
 
 impl<E: Event> Listening<E> {
     pub(crate) fn new(topic: Arc<Topic<E>>, only_if: Option<Condition<E>>) -> Self {
-        Listening { topic, only_if, present: Arc::default(), lane: Mutex::default() }
+        Listening { topic, only_if, present: Arc::default(), hub: Mutex::default() }
     }
 }
 
 impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
     fn attach(&self, anchor: &Arc<Anchor<C>>) {
         static NEXT: AtomicU64 = AtomicU64::new(1);
-        let hub = self.topic.hub_here();
-        let mut lane = lock(&self.lane);
-        if lane.as_ref().is_some_and(|lane| lane.id == hub.shared.id) {
+        let mut at = lock(&self.hub);
+        let mut hubs = lock(&self.topic.hubs);
+        let hub = self.topic.hub_here(&mut hubs);
+        if at.as_ref().is_some_and(|at| at.lane.id == hub.shared.id) {
             return;
         }
-        if let Some(old) = &*lane {
-            self.bring_along(anchor, old, self.present.load(Relaxed));
-        }
-        let number = NEXT.fetch_add(1, Relaxed);
-        hub.newcomers.borrow_mut().push(Ear {
+        let (number, since) = (NEXT.fetch_add(1, Relaxed), hubs.next);
+        let leave = || self.present.swap(number, Relaxed);
+        // What still waits at the hub that the listener leaves: its arbiter is lost, or the listener
+        // moves and would miss it.
+        let left = match &*at {
+            Some(At { lane, since }) => {
+                let _guarded = Guarded::enter();
+                let left = catch_unwind(AssertUnwindSafe(|| lane.leftover(*since, leave)));
+                left.unwrap_or_else(|payload| {
+                    self.topic.complain(payload);
+                    Vec::new()
+                })
+            }
+            None => {
+                leave();
+                Vec::new()
+            }
+        };
+        hub.shared.listeners.fetch_add(1, Relaxed);
+        drop(hubs);
+        let mut newcomers = hub.newcomers.borrow_mut();
+        newcomers.retain(Ear::is_present);
+        newcomers.push(Ear {
             only_if: self.only_if.clone(),
             present: self.present.clone(),
             number,
-            slot: Cell::new(None),
+            since,
+            place: Cell::new(None),
             listener: Box::new(Resident { anchor: anchor.clone(), pump: RefCell::default() }),
         });
-        hub.shared.listeners.fetch_add(1, Relaxed);
-        self.present.store(number, Relaxed);
-        match lane.replace(hub.shared.clone()) {
+        drop(newcomers);
+        if !left.is_empty() {
+            lock(&hub.shared.serving).brought.push_back((number, left));
+            hub.shared.lane.wake();
+        }
+        match at.replace(At { lane: hub.shared.clone(), since }) {
             None => self.topic.count_listener(true),
-            Some(old) => {
-                old.leave();
-            }
+            Some(old) => self.topic.leave(&old.lane),
         }
     }
 
     fn end(&self) {
-        if let Some(lane) = lock(&self.lane).take() {
+        if let Some(At { lane, .. }) = lock(&self.hub).take() {
             self.present.store(0, Relaxed);
-            lane.leave();
+            self.topic.leave(&lane);
             self.topic.count_listener(false);
-        }
-    }
-}
-
-impl<E: Event> Listening<E> {
-    /// What still waits at the hub that the listener leaves: its arbiter is lost, or the listener
-    /// moves and would miss it. `ear` is its number there.
-    fn bring_along<C: Handle<E>>(&self, anchor: &Arc<Anchor<C>>, old: &HubLane<E>, ear: u64) {
-        let wanted = |event: &E| self.only_if.as_ref().is_none_or(|wanted| wanted(event));
-        let serving = lock(&old.serving).clone();
-        let past = match ear.cmp(&old.reached.load(Relaxed)) {
-            Ordering::Less => serving.len(),
-            // What it served when it was given up is not served again.
-            Ordering::Equal => old.next.load(Relaxed) + 1,
-            Ordering::Greater => 0,
-        };
-        let serving = serving.iter().skip(past).cloned();
-        for Posted { event, at } in serving.chain(old.lane.snapshot()) {
-            // A condition that panics now will do so again under the guard.
-            if catch_unwind(AssertUnwindSafe(|| wanted(&event))).unwrap_or(true) {
-                anchor.queue_event(event, at);
-            }
         }
     }
 }

@@ -15,15 +15,19 @@
 //! same sender no order is promised. Publishing never waits: a hub that falls behind drops its oldest
 //! events, which are counted among the dead letters under the topic's name.
 
+mod ear;
 mod hub;
 
 pub(crate) use hub::Listening;
 
 use crate::component::Component;
 use crate::host::anchor::Anchor;
+use crate::host::environment::Reports;
 use crate::host::office::DeadLetterOffice;
 use crate::host::pulse;
+use crate::lane::Pushed;
 use crate::letter::{arrived_posting_time, posting_time};
+use crate::panics::{self, Guarded};
 use crate::registry::difference;
 use crate::sender::SendError;
 use blastema_core::{ContractIdentity, Event, Former, ObjectName, Parcel, Why, codec};
@@ -32,7 +36,7 @@ use hub::HubLane;
 use std::any::{Any, type_name};
 use std::collections::BTreeMap;
 use std::fmt;
-use std::panic::Location;
+use std::panic::{AssertUnwindSafe, Location, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -77,16 +81,27 @@ impl TopicKey {
 pub(crate) struct Topic<E: Event> {
     key: TopicKey,
     id: u64,
-    /// One for each arbiter that has, or had, listeners. Copied when it changes, so that publishing
-    /// holds no lock.
-    hubs: Mutex<Arc<[Arc<HubLane<E>>]>>,
+    hubs: Mutex<Hubs<E>>,
     forwards: Mutex<Arc<[Forward]>>,
     is_forwarded: AtomicBool,
     listeners: AtomicU64,
     dead_letters: DeadLetterOffice,
+    reports: Reports,
+    /// It is known that its events panic.
+    complained: AtomicBool,
     interest: Arc<Mutex<Option<Interest>>>,
     /// The earlier versions that are understood.
     former: Vec<Former<E>>,
+}
+
+/// Where a topic's events go.
+struct Hubs<E> {
+    /// One for each arbiter that has listeners. Copied when it changes.
+    list: Arc<[Arc<HubLane<E>>]>,
+    /// The number of the next event. It is taken, and the event handed to the hubs, under one lock:
+    /// whoever moves from one hub to another has all events before a number from the one, and all
+    /// others from the other.
+    next: u64,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -104,20 +119,64 @@ impl<E: Event> Topic<E> {
 
     /// To the listeners of this node.
     fn spread(&self, event: E, posted_at: blastema_core::Instant) {
-        let hubs = lock(&self.hubs).clone();
-        let mut wanted = hubs.iter().filter(|hub| hub.has_listeners());
-        let Some(mut hub) = wanted.next() else { return };
-        for next in wanted {
-            self.hand_to(hub, event.clone(), posted_at);
-            hub = next;
+        let mut copies = Vec::new();
+        loop {
+            let mut hubs = lock(&self.hubs);
+            let Some((last, others)) = hubs.list.split_last() else { return };
+            if others.len() > copies.len() {
+                let wanted = others.len() - copies.len();
+                drop(hubs); // To copy an event is the publisher's code.
+                copies.extend(std::iter::repeat_n(&event, wanted).cloned());
+                continue;
+            }
+            let mut pushed = Vec::new();
+            for (hub, copy) in others.iter().zip(copies.drain(..others.len())) {
+                pushed.push(hub.push(copy, posted_at, hubs.next));
+            }
+            let last = last.push(event, posted_at, hubs.next);
+            hubs.next += 1;
+            drop(hubs);
+            pushed.into_iter().chain([last]).for_each(|pushed| self.pushed(pushed));
+            return;
         }
-        self.hand_to(hub, event, posted_at);
     }
 
+    /// To wake across threads is a system call, and what a hub had no room for is the user's: both
+    /// are dealt with outside of the lock.
     #[inline]
-    fn hand_to(&self, hub: &HubLane<E>, event: E, posted_at: blastema_core::Instant) {
-        if !hub.push(event, posted_at) {
+    fn pushed(&self, Pushed { displaced, parked }: Pushed<hub::Posted<E>>) {
+        if let Some(waker) = parked {
+            waker.wake();
+        }
+        if let Some(displaced) = displaced {
             self.bury(&Why::Full);
+            self.discard([displaced]);
+        }
+    }
+
+    /// Drops what is the publisher's, each by itself: a `Drop` that panics harms nobody.
+    fn discard<T>(&self, events: impl IntoIterator<Item = T>) {
+        if !std::mem::needs_drop::<T>() {
+            return;
+        }
+        for event in events {
+            let _guarded = Guarded::enter();
+            if let Err(payload) = catch_unwind(AssertUnwindSafe(|| drop(event))) {
+                self.complain(payload);
+            }
+        }
+    }
+
+    /// An event of this topic panicked where it was copied or dropped. Said once.
+    #[cold]
+    fn complain(&self, payload: Box<dyn Any + Send>) {
+        let (text, at) = (panics::text_of(payload), panics::take_place());
+        if !self.complained.swap(true, Relaxed)
+            && let Some(topic) = self.key.lost_to()
+        {
+            let contract = E::NAME;
+            let detail = format!("an event {contract} panics in its Clone or Drop at {at}: {text}");
+            self.reports.declare(topic.as_str(), detail);
         }
     }
 
@@ -234,11 +293,12 @@ pub(crate) struct Topics {
     inner: Arc<Mutex<Inner>>,
     interest: Arc<Mutex<Option<Interest>>>,
     dead_letters: DeadLetterOffice,
+    reports: Reports,
 }
 
 impl Topics {
-    pub(crate) fn new(dead_letters: DeadLetterOffice) -> Self {
-        Topics { inner: Arc::default(), interest: Arc::default(), dead_letters }
+    pub(crate) fn new(dead_letters: DeadLetterOffice, reports: Reports) -> Self {
+        Topics { inner: Arc::default(), interest: Arc::default(), dead_letters, reports }
     }
 
     /// The topic of this name that carries `E`, as it is said to here.
@@ -263,11 +323,13 @@ impl Topics {
         let topic = Arc::new(Topic::<E> {
             key: key.clone(),
             id: NEXT.fetch_add(1, Relaxed),
-            hubs: Mutex::new(Arc::new([])),
+            hubs: Mutex::new(Hubs { list: Arc::new([]), next: 0 }),
             forwards: Mutex::new(Arc::new([])),
             is_forwarded: AtomicBool::new(false),
             listeners: AtomicU64::new(0),
             dead_letters: self.dead_letters.clone(),
+            reports: self.reports.clone(),
+            complained: AtomicBool::new(false),
             interest: self.interest.clone(),
             former: E::former(),
         });
@@ -276,6 +338,14 @@ impl Topics {
         }
         inner.topics.insert(key, Known { naming, typed: topic.clone(), erased: topic.clone() });
         Ok(topic)
+    }
+
+    /// On how many arbiters a topic has listeners.
+    #[cfg(test)]
+    #[track_caller]
+    pub(crate) fn hubs<E: Event>(&self, topic: &str) -> usize {
+        let topic = self.topic::<E>(topic, Location::caller());
+        topic.map_or(0, |topic| lock(&topic.hubs).list.len())
     }
 
     /// A way to publish on the topic of this name.

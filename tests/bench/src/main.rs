@@ -1,6 +1,6 @@
 //! Benchmarks of the middleware beside what it is built on, as ratios within one run.
 //!
-//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput] [monitored] [failover] [takeover]`;
+//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput] [monitored] [failover] [takeover] [overloaded]`;
 //! without arguments, all of them. `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
@@ -9,6 +9,7 @@ mod fanout;
 mod measure;
 mod messages;
 mod monitored;
+mod overloaded;
 mod process;
 mod remote;
 mod restart;
@@ -17,8 +18,17 @@ mod throughput;
 
 use std::process::ExitCode;
 
-const PARTS: [&str; 8] =
-    ["messages", "restart", "fanout", "remote", "throughput", "monitored", "failover", "takeover"];
+const PARTS: [&str; 9] = [
+    "messages",
+    "restart",
+    "fanout",
+    "remote",
+    "throughput",
+    "monitored",
+    "failover",
+    "takeover",
+    "overloaded",
+];
 
 fn main() -> ExitCode {
     let mut arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -55,6 +65,9 @@ fn main() -> ExitCode {
     }
     if wanted("takeover") {
         blastema::run(takeover::run());
+    }
+    if wanted("overloaded") {
+        blastema::run(overloaded::run(rounds.min(3)));
     }
     ExitCode::SUCCESS
 }

@@ -4,6 +4,7 @@
 //! the component is rebuilt. The component stays in its [`Home`] while a handler that unwinds borrows
 //! it, so that unwinding never runs its `Drop`; it is dropped afterwards, under a guard of its own.
 
+mod at_once;
 mod ending;
 mod outbox;
 mod shared;
@@ -21,6 +22,7 @@ use super::label::label;
 use super::life::Life;
 use super::pulse::Pulse;
 use super::stamp::{Place, Slot};
+use super::turn_budget::TurnBudget;
 use super::watch::Watched;
 use crate::component::{Component, Failure};
 use crate::context::Context;
@@ -42,7 +44,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::task::{self, Poll, Waker};
 
-/// Messages per poll; then neighbours and the control lane have their turn.
+/// Messages per poll while they are quick; then neighbours and the control lane have their turn.
 const BUDGET: usize = 64;
 /// Nests kept at most; a component that takes more contracts than this pays a box for the others.
 const NESTS: usize = 4;
@@ -99,6 +101,12 @@ pub(crate) struct Pump<C: Component> {
     nests: Vec<Nested<C>>,
     /// Boxed, so that what every message touches lies closer together.
     chores: Box<Chores<C>>,
+    /// Shared with the component's tasks.
+    budget: Rc<TurnBudget>,
+    /// The last turn went to the component's tasks; this one begins with the next step.
+    step_first: bool,
+    /// The last step went to a round or a timer.
+    message_next: bool,
     slot: Slot,
     seat: Seat,
     pulse: Arc<Pulse>,
@@ -132,6 +140,9 @@ impl<C: Component> Pump<C> {
             service: Service::Idle,
             nests: Vec::new(),
             chores: Box::default(),
+            budget: Rc::default(),
+            step_first: false,
+            message_next: false,
             slot,
             pulse: seat.pulse.clone(),
             seat,
@@ -163,8 +174,7 @@ impl<C: Component> Pump<C> {
         self.slot.stamp.begin_life(self.life.incarnation.0);
         self.life.token.mute(record.is_isolated());
         let (seat, token) = (self.seat.clone(), self.life.token.clone());
-        let place = Place { index: self.slot.index, stamp: self.slot.stamp };
-        record.set_seat(Some(Seated { seat, slot: place, token }));
+        record.set_seat(Some(Seated { seat, slot: self.place(), token }));
         self.chores.begin(record.limits.interval);
         if self.course.is_starting() {
             self.chores.limit(Chore::ReadyLimit, record.limits.ready_within);
@@ -175,8 +185,9 @@ impl<C: Component> Pump<C> {
         }
     }
 
-    pub(crate) fn slot(&self) -> u32 {
-        self.slot.index
+    #[inline]
+    pub(crate) fn place(&self) -> Place {
+        Place { index: self.slot.index, stamp: self.slot.stamp }
     }
 
     /// The place where it lived is free.
@@ -218,13 +229,18 @@ impl<C: Component> Pump<C> {
         if self.pulse.is_lost() {
             return Poll::Pending; // The arbiter came back too late; the successor is on its way.
         }
+        if self.budget.is_resting() {
+            return Poll::Pending; // The scheduler wakes it when the others have had their turn.
+        }
         let muted = self.life.token.is_muted();
         if muted {
             self.pulse.mute(true);
         }
         self.pulse.run(Some(self.slot.index));
         let guarded = Guarded::enter();
+        self.budget.begin();
         let over = self.turn(cx);
+        self.budget.end(cx.waker());
         drop(guarded);
         self.pulse.run(None);
         if muted {
@@ -243,8 +259,12 @@ impl<C: Component> Pump<C> {
         if self.over {
             return true;
         }
-        if !self.chores.is_empty() {
-            self.poll_chores(cx);
+        let mut chores_wait = !self.chores.is_empty();
+        if chores_wait && !std::mem::take(&mut self.step_first) {
+            chores_wait = false;
+            if self.poll_chores(cx) {
+                return self.over;
+            }
         }
         for _ in 0..BUDGET {
             if self.over || self.life.token.has_ended() {
@@ -252,21 +272,37 @@ impl<C: Component> Pump<C> {
             }
             match catch_unwind(AssertUnwindSafe(|| self.step(cx))) {
                 Ok(Progress::More) => {}
-                Ok(Progress::Wait) if self.chores.is_fresh() => self.poll_chores(cx),
-                Ok(Progress::Wait) => return false,
+                Ok(Progress::Wait) => {
+                    if !matches!(self.service, Service::Idle) && !self.budget.lasts() {
+                        return self.over;
+                    }
+                    if !chores_wait && !self.chores.is_fresh() {
+                        return false;
+                    }
+                    chores_wait = false;
+                    if self.poll_chores(cx) {
+                        return self.over;
+                    }
+                }
                 Ok(Progress::Over) => return true,
                 Err(payload) => self.died_in_service(payload),
             }
+            if !self.budget.lasts() {
+                return self.over;
+            }
         }
-        cx.waker().wake_by_ref();
+        self.budget.pause(cx.waker());
         false
     }
 
-    fn poll_chores(&mut self, cx: &mut task::Context<'_>) {
+    /// Says whether that has used the turn up.
+    fn poll_chores(&mut self, cx: &mut task::Context<'_>) -> bool {
         if let Err(payload) = catch_unwind(AssertUnwindSafe(|| self.chores.poll(cx))) {
             self.died(payload, "a task of its own");
         }
         self.handle_limits();
+        self.step_first = self.budget.is_spent();
+        self.step_first
     }
 
     /// One hook, timer or message a little further.
@@ -294,12 +330,19 @@ impl<C: Component> Pump<C> {
                 }
             }
         }
-        if let Some(chore) = self.chores.next_due() {
+        // A message follows each round and timer, so that those which are late all the time leave room.
+        if !std::mem::take(&mut self.message_next)
+            && let Some(chore) = self.chores.next_due()
+        {
+            self.message_next = true;
             return self.do_chore(chore, cx);
         }
         match self.anchor.lane.take(self.life.incarnation, cx.waker()) {
             Taken::Got(mail) => self.open(mail, cx),
-            Taken::Empty => Progress::Wait,
+            Taken::Empty => match self.chores.next_due() {
+                Some(chore) => self.do_chore(chore, cx),
+                None => Progress::Wait,
+            },
             Taken::Retired => {
                 self.life.token.end();
                 Progress::Over
@@ -460,8 +503,9 @@ impl<C: Component> Pump<C> {
     /// Fulfils what a handler or hook asked for.
     fn grant(&mut self) {
         let wishes = self.life.take_wishes();
-        if let Some(interval) = wishes.interval {
-            self.chores.set_interval(interval);
+        if let Some(interval) = wishes.interval
+            && self.chores.set_interval(interval)
+        {
             self.course.handle_rate_changed();
         }
         if let Some(failure) = wishes.failure {
@@ -471,7 +515,7 @@ impl<C: Component> Pump<C> {
             self.course.handle_stop(End::Returned);
             self.chores.limit(Chore::StopLimit, self.anchor.record.limits.shutdown_within);
         }
-        self.chores.take_on(wishes.tasks, wishes.timers, &wishes.cancelled);
+        self.chores.take_on(wishes.tasks, wishes.timers, &wishes.cancelled, &self.budget);
         self.tell_news();
     }
 
@@ -522,42 +566,6 @@ impl<C: Component> Pump<C> {
         let nests = std::mem::take(&mut self.nests);
         dispose((service, nests));
         self.slot.stamp.step();
-    }
-
-    /// Nothing is before a message that comes now.
-    #[inline]
-    pub(crate) fn is_free(&self) -> bool {
-        matches!(self.service, Service::Idle)
-            && self.anchor.lane.is_empty()
-            && self.course.is_serving()
-            && !self.over
-            && self.home.is_some()
-            && self.waker.is_some()
-            && !self.life.has_wishes()
-            && !self.life.token.has_ended()
-            && !self.life.token.is_muted()
-    }
-
-    /// An event straight to the handler, without the queue: only for a pump that is free. It runs on
-    /// the arbiter's hub, which has named the component to the pulse, under its guard and stamp.
-    #[inline]
-    pub(crate) fn serve_at_once(&mut self, mail: &mut dyn Letter<C>) {
-        let Some(waker) = self.waker.take() else { return };
-        let mut cx = task::Context::from_waker(&waker);
-        let served = catch_unwind(AssertUnwindSafe(|| {
-            self.begin_message(&mail.brief(), mail);
-            self.advance(&mut cx)
-        }));
-        if let Err(payload) = served {
-            self.died_in_service(payload);
-        }
-        if self.is_abandoned() {
-            self.leave(); // The hub goes on to neighbours, who must not stand behind this fence.
-        }
-        if self.over || self.life.has_wishes() || !self.outbox.is_empty() {
-            waker.wake_by_ref(); // The pump's own poll reports, and ends what is to end.
-        }
-        self.waker = Some(waker);
     }
 }
 

@@ -261,3 +261,99 @@ fn an_isolated_component_neither_sends_nor_receives_until_it_may_again() {
         crier.tell(Said(0)).unwrap();
     });
 }
+
+/// Sets its interval in each round.
+struct Setter {
+    log: Log,
+    interval: fn(u64) -> Duration,
+}
+impl Component for Setter {
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let mut log = self.log.lock().unwrap();
+        let round = log.len() as u64;
+        log.push(round);
+        cx.set_interval(Some((self.interval)(round)));
+        Ok(())
+    }
+}
+
+#[test]
+fn an_interval_that_is_set_in_each_round_keeps_its_rate() {
+    paused(async {
+        let stage = Stage::new();
+        let alternating = |round| Duration::from_millis(if round % 2 == 0 { 50 } else { 150 });
+        for (name, interval) in
+            [("same", (|_| 10 * TICK) as fn(u64) -> Duration), ("other", alternating)]
+        {
+            let log = Log::default();
+            let kept = log.clone();
+            let make = move || Setter { log: kept.clone(), interval };
+            let (_child, _) = stage.start(ChildSpec::new(name, make).rate_hz(10.0)).await;
+
+            advance(Duration::from_secs(10)).await;
+
+            let rounds = logged(&log).len();
+            assert!((99..=101).contains(&rounds), "{name}: {rounds} rounds in 10 s at 10 Hz");
+        }
+    });
+}
+
+/// Sets so many timers, and cancels them if it is told to.
+#[derive(Clone, Event)]
+struct Timers {
+    count: u32,
+    cancel: bool,
+}
+
+struct Keeper(Arc<()>);
+impl Component for Keeper {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Timers>();
+    }
+}
+impl Handle<Timers> for Keeper {
+    async fn handle(&mut self, timers: Timers, cx: &mut Context<Self>) {
+        let mut set = Vec::new();
+        for at in 0..timers.count {
+            let held = self.0.clone();
+            let span = Duration::from_secs(3600);
+            set.push(match at % 2 {
+                0 => cx.after(span, move |_, _| drop(held)),
+                _ => cx.every(span, move |_, _| drop(held.clone())),
+            });
+        }
+        if timers.cancel {
+            set.into_iter().for_each(|timer| cx.cancel(timer));
+        }
+    }
+}
+
+#[test]
+fn timers_are_bounded_and_those_that_were_cancelled_hold_nothing() {
+    paused(async {
+        let stage = Stage::new();
+        let held = Arc::new(());
+        let kept = held.clone();
+        let spec = ChildSpec::new("keeper", move || Keeper(kept.clone()));
+        let (_child, keeper) = stage.start(spec).await;
+        let idle = Arc::strong_count(&held);
+
+        for _ in 0..3 {
+            keeper.tell(Timers { count: 1024, cancel: true }).unwrap();
+            settle().await;
+            assert_eq!(Arc::strong_count(&held), idle, "nothing is kept until it would fire");
+        }
+        keeper.tell(Timers { count: 1024, cancel: false }).unwrap();
+        settle().await;
+        assert_eq!(Arc::strong_count(&held), idle + 1024);
+        assert_eq!(stage.exits.drain(), []);
+
+        keeper.tell(Timers { count: 1, cancel: false }).unwrap();
+        settle().await;
+        let exits = stage.exits.drain();
+        assert!(
+            matches!(&exits[..], [exited] if format!("{:?}", exited.exit).contains("1024 timers")),
+            "{exits:?}"
+        );
+    });
+}

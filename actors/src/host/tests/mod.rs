@@ -1,6 +1,7 @@
 //! What the host promises, each as a test.
 
 mod bounds;
+mod busy;
 mod chores;
 mod death;
 mod doorway;
@@ -8,6 +9,7 @@ mod hang;
 mod lifecycle;
 mod plain_actors;
 mod serving;
+mod subscriptions;
 mod topics;
 
 use super::arbiters::Arbiters;

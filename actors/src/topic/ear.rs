@@ -1,0 +1,113 @@
+//! One listener of a hub, and the component behind it.
+
+use super::Condition;
+use super::hub::CONDITION;
+use crate::component::{Component, Handle};
+use crate::host::anchor::Anchor;
+use crate::host::pulse::Pulse;
+use crate::host::pump::{self, Pump};
+use crate::host::stamp::Place;
+use crate::letter;
+use blastema_core::{Event, Instant, Why};
+use std::any::Any;
+use std::cell::{Cell, RefCell};
+use std::hint::black_box;
+use std::rc::Weak;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+/// One listener, as its hub sees it: what is looked at for every event, side by side with the others.
+pub(super) struct Ear<E> {
+    pub(super) only_if: Option<Condition<E>>,
+    /// Which ear of the subscription is served now, and which this one is.
+    pub(super) present: Arc<AtomicU64>,
+    pub(super) number: u64,
+    /// The number of the first event that it gets here.
+    pub(super) since: u64,
+    /// Names the component to the watch while its condition and its handler run.
+    pub(super) place: Cell<Option<Place>>,
+    pub(super) listener: Box<dyn Listener<E>>,
+}
+
+impl<E> Ear<E> {
+    pub(super) fn is_present(&self) -> bool {
+        self.present.load(Relaxed) == self.number
+    }
+}
+
+/// The component behind an ear.
+pub(super) trait Listener<E> {
+    /// Serves the event, or queues it where the component is busy. Answers where the component is.
+    fn take(&self, event: E, at: Instant, pulse: &Pulse, ear: &Ear<E>) -> Option<Place>;
+    /// Where the component is.
+    fn place(&self) -> Option<Place>;
+    /// Brings what it consists of nearer to the processor, while the one before it is served.
+    fn call_up(&self);
+    /// It took long over an event.
+    fn overdraw(&self);
+    /// Its condition panicked.
+    fn die(&self, payload: Box<dyn Any + Send>);
+    fn bury(&self, why: &Why);
+}
+
+pub(super) struct Resident<C: Component> {
+    pub(super) anchor: Arc<Anchor<C>>,
+    pub(super) pump: RefCell<Weak<RefCell<Pump<C>>>>,
+}
+
+impl<C: Component> Resident<C> {
+    #[inline]
+    fn with_pump<R>(&self, then: impl FnOnce(&mut Pump<C>) -> R) -> Option<R> {
+        let mut known = self.pump.borrow_mut();
+        if known.strong_count() == 0 {
+            *known = pump::local(&self.anchor)?; // It was born again.
+        }
+        let pump = known.upgrade()?;
+        drop(known);
+        let mut pump = pump.try_borrow_mut().ok()?;
+        Some(then(&mut pump))
+    }
+}
+
+impl<C: Handle<E>, E: Event> Listener<E> for Resident<C> {
+    #[inline]
+    fn take(&self, event: E, at: Instant, pulse: &Pulse, ear: &Ear<E>) -> Option<Place> {
+        let mut event = Some(event);
+        let place = self.with_pump(|pump| {
+            let place = pump.place();
+            pulse.run(Some(place.index));
+            if pump.is_free()
+                && let Some(event) = event.take()
+            {
+                letter::pass(pump, event, at);
+            }
+            place
+        });
+        // One that has gone meanwhile has brought along what is not served here.
+        if let Some(event) = event.filter(|_| ear.is_present()) {
+            self.anchor.queue_event(event, at);
+        }
+        place
+    }
+
+    fn place(&self) -> Option<Place> {
+        self.with_pump(|pump| pump.place())
+    }
+
+    #[inline]
+    fn call_up(&self) {
+        black_box(self.pump.borrow().strong_count());
+    }
+
+    fn overdraw(&self) {
+        self.with_pump(|pump| pump.overdraw());
+    }
+
+    fn die(&self, payload: Box<dyn Any + Send>) {
+        self.with_pump(|pump| pump.die_of(payload, CONDITION));
+    }
+
+    fn bury(&self, why: &Why) {
+        self.anchor.record.bury(E::NAME, why);
+    }
+}
