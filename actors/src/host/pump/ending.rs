@@ -33,8 +33,14 @@ impl<C: Component> Pump<C> {
     /// This life has ended by a panic. Begins the next one where a standing order says so.
     #[cold]
     pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
-        let exit =
-            Exit::Panicked { text: panics::text_of(payload), at: panics::take_place(), during };
+        let at = panics::take_place();
+        let text = panics::text_of(payload);
+        if self.over {
+            // The life has one end, and its report waits in the outbox: another condition of the
+            // component panicked before the pump had its turn.
+            return;
+        }
+        let exit = Exit::Panicked { text, at, during };
         if self.slot.stamp.is_busy() {
             self.slot.stamp.step();
         }
@@ -160,12 +166,15 @@ impl<C: Component> Pump<C> {
         self.life.token.has_ended() && !self.over
     }
 
-    /// Ends without a word, after having been given up.
+    /// Ends without a report, after having been given up. Who gave this life up knows of its end, but
+    /// perhaps not yet of those before it.
     pub(super) fn leave(&mut self) {
         self.over = true;
         let _guarded = Guarded::enter();
         self.bury();
-        self.outbox.clear();
+        let present = self.life.incarnation;
+        self.outbox.retain(|notice| notice.is_death_before(present));
+        self.flush();
         if self.pulse.is_lost() {
             self.seat.return_late();
         } else {
@@ -176,7 +185,8 @@ impl<C: Component> Pump<C> {
     /// The future is dropped: after its end, or because its arbiter goes away.
     pub(super) fn drop_before_the_end(&mut self) {
         if self.over {
-            return;
+            // It may have ended at a hub, and the arbiter goes away before the pump's next turn.
+            return self.flush();
         }
         if self.is_abandoned() {
             return self.leave();

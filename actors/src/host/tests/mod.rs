@@ -7,6 +7,7 @@ mod doorway;
 mod hang;
 mod lifecycle;
 mod plain_actors;
+mod reporting;
 mod serving;
 mod topics;
 
