@@ -113,32 +113,35 @@ impl<C: Component> Context<C> {
     }
 
     /// Publishes an event on the topic that has its contract's name. Never waits. While the component
-    /// is fenced off or isolated, nothing gets out.
+    /// is fenced off or isolated, events are not published but counted among the dead letters under the
+    /// topic's name.
     #[track_caller]
     pub fn publish<E: Event>(&self, event: E) {
         let mut publishers = self.publishers.borrow_mut();
         let known = publishers.iter().find(|(of, _)| *of == TypeId::of::<E>());
         if let Some(publisher) = known.and_then(|(_, any)| any.downcast_ref::<Publisher<E>>()) {
-            let _ = publisher.publish(event);
+            publisher.publish_or_count(event);
             return;
         }
         match self.publisher::<E>(E::NAME) {
             Ok(publisher) => {
-                let _ = publisher.publish(event);
+                publisher.publish_or_count(event);
                 publishers.push((TypeId::of::<E>(), Rc::new(publisher)));
             }
             Err(why) => self.declare_fault(FaultKind::ContractMismatch, why.to_string()),
         }
     }
 
-    /// A way to publish on a topic with a name of its own.
+    /// A way to publish on a topic with a name of its own. It belongs to this incarnation: what it
+    /// publishes after that has ended, on whichever thread, is refused as [`Why::Fenced`].
     ///
     /// # Errors
     /// [`Why::ContractDiffers`] if the topic carries another type under this contract's name; the text names
     /// both, where each was said, and what differs.
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
-        self.anchor.record.environment.topics.publisher(topic)
+        let publisher = self.anchor.record.environment.topics.publisher(topic)?;
+        Ok(publisher.of(self.life.token.clone()))
     }
 
     /// Starts a task of this component's own, which runs beside its handlers.

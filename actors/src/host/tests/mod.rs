@@ -4,6 +4,7 @@ mod bounds;
 mod chores;
 mod death;
 mod doorway;
+mod fencing;
 mod hang;
 mod lifecycle;
 mod plain_actors;
