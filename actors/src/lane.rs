@@ -4,11 +4,12 @@
 //! hung thread. Only the life that owns it may take from it. What a full lane does is the owner's
 //! stated policy, [`WhenFull`].
 
+use crate::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
+use crate::sync::{Mutex, MutexGuard};
 use blastema_core::{Incarnation, Why};
 use std::collections::VecDeque;
 use std::future::{Future, poll_fn};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::PoisonError;
 use std::task::{Poll, Waker};
 
 /// What happens to a message for which a queue has no room.
@@ -48,6 +49,9 @@ pub(crate) struct Lane<T> {
 
 struct Inner<T> {
     queue: VecDeque<T>,
+    /// Notices for the owner, each under what it is about. They are taken before the queue and need no
+    /// room in it; they end with the owner. At most one for each thing that the owner watches.
+    notices: VecDeque<(Box<str>, T)>,
     /// Who may take; `None` between two lives.
     owner: Option<Incarnation>,
     stopped: bool,
@@ -61,6 +65,7 @@ impl<T> Lane<T> {
     pub(crate) fn new(capacity: usize, policy: WhenFull) -> Self {
         let inner = Inner {
             queue: VecDeque::new(),
+            notices: VecDeque::new(),
             owner: None,
             stopped: false,
             parked: None,
@@ -106,13 +111,38 @@ impl<T> Lane<T> {
             }
         }
         lane.queue.push_back(pack(message));
-        self.length.store(lane.queue.len(), Relaxed);
+        self.length.store(lane.depth(), Relaxed);
         let parked = lane.parked.take();
         drop(lane); // To wake across threads is a system call, so it happens outside of the lock.
         if let Some(waker) = parked {
             waker.wake();
         }
         Ok(displaced)
+    }
+
+    /// Puts a notice for the life `owner` before all that waits, whether there is room or not. A notice
+    /// about the same thing that still waits is replaced. Returned is what is not going to be served: the
+    /// replaced notice, or this one if the lane belongs to another life.
+    pub(crate) fn notify(&self, owner: Incarnation, about: &str, notice: T) -> Option<T> {
+        let mut lane = self.lock();
+        if lane.owner != Some(owner) {
+            return Some(notice);
+        }
+        let waiting = lane.notices.iter_mut().find(|(known, _)| **known == *about);
+        let replaced = match waiting {
+            Some((_, earlier)) => Some(std::mem::replace(earlier, notice)),
+            None => {
+                lane.notices.push_back((about.into(), notice));
+                None
+            }
+        };
+        self.length.store(lane.depth(), Relaxed);
+        let parked = lane.parked.take();
+        drop(lane);
+        if let Some(waker) = parked {
+            waker.wake();
+        }
+        replaced
     }
 
     /// Completes when there may be room. Who wakes then tries again; a claim that is dropped is
@@ -133,11 +163,15 @@ impl<T> Lane<T> {
             lane.parked = Some(waker.clone());
             return Taken::Empty;
         }
+        if let Some((_, notice)) = lane.notices.pop_front() {
+            self.length.store(lane.depth(), Relaxed);
+            return Taken::Got(notice);
+        }
         let Some(item) = lane.queue.pop_front() else {
             lane.parked = Some(waker.clone());
             return Taken::Empty;
         };
-        self.length.store(lane.queue.len(), Relaxed);
+        self.length.store(lane.depth(), Relaxed);
         let next = lane.room.pop_front();
         drop(lane);
         if let Some((_, waker)) = next {
@@ -149,10 +183,11 @@ impl<T> Lane<T> {
     /// From now on only `owner` may take. A life that lost the lane is cut off from its input.
     pub(crate) fn give_to(&self, owner: Option<Incarnation>) {
         let mut lane = self.lock();
-        lane.owner = owner;
+        let notices = self.change_owner(&mut lane, owner);
         lane.stopped &= owner.is_none();
         let parked = lane.parked.take();
         drop(lane);
+        drop(notices);
         if let Some(waker) = parked {
             waker.wake();
         }
@@ -160,22 +195,33 @@ impl<T> Lane<T> {
 
     /// Passes the lane from one life to the next, unless it already belongs to another.
     pub(crate) fn pass_on(&self, from: Incarnation, to: Incarnation) -> bool {
-        let mut lane = self.lock();
-        let mine = lane.owner == Some(from);
-        if mine {
-            lane.owner = Some(to);
-        }
-        mine
+        self.change_owner_of(from, Some(to))
     }
 
     /// Takes the lane from `owner`, unless it already belongs to another.
     pub(crate) fn leave(&self, owner: Incarnation) -> bool {
+        self.change_owner_of(owner, None)
+    }
+
+    fn change_owner_of(&self, from: Incarnation, to: Option<Incarnation>) -> bool {
         let mut lane = self.lock();
-        let mine = lane.owner == Some(owner);
-        if mine {
-            lane.owner = None;
-        }
+        let mine = lane.owner == Some(from);
+        let notices = mine.then(|| self.change_owner(&mut lane, to));
+        drop(lane);
+        drop(notices);
         mine
+    }
+
+    /// Hands out the notices of the owner before, to be dropped outside of the lock.
+    fn change_owner(
+        &self,
+        lane: &mut Inner<T>,
+        owner: Option<Incarnation>,
+    ) -> VecDeque<(Box<str>, T)> {
+        lane.owner = owner;
+        let notices = std::mem::take(&mut lane.notices);
+        self.length.store(lane.depth(), Relaxed);
+        notices
     }
 
     /// Who may take.
@@ -231,14 +277,22 @@ impl<T> Lane<T> {
             return VecDeque::new();
         }
         lane.stopped = true;
-        lane.owner = None;
+        let notices = self.change_owner(&mut lane, None);
         let parked = lane.parked.take();
         let room = std::mem::take(&mut lane.room);
         let left = std::mem::take(&mut lane.queue);
         self.length.store(0, Relaxed);
         drop(lane);
+        drop(notices);
         parked.into_iter().chain(room.into_iter().map(|(_, waker)| waker)).for_each(Waker::wake);
         left
+    }
+}
+
+impl<T> Inner<T> {
+    /// How many wait to be taken.
+    fn depth(&self) -> usize {
+        self.notices.len() + self.queue.len()
     }
 }
 
@@ -286,124 +340,7 @@ impl<T> Drop for Claim<'_, T> {
     }
 }
 
+// With its path, so that it is found from `tests/tests/interleavings` too.
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use std::pin::pin;
-    use std::sync::Arc;
-    use std::sync::atomic::AtomicU32;
-    use std::task::{Context, Wake};
-
-    #[derive(Default)]
-    struct Count(AtomicU32);
-
-    impl Wake for Count {
-        fn wake(self: Arc<Self>) {
-            self.0.fetch_add(1, Relaxed);
-        }
-    }
-
-    const LIFE: Incarnation = Incarnation(1);
-
-    fn lane(capacity: usize, policy: WhenFull) -> Lane<u32> {
-        let lane = Lane::new(capacity, policy);
-        lane.give_to(Some(LIFE));
-        lane
-    }
-
-    fn push(lane: &Lane<u32>, n: u32) -> Result<Option<u32>, (u32, Why)> {
-        lane.push_with(n, |n| n)
-    }
-
-    fn take(lane: &Lane<u32>) -> Option<u32> {
-        match lane.take(LIFE, Waker::noop()) {
-            Taken::Got(n) => Some(n),
-            _ => None,
-        }
-    }
-
-    #[test]
-    fn a_full_lane_does_what_its_policy_says() {
-        for policy in [WhenFull::Refuse, WhenFull::DropNewest, WhenFull::Wait] {
-            let lane = lane(1, policy);
-            assert_eq!(push(&lane, 1), Ok(None));
-            assert_eq!(push(&lane, 2), Err((2, Why::Full)));
-        }
-        let lane = lane(1, WhenFull::DropOldest);
-        assert_eq!(push(&lane, 1), Ok(None));
-        assert_eq!(push(&lane, 2), Ok(Some(1)));
-    }
-
-    #[test]
-    fn a_lane_without_a_life_keeps_what_it_has_and_says_restarting_when_full() {
-        let lane = lane(1, WhenFull::Refuse);
-        assert!(lane.leave(LIFE));
-
-        assert_eq!(push(&lane, 1), Ok(None));
-        assert_eq!(push(&lane, 2), Err((2, Why::Restarting)));
-
-        lane.give_to(Some(LIFE));
-        assert_eq!(take(&lane), Some(1));
-    }
-
-    #[test]
-    fn only_the_owner_takes() {
-        let lane = lane(2, WhenFull::Refuse);
-        push(&lane, 1).unwrap();
-
-        lane.give_to(Some(LIFE.next()));
-
-        assert!(matches!(lane.take(LIFE, Waker::noop()), Taken::Retired));
-        assert!(!lane.leave(LIFE) && !lane.pass_on(LIFE, LIFE));
-        assert!(matches!(lane.take(LIFE.next(), Waker::noop()), Taken::Got(1)));
-        assert!(lane.pass_on(LIFE.next(), LIFE));
-        assert_eq!(lane.owner(), Some(LIFE));
-    }
-
-    #[test]
-    fn a_stopped_lane_hands_out_what_was_left_and_opens_for_the_next_life() {
-        let lane = lane(2, WhenFull::Refuse);
-        push(&lane, 1).unwrap();
-
-        assert_eq!(lane.stop_by(LIFE.next()), [0; 0]);
-        assert_eq!(lane.stop_by(LIFE), [1]);
-        assert_eq!(lane.stop(), [0; 0]);
-        assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));
-        lane.give_to(None);
-        assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));
-
-        lane.give_to(Some(LIFE.next()));
-        assert_eq!(push(&lane, 2), Ok(None));
-    }
-
-    #[test]
-    fn a_held_lane_gives_nothing_until_it_is_let_go() {
-        let lane = lane(2, WhenFull::Refuse);
-        push(&lane, 1).unwrap();
-        lane.hold(true);
-        assert_eq!(take(&lane), None);
-
-        lane.hold(false);
-
-        assert_eq!(take(&lane), Some(1));
-    }
-
-    #[test]
-    fn room_wakes_one_waiter_and_a_dropped_claim_passes_it_on() {
-        let lane = lane(1, WhenFull::Wait);
-        push(&lane, 1).unwrap();
-        let (first, second) = (Arc::new(Count::default()), Arc::new(Count::default()));
-        let (one, two) = (Waker::from(first.clone()), Waker::from(second.clone()));
-        let mut claim_one = Box::pin(lane.room());
-        let mut claim_two = pin!(lane.room());
-        assert!(claim_one.as_mut().poll(&mut Context::from_waker(&one)).is_pending());
-        assert!(claim_two.as_mut().poll(&mut Context::from_waker(&two)).is_pending());
-
-        assert_eq!(take(&lane), Some(1));
-        assert_eq!((first.0.load(Relaxed), second.0.load(Relaxed)), (1, 0));
-
-        drop(claim_one);
-        assert_eq!(second.0.load(Relaxed), 1);
-        assert!(claim_two.as_mut().poll(&mut Context::from_waker(&two)).is_ready());
-    }
-}
+#[path = "lane/tests.rs"]
+mod tests;

@@ -5,7 +5,7 @@
 
 use crate::claim::{Names, Roaming};
 use crate::component::Handle;
-use crate::death_watch::{Down, Ending, Mortal, Mourner};
+use crate::death_watch::{Deaths, Down, Ending, Mortal, Mourner};
 use crate::desk::Desk;
 use crate::host::anchor::Anchor;
 use crate::letter::arrived_posting_time;
@@ -23,7 +23,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::marker::PhantomData;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 
 /// Before a name that is claimed, in the place of a node: whichever holds it.
@@ -363,6 +363,8 @@ struct Inner {
     remote: Option<Arc<dyn RemoteDoors>>,
     /// The names of the whole robot.
     names: Option<Names>,
+    /// Where objects that are not components can be watched.
+    deaths: Deaths,
 }
 
 /// The names of one node. Clones share them.
@@ -384,6 +386,11 @@ impl Registry {
     /// Names of the whole robot, such as `*:map`, are looked up there.
     pub(crate) fn look_up_in(&self, names: Names) {
         self.lock().names = Some(names);
+    }
+
+    /// Objects that are not components are watched there.
+    pub(crate) fn watch_in(&self, deaths: Deaths) {
+        self.lock().deaths = deaths;
     }
 
     /// Gives a name to an object.
@@ -503,15 +510,33 @@ impl Registry {
 
     /// Tells `mourner` whenever a life of this object ends, and at once if it does not live.
     pub(crate) fn watch(&self, object: ObjectName, mourner: Mourner) {
-        let mortal = self.lock().objects.get(&object).map(|entry| entry.mortal.clone());
-        match mortal {
-            Some(mortal) => mortal.watch(mourner),
-            None => (mourner.tell)(Down {
-                object,
-                incarnation: Incarnation(0),
-                ending: Ending::Unknown,
-            }),
+        let inner = self.lock();
+        let mortal = inner.objects.get(&object).map(|entry| entry.mortal.clone());
+        let deaths = inner.deaths.clone();
+        drop(inner);
+        let unknown = match mortal {
+            Some(mortal) => return mortal.watch(mourner),
+            None => deaths.watch(&object, mourner),
+        };
+        if let Some(mourner) = unknown {
+            let (incarnation, ending) = (Incarnation(0), Ending::Unknown);
+            (mourner.tell)(Down { object, node: None, incarnation, ending });
         }
+    }
+
+    /// The same names, for what they own themselves.
+    pub(crate) fn downgrade(&self) -> WeakRegistry {
+        WeakRegistry(Arc::downgrade(&self.0))
+    }
+}
+
+/// The names of a node, which it does not keep.
+#[derive(Clone)]
+pub(crate) struct WeakRegistry(Weak<Mutex<Inner>>);
+
+impl WeakRegistry {
+    pub(crate) fn upgrade(&self) -> Option<Registry> {
+        self.0.upgrade().map(Registry)
     }
 }
 

@@ -12,7 +12,7 @@ use super::pulse;
 use super::stamp::{Place, StampReading};
 use super::watch::Glimpsed;
 use crate::component::{Component, Handle};
-use crate::death_watch::Mourners;
+use crate::death_watch::{Down, Mourners};
 use crate::lane::{Lane, WhenFull};
 use crate::letter::{Mail, pack, posting_time};
 use crate::panics::Guarded;
@@ -301,6 +301,20 @@ impl<C: Component> Anchor<C> {
             None => Ok(()),
             Some(why) => Err(why),
         }
+    }
+
+    /// Tells the life that watches of an end, whether its queue is full or not. A notice of an earlier
+    /// end of the same object that it has not taken yet is replaced.
+    pub(crate) fn notify(&self, watcher: Incarnation, down: Down)
+    where
+        C: Handle<Down>,
+    {
+        let about = match &down.node {
+            Some(node) => format!("{node}:{}", down.object),
+            None => down.object.to_string(),
+        };
+        let notice = pack::<C, Down>(down, None, None, pulse::rough_now());
+        drop(self.lane.notify(watcher, &about, notice));
     }
 
     /// An event for a component that is busy, or has just been.

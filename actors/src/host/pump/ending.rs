@@ -104,7 +104,7 @@ impl<C: Component> Pump<C> {
         }
         let object = record.name.clone();
         let ending = Ending::from(&exit);
-        record.mourners.tell(&Down { object: object.clone(), incarnation, ending });
+        record.mourners.tell(&Down { object: object.clone(), node: None, incarnation, ending });
         let event = match (&exit, self.course.is_starting() && restarted_as.is_none()) {
             (Exit::Stopped, _) => ChildEvent::Stopped,
             (Exit::Panicked { text, at, .. }, true) => {

@@ -11,6 +11,7 @@ mod plain_actors;
 mod reporting;
 mod serving;
 mod topics;
+mod watching;
 
 use super::arbiters::Arbiters;
 use super::environment::{HostEnvironment, Reports};
