@@ -2,7 +2,7 @@
 
 use crate::host::life::LifeToken;
 use blastema_contract::reports::Exit;
-use blastema_core::{Incarnation, NodeName, ObjectName};
+use blastema_core::{Incarnation, Lifecycle, NodeName, ObjectName};
 use blastema_macros::{Event, Structure};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -131,6 +131,15 @@ impl Deaths {
         let mut objects = self.lock();
         let watched = objects.entry(object.clone()).or_default();
         (watched.incarnation, watched.is_alive) = (incarnation, true);
+    }
+
+    /// A life of the object is in this state.
+    pub(crate) fn enter(&self, object: &ObjectName, incarnation: Incarnation, state: Lifecycle) {
+        match state {
+            Lifecycle::Active => self.begin(object, incarnation),
+            Lifecycle::Finalized => self.end(object, Ending::Stopped),
+            _ => {}
+        }
     }
 
     /// The present life of the object has ended; without effect where none is.

@@ -153,11 +153,7 @@ impl Supervisor {
     /// Its own state, so that its faults are over for the detector when its next life is at work.
     fn report_state(&self, state: Lifecycle) {
         let (object, incarnation) = (self.name.clone(), self.machine.incarnation());
-        match state {
-            Lifecycle::Active => self.watched.begin(&object, incarnation),
-            Lifecycle::Finalized => self.watched.end(&object, Ending::Stopped),
-            _ => {}
-        }
+        self.watched.enter(&object, incarnation, state);
         self.states.do_send(StateReported { object, incarnation, state, reason: None });
     }
 

@@ -31,8 +31,11 @@ pub(crate) enum Chore {
     StopLimit,
 }
 
+/// What was started and is not over.
+pub(crate) type Pending = Pin<Box<dyn Future<Output = Woken>>>;
+
 /// What a future of this list came to.
-enum Woken {
+pub(crate) enum Woken {
     Task,
     Due(Chore),
     /// And it will be again.
@@ -47,7 +50,7 @@ struct Timer<C: Component> {
 }
 
 pub(crate) struct Chores<C: Component> {
-    futures: FuturesUnordered<Pin<Box<dyn Future<Output = Woken>>>>,
+    futures: FuturesUnordered<Pending>,
     tasks: usize,
     timers: Vec<Timer<C>>,
     /// At most one entry per timer, and one for the round.
@@ -260,8 +263,10 @@ impl<C: Component> Chores<C> {
         }
     }
 
-    /// Ends everything, and hands it out to be dropped under a guard.
-    pub(crate) fn clear(&mut self) -> Self {
-        std::mem::take(self)
+    /// Ends everything, and hands out what is the user's, to be dropped one by one under a guard.
+    pub(crate) fn clear(&mut self) -> (Vec<Pending>, Vec<Action<C>>) {
+        let Chores { futures, timers, .. } = std::mem::take(self);
+        let actions = timers.into_iter().filter_map(|timer| timer.action);
+        (futures.into_iter().collect(), actions.collect())
     }
 }

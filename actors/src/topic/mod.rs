@@ -25,6 +25,7 @@ use crate::host::life::LifeToken;
 use crate::host::office::DeadLetterOffice;
 use crate::host::pulse;
 use crate::letter::{arrived_posting_time, posting_time};
+use crate::panics;
 use crate::registry::difference;
 use crate::sender::SendError;
 use blastema_core::{ContractIdentity, Event, Former, ObjectName, Parcel, Why, codec};
@@ -37,6 +38,7 @@ use std::panic::Location;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tracing::error;
 
 /// Says whether a listener wants an event.
 pub(crate) type Condition<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
@@ -178,17 +180,21 @@ impl<E: Event> AnyTopic for Topic<E> {
 
     fn inject(&self, form: usize, event: &Bytes, age: Duration) -> Result<(), Why> {
         let former = form.checked_sub(1).and_then(|place| self.former.get(place));
-        let read = match former {
+        // To read it runs what is the user's, on the network's thread.
+        let read = panics::caught(|| match former {
             None => codec::decode_shared::<E>(event),
             Some(former) => former.read(event),
-        };
-        match read {
+        });
+        if let Err(panicked) = &read {
+            error!(topic = &*self.key.topic, contract = E::NAME, "to read an event {panicked}");
+        }
+        match read.and_then(|read| read.map_err(|error| error.to_string())) {
             Ok(event) => {
                 self.spread(event, arrived_posting_time::<E>(age));
                 Ok(())
             }
-            Err(error) => {
-                let why = Why::Undecodable { reason: error.to_string() };
+            Err(reason) => {
+                let why = Why::Undecodable { reason };
                 self.bury(&why);
                 Err(why)
             }

@@ -5,15 +5,14 @@ use crate::component::Component;
 use crate::death_watch::{Down, Ending};
 use crate::host::course::{Course, End};
 use crate::host::label;
-use crate::host::life::Life;
+use crate::host::life::{Life, Wishes};
 use crate::host::pump::outbox::Notice;
-use crate::panics::{self, Guarded};
+use crate::panics;
 use crate::platform;
 use blastema_contract::child::{ChildEvent, StandingOrder};
 use blastema_contract::reports::{Exit, Exited};
 use blastema_core::{Incarnation, Lifecycle, Why};
 use std::any::Any;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::rc::Rc;
 
 impl<C: Component> Pump<C> {
@@ -152,13 +151,27 @@ impl<C: Component> Pump<C> {
 
     /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
     pub(super) fn bury(&mut self) {
+        self.followed = false;
+        self.dispose_service();
+        let record = &self.anchor.record;
+        let Wishes { tasks, timers, .. } = self.life.take_wishes();
+        let fresh = timers.into_iter().map(|(_, _, action)| action);
+        fresh.for_each(|action| record.dispose("a timer", action));
+        tasks.into_iter().for_each(|task| record.dispose("a task", task));
+        let (tasks, timers) = self.chores.clear();
+        timers.into_iter().for_each(|action| record.dispose("a timer", action));
+        tasks.into_iter().for_each(|task| record.dispose("a task", task));
+        record.dispose("the component", self.home.take());
+    }
+
+    /// Drops what was in service, and what it was kept in.
+    pub(super) fn dispose_service(&mut self) {
         let service = std::mem::replace(&mut self.service, Service::Idle);
         let nests = std::mem::take(&mut self.nests);
-        self.followed = false;
-        dispose((service, nests));
-        dispose(self.chores.clear());
-        dispose(self.life.take_wishes());
-        dispose(self.home.take());
+        let record = &self.anchor.record;
+        record.dispose("what it was serving", service);
+        // One by one: a second panic while unwinding from the first would end the process.
+        nests.into_iter().for_each(|nested| record.dispose("what it was serving", nested));
     }
 
     /// Somebody gave this life up and begins, or has begun, the next.
@@ -170,7 +183,6 @@ impl<C: Component> Pump<C> {
     /// perhaps not yet of those before it.
     pub(super) fn leave(&mut self) {
         self.over = true;
-        let _guarded = Guarded::enter();
         self.bury();
         let present = self.life.incarnation;
         self.outbox.retain(|notice| notice.is_death_before(present));
@@ -199,13 +211,5 @@ impl<C: Component> Pump<C> {
         self.anchor.lane.leave(incarnation);
         self.report_exit(incarnation, Exit::Aborted, None);
         self.flush();
-    }
-}
-
-/// Drops a thing whose `Drop` is the user's.
-pub(super) fn dispose<T>(thing: T) {
-    let _guarded = Guarded::enter();
-    if let Err(payload) = catch_unwind(AssertUnwindSafe(move || drop(thing))) {
-        panics::text_of(payload); // What was thrown is the user's too.
     }
 }

@@ -10,7 +10,6 @@ mod shared;
 
 pub(crate) use shared::{SharedPump, local};
 
-use ending::dispose;
 use outbox::Notice;
 
 use super::anchor::{Anchor, Seated};
@@ -518,9 +517,7 @@ impl<C: Component> Pump<C> {
         }
         self.anchor.record.blame(self.life.incarnation);
         self.followed = false;
-        let service = std::mem::replace(&mut self.service, Service::Idle);
-        let nests = std::mem::take(&mut self.nests);
-        dispose((service, nests));
+        self.dispose_service();
         self.slot.stamp.step();
     }
 

@@ -4,7 +4,7 @@ use super::{Acc, Boom, Stage, acc, boom, order};
 use crate::lane::WhenFull;
 use crate::{
     ActorRef, ChildSpec, Component, Context, Down, Ending, Event, Failure, Handle, Incarnation,
-    Ports,
+    Ports, Variable, VariableSpec,
 };
 use blastema_contract::child::ChildEvent;
 use blastema_doubles::{advance, paused, settle};
@@ -18,6 +18,10 @@ struct Chatter(u64);
 /// Is published by each life.
 #[derive(Clone, Debug, PartialEq, Event)]
 struct Born(u64);
+
+/// Is watched by each life.
+#[derive(Clone, Debug, PartialEq, Variable)]
+struct Mood(u64);
 
 #[derive(Clone, Debug, PartialEq)]
 enum Told {
@@ -35,6 +39,7 @@ impl Component for Widow {
     fn ports(ports: &mut Ports<Self>) {
         ports.accept::<Chatter>();
         ports.listen::<Born>();
+        ports.variable(VariableSpec::new(Mood(0)));
     }
 
     async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
@@ -42,6 +47,9 @@ impl Component for Widow {
             cx.watch(name).map_err(|error| error.to_string())?;
         }
         cx.publish(Born(cx.incarnation().0));
+        let own = cx.name().to_string();
+        let mut mood = cx.variable::<Mood>(&own).map_err(|why| why.to_string())?.watch();
+        cx.spawn(async move { while mood.next().await.is_ok() {} });
         Ok(())
     }
 }
@@ -182,7 +190,9 @@ fn three_hundred_lives_that_watch_listen_and_publish_leave_nothing_behind() {
         child.standing_order(order(1000));
         settle().await;
         let before = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
-        assert_eq!((before.0, before.1), (1, 1));
+        // Its variables' store watches the widow too.
+        assert_eq!((before.0, before.1), (1, 2));
+        assert_eq!(stage.environment.variables.watchers(), 1);
 
         for life in 1..=300 {
             widow.tell(boom("again")).unwrap();
@@ -192,6 +202,7 @@ fn three_hundred_lives_that_watch_listen_and_publish_leave_nothing_behind() {
 
         let after = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
         assert_eq!(after, before, "watches, and what holds the component");
+        assert_eq!(stage.environment.variables.watchers(), 1);
         let told = interest.lock().unwrap().clone();
         assert_eq!(told, [("Born".to_owned(), true)], "one interest for all lives");
         assert_eq!(stage.environment.topics.listened().len(), 1);
