@@ -66,7 +66,8 @@ impl From<Down> for Ended {
     fn from(down: Down) -> Self {
         let Down { incarnation, mut ending, .. } = down;
         if let Ending::Panicked { text, .. } = &mut ending {
-            text.truncate(text.floor_char_boundary(TEXT_MAX));
+            let end = (0..=TEXT_MAX.min(text.len())).rev().find(|at| text.is_char_boundary(*at));
+            text.truncate(end.unwrap_or(0));
         }
         Ended { incarnation, ending }
     }

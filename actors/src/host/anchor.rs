@@ -85,6 +85,15 @@ pub(crate) struct Followed {
     id: Option<MessageId>,
 }
 
+/// What becomes of a panic in a `Drop`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Blame {
+    /// It is a fault of the component.
+    Fault,
+    /// The life ends with a fault already: it is only logged.
+    Log,
+}
+
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -223,10 +232,18 @@ impl Record {
         }
     }
 
-    /// Drops a thing whose `Drop` is the user's. If that panics, it is a fault of the component, and of
-    /// nobody else.
-    pub(crate) fn dispose<T>(&self, what: &str, thing: T) {
-        let _ = self.guard(|| format!("the Drop of {what}"), move || drop(thing));
+    /// Drops a thing whose `Drop` is the user's. A panic there ends nothing else.
+    pub(crate) fn dispose<T>(&self, what: &str, thing: T, blame: Blame) {
+        let what = || format!("the Drop of {what}");
+        let run = move || drop(thing);
+        match blame {
+            Blame::Fault => drop(self.guard(what, run)),
+            Blame::Log => {
+                if let Err(panicked) = panics::caught(run) {
+                    warn!(object = %self.name, "{} {panicked}", what());
+                }
+            }
+        }
     }
 
     /// Runs what is the user's outside of a life. If it panics, that is a fault of the component, and

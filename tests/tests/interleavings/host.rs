@@ -1,7 +1,11 @@
 //! What the host consists of, as far as the models need it.
 
 #[path = "../../../actors/src/host/life.rs"]
-#[expect(dead_code, reason = "the models use a part of it")]
+#[expect(
+    dead_code,
+    unreachable_pub,
+    reason = "the models use a part of it, and nothing is exported from here"
+)]
 pub(crate) mod life;
 #[path = "../../../actors/src/host/stamp.rs"]
 #[expect(

@@ -16,7 +16,8 @@ mod host;
 #[expect(
     dead_code,
     unused_imports,
-    reason = "the models use a part, and its unit tests do not run"
+    unreachable_pub,
+    reason = "the models use a part, its unit tests do not run, and nothing is exported from here"
 )]
 mod lane;
 mod lanes;
@@ -85,6 +86,7 @@ type Model = (&'static str, fn());
 
 /// No test harness: it would let models run beside each other, and run the unit tests of the product's
 /// files, which have no model around them.
+#[expect(clippy::print_stdout, reason = "it says which model runs, as a test harness does")]
 fn main() {
     let wanted: Vec<String> =
         std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();

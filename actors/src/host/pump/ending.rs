@@ -3,6 +3,7 @@
 use super::{Pump, Service};
 use crate::component::Component;
 use crate::death_watch::{Down, Ending};
+use crate::host::anchor::Blame;
 use crate::host::course::{Course, End};
 use crate::host::label;
 use crate::host::life::{Life, Wishes};
@@ -50,7 +51,7 @@ impl<C: Component> Pump<C> {
             self.anchor.record.blame(incarnation);
             self.anchor.record.bury(contract, &Why::PeerDied { incarnation });
         }
-        self.bury();
+        self.bury(Blame::Log);
         let restarted_as = self.may_restart().then(|| incarnation.next());
         let mine = match restarted_as {
             Some(next) => self.anchor.lane.pass_on(incarnation, next),
@@ -126,7 +127,7 @@ impl<C: Component> Pump<C> {
         let incarnation = self.life.incarnation;
         self.over = true;
         self.life.token.end();
-        self.bury();
+        self.bury(if end == End::Fatal { Blame::Log } else { Blame::Fault });
         let exit = match end {
             End::Stopped => {
                 self.anchor.end_by(incarnation);
@@ -150,28 +151,28 @@ impl<C: Component> Pump<C> {
     }
 
     /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
-    pub(super) fn bury(&mut self) {
+    pub(super) fn bury(&mut self, blame: Blame) {
         self.followed = false;
-        self.dispose_service();
+        self.dispose_service(blame);
         let record = &self.anchor.record;
         let Wishes { tasks, timers, .. } = self.life.take_wishes();
         let fresh = timers.into_iter().map(|(_, _, action)| action);
-        fresh.for_each(|action| record.dispose("a timer", action));
-        tasks.into_iter().for_each(|task| record.dispose("a task", task));
+        fresh.for_each(|action| record.dispose("a timer", action, blame));
+        tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
         let (tasks, timers) = self.chores.clear();
-        timers.into_iter().for_each(|action| record.dispose("a timer", action));
-        tasks.into_iter().for_each(|task| record.dispose("a task", task));
-        record.dispose("the component", self.home.take());
+        timers.into_iter().for_each(|action| record.dispose("a timer", action, blame));
+        tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
+        record.dispose("the component", self.home.take(), blame);
     }
 
     /// Drops what was in service, and what it was kept in.
-    pub(super) fn dispose_service(&mut self) {
+    pub(super) fn dispose_service(&mut self, blame: Blame) {
         let service = std::mem::replace(&mut self.service, Service::Idle);
         let nests = std::mem::take(&mut self.nests);
         let record = &self.anchor.record;
-        record.dispose("what it was serving", service);
+        record.dispose("what it was serving", service, blame);
         // One by one: a second panic while unwinding from the first would end the process.
-        nests.into_iter().for_each(|nested| record.dispose("what it was serving", nested));
+        nests.into_iter().for_each(|nested| record.dispose("what it was serving", nested, blame));
     }
 
     /// Somebody gave this life up and begins, or has begun, the next.
@@ -183,7 +184,7 @@ impl<C: Component> Pump<C> {
     /// perhaps not yet of those before it.
     pub(super) fn leave(&mut self) {
         self.over = true;
-        self.bury();
+        self.bury(Blame::Log);
         let present = self.life.incarnation;
         self.outbox.retain(|notice| notice.is_death_before(present));
         self.flush();
@@ -207,7 +208,7 @@ impl<C: Component> Pump<C> {
         self.over = true;
         self.life.token.end();
         self.anchor.record.blame(incarnation);
-        self.bury();
+        self.bury(Blame::Log);
         self.anchor.lane.leave(incarnation);
         self.report_exit(incarnation, Exit::Aborted, None);
         self.flush();

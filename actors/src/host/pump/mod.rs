@@ -12,7 +12,7 @@ pub(crate) use shared::{SharedPump, local};
 
 use outbox::Notice;
 
-use super::anchor::{Anchor, Seated};
+use super::anchor::{Anchor, Blame, Seated};
 use super::arbiters::Seat;
 use super::chores::{Chore, Chores};
 use super::course::{Course, End, Hook, News, Step};
@@ -517,7 +517,7 @@ impl<C: Component> Pump<C> {
         }
         self.anchor.record.blame(self.life.incarnation);
         self.followed = false;
-        self.dispose_service();
+        self.dispose_service(Blame::Log);
         self.slot.stamp.step();
     }
 
