@@ -9,17 +9,18 @@ use crate::host::pulse;
 use crate::host::stamp::Stamp;
 use crate::lease::{self, Commander};
 use crate::reference::ActorRef;
+use crate::remote_watch;
 use crate::sender::{Detached, Sender};
 use crate::service::ServiceRef;
 use crate::topic::Publisher;
 use crate::variable::{self, VariableRef};
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::{
-    Contract, Event, FaultKind, Incarnation, Lifecycle, NameError, ObjectName, Request, Variable,
-    Why,
+    Contract, Event, FaultKind, Incarnation, Lifecycle, NameError, ObjectAddress, ObjectName,
+    Request, Variable, Why,
 };
 use std::any::{Any, TypeId};
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::fmt::Debug;
 use std::future::Future;
 use std::ops::RangeBounds;
@@ -36,11 +37,13 @@ pub struct Context<C: Component> {
     life: Rc<Life<C>>,
     /// Topics under their contract's own name, looked up once.
     publishers: RefCell<Vec<(TypeId, Rc<dyn Any>)>>,
+    /// Objects of other nodes that are watched, and whether they still are.
+    far_watches: Vec<(ObjectAddress, Rc<Cell<bool>>)>,
 }
 
 impl<C: Component> Context<C> {
     pub(crate) fn new(anchor: Arc<Anchor<C>>, life: Rc<Life<C>>) -> Self {
-        Context { anchor, life, publishers: RefCell::default() }
+        Context { anchor, life, publishers: RefCell::default(), far_watches: Vec::new() }
     }
 
     /// A reference to this component, which outlives its restarts.
@@ -113,32 +116,35 @@ impl<C: Component> Context<C> {
     }
 
     /// Publishes an event on the topic that has its contract's name. Never waits. While the component
-    /// is fenced off or isolated, nothing gets out.
+    /// is fenced off or isolated, events are not published but counted among the dead letters under the
+    /// topic's name.
     #[track_caller]
     pub fn publish<E: Event>(&self, event: E) {
         let mut publishers = self.publishers.borrow_mut();
         let known = publishers.iter().find(|(of, _)| *of == TypeId::of::<E>());
         if let Some(publisher) = known.and_then(|(_, any)| any.downcast_ref::<Publisher<E>>()) {
-            let _ = publisher.publish(event);
+            publisher.publish_or_count(event);
             return;
         }
         match self.publisher::<E>(E::NAME) {
             Ok(publisher) => {
-                let _ = publisher.publish(event);
+                publisher.publish_or_count(event);
                 publishers.push((TypeId::of::<E>(), Rc::new(publisher)));
             }
             Err(why) => self.declare_fault(FaultKind::ContractMismatch, why.to_string()),
         }
     }
 
-    /// A way to publish on a topic with a name of its own.
+    /// A way to publish on a topic with a name of its own. It belongs to this incarnation: what it
+    /// publishes after that has ended, on whichever thread, is refused as [`Why::Fenced`].
     ///
     /// # Errors
     /// [`Why::ContractDiffers`] if the topic carries another type under this contract's name; the text names
     /// both, where each was said, and what differs.
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
-        self.anchor.record.environment.topics.publisher(topic)
+        let publisher = self.anchor.record.environment.topics.publisher(topic)?;
+        Ok(publisher.of(self.life.token.clone()))
     }
 
     /// Starts a task of this component's own, which runs beside its handlers.
@@ -291,7 +297,13 @@ impl<C: Component> Context<C> {
     }
 
     /// Asks to be told, as message [`Down`], whenever a life of this object ends. If it does not live
-    /// now, or is unknown, that is told at once.
+    /// now, or is unknown, that is told at once. The object is a component, a supervisor or one of the
+    /// middleware's own, here or, as `module2:arm`, on another node; of such a one it is also told when
+    /// its node is lost, and it is watched further when that is back.
+    ///
+    /// What is told comes before the messages that wait, and though the queue is full. Of an object that
+    /// ended twice before the component had its turn the last end is told. The watch ends with the present
+    /// life, and so does what it has not taken.
     ///
     /// # Errors
     /// The name does not parse.
@@ -299,14 +311,40 @@ impl<C: Component> Context<C> {
     where
         C: Handle<Down>,
     {
-        let name = ObjectName::new(name)?;
-        let (watcher, life) = (self.anchor.clone(), self.life.token.clone());
-        let mourner = Mourner {
-            who: self.name().clone(),
-            life,
-            tell: Box::new(move |down| watcher.queue_event(down, pulse::rough_now())),
+        let registry = self.anchor.record.environment.registry.clone();
+        let (node, object) = match name.contains(':') {
+            true => {
+                let ObjectAddress { node, object } = name.parse()?;
+                (registry.elsewhere(node), object)
+            }
+            false => (None, ObjectName::new(name)?),
         };
-        self.anchor.record.environment.registry.watch(name, mourner);
+        // Two that watch each other do not keep each other.
+        let (watcher, incarnation) = (Arc::downgrade(&self.anchor), self.life.incarnation);
+        let tell = move |down| {
+            if let Some(watcher) = watcher.upgrade() {
+                watcher.notify(incarnation, down);
+            }
+        };
+        match node {
+            None => {
+                let (who, life) = (self.name().clone(), self.life.token.clone());
+                registry.watch(object, Mourner { who, life, tell: Box::new(tell) });
+            }
+            Some(node) => {
+                let address = ObjectAddress { node, object };
+                self.far_watches.retain(|(_, goes_on)| goes_on.get());
+                if self.far_watches.iter().all(|(known, _)| *known != address) {
+                    let goes_on = Rc::new(Cell::new(true));
+                    self.far_watches.push((address.clone(), goes_on.clone()));
+                    let follow = remote_watch::follow(registry, address, tell);
+                    self.spawn(async move {
+                        follow.await;
+                        goes_on.set(false);
+                    });
+                }
+            }
+        }
         Ok(())
     }
 }

@@ -2,9 +2,10 @@
 
 use crate::host::life::LifeToken;
 use blastema_contract::reports::Exit;
-use blastema_core::{Incarnation, ObjectName};
+use blastema_core::{Incarnation, Lifecycle, NodeName, ObjectName};
 use blastema_macros::{Event, Structure};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A life of a watched object has ended.
 #[derive(Clone, Debug, PartialEq, Eq, Event)]
@@ -12,6 +13,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub struct Down {
     /// Who.
     pub object: ObjectName,
+    /// On which other node it is; `None` for an object of the watcher's own.
+    pub node: Option<NodeName>,
     /// Which of its lives; 0 for one that never lived.
     pub incarnation: Incarnation,
     /// How it ended.
@@ -45,6 +48,12 @@ pub enum Ending {
     NotAlive,
     /// No object of this name is known.
     Unknown,
+    /// Its node has ended, has left, or cannot be reached any more. What became of the object is not
+    /// known; its incarnation is given as 0.
+    NodeLost {
+        /// What is known of the node.
+        reason: String,
+    },
 }
 
 impl From<&Exit> for Ending {
@@ -91,6 +100,74 @@ impl Mourners {
         };
         // Outside of the lock: a mourner may be watched by whom it mourns.
         mourners.iter().for_each(|mourner| (mourner.tell)(down.clone()));
+    }
+
+    /// How many entries there are.
+    #[cfg(test)]
+    pub(crate) fn count(&self) -> usize {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).len()
+    }
+}
+
+/// The ends of objects that are not components: supervisors, and the middleware's own. Clones share it.
+#[derive(Clone, Default)]
+pub(crate) struct Deaths(Arc<Mutex<BTreeMap<ObjectName, Watched>>>);
+
+/// As many as the node has such objects.
+#[derive(Default)]
+struct Watched {
+    incarnation: Incarnation,
+    is_alive: bool,
+    mourners: Arc<Mourners>,
+}
+
+impl Deaths {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Watched>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A life of the object begins.
+    pub(crate) fn begin(&self, object: &ObjectName, incarnation: Incarnation) {
+        let mut objects = self.lock();
+        let watched = objects.entry(object.clone()).or_default();
+        (watched.incarnation, watched.is_alive) = (incarnation, true);
+    }
+
+    /// A life of the object is in this state.
+    pub(crate) fn enter(&self, object: &ObjectName, incarnation: Incarnation, state: Lifecycle) {
+        match state {
+            Lifecycle::Active => self.begin(object, incarnation),
+            Lifecycle::Finalized => self.end(object, Ending::Stopped),
+            _ => {}
+        }
+    }
+
+    /// The present life of the object has ended; without effect where none is.
+    pub(crate) fn end(&self, object: &ObjectName, ending: Ending) {
+        let mut objects = self.lock();
+        let alive = objects.get_mut(object).filter(|watched| watched.is_alive);
+        let Some(Watched { incarnation, is_alive, mourners }) = alive else { return };
+        *is_alive = false;
+        let (incarnation, mourners) = (*incarnation, mourners.clone());
+        drop(objects);
+        mourners.tell(&Down { object: object.clone(), node: None, incarnation, ending });
+    }
+
+    /// As [`Mortal::watch`]. A name that never was an object's gives the mourner back.
+    pub(crate) fn watch(&self, object: &ObjectName, mourner: Mourner) -> Option<Mourner> {
+        let objects = self.lock();
+        let Some(Watched { incarnation, is_alive, mourners }) = objects.get(object) else {
+            return Some(mourner);
+        };
+        let (incarnation, is_alive, mourners) = (*incarnation, *is_alive, mourners.clone());
+        drop(objects);
+        let mourner = Arc::new(mourner);
+        mourners.join(mourner.clone());
+        if !is_alive {
+            let (object, ending) = (object.clone(), Ending::NotAlive);
+            (mourner.tell)(Down { object, node: None, incarnation, ending });
+        }
+        None
     }
 }
 

@@ -5,6 +5,7 @@
 //! it: the actor begins anew in [`Supervised::restarting`], and its address and its mailbox live on.
 //! Only the message that it was serving is lost.
 
+use crate::death_watch::{Deaths, Ending};
 use crate::panics;
 use crate::platform;
 use actix::dev::{ContextFut, channel};
@@ -68,6 +69,7 @@ pub(crate) use answers_the_monitor;
 #[derive(Clone, Default)]
 pub(crate) struct Guardian {
     deaths: Arc<OnceLock<Recipient<Exited>>>,
+    watched: Deaths,
 }
 
 impl Guardian {
@@ -86,6 +88,11 @@ impl Guardian {
         let _ = self.deaths.set(deaths);
     }
 
+    /// Where the lives of its actors can be watched.
+    pub(crate) fn watched(&self) -> Deaths {
+        self.watched.clone()
+    }
+
     /// Starts an actor on `arbiter`, or here.
     pub(crate) fn start<A>(
         &self,
@@ -98,14 +105,15 @@ impl Guardian {
     {
         panics::install_hook();
         let (sender, receiver) = channel::channel(MAILBOX);
-        let deaths = self.deaths.clone();
+        let (deaths, watched) = (self.deaths.clone(), self.watched());
+        watched.begin(&name, Incarnation::FIRST);
         let enter = move || {
             let mut context = Context::with_receiver(receiver);
             let actor = make(&mut context);
             let future = Box::pin(context.into_future(actor));
             let past = VecDeque::new();
             let incarnation = Incarnation::FIRST;
-            actix_rt::spawn(Ward { future, name, incarnation, past, deaths });
+            actix_rt::spawn(Ward { future, name, incarnation, past, deaths, watched });
         };
         match arbiter {
             Some(arbiter) => {
@@ -124,6 +132,7 @@ struct Ward<A: Actor<Context = Context<A>> + Supervised> {
     incarnation: Incarnation,
     past: VecDeque<Instant>,
     deaths: Arc<OnceLock<Recipient<Exited>>>,
+    watched: Deaths,
 }
 
 impl<A: Actor<Context = Context<A>> + Supervised> Ward<A> {
@@ -139,6 +148,10 @@ impl<A: Actor<Context = Context<A>> + Supervised> Ward<A> {
         let exit = Exit::Panicked { text, at: panics::take_place(), during: "the middleware" };
         let restarted_as = alive.then(|| self.incarnation.next());
         let (object, incarnation) = (self.name.clone(), self.incarnation);
+        self.watched.end(&object, Ending::from(&exit));
+        if let Some(next) = restarted_as {
+            self.watched.begin(&object, next);
+        }
         if let Some(deaths) = self.deaths.get() {
             deaths.do_send(Exited { object, incarnation, exit, restarted_as });
         }
@@ -158,7 +171,11 @@ impl<A: Actor<Context = Context<A>> + Supervised> Future for Ward<A> {
             catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(cx)))
         };
         match caught {
-            Ok(poll) => poll,
+            Ok(Poll::Ready(())) => {
+                self.watched.end(&self.name, Ending::Stopped);
+                Poll::Ready(())
+            }
+            Ok(Poll::Pending) => Poll::Pending,
             Err(payload) => {
                 if !self.revive(panics::text_of(payload)) {
                     return Poll::Ready(());

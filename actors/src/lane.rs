@@ -4,11 +4,12 @@
 //! hung thread. Only the life that owns it may take from it. What a full lane does is the owner's
 //! stated policy, [`WhenFull`].
 
+use crate::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
+use crate::sync::{Mutex, MutexGuard};
 use blastema_core::{Incarnation, Why};
 use std::collections::VecDeque;
 use std::future::{Future, poll_fn};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::PoisonError;
 use std::task::{Poll, Waker};
 
 /// What happens to a message for which a queue has no room.
@@ -56,6 +57,9 @@ pub(crate) struct Lane<T> {
 
 struct Inner<T> {
     queue: VecDeque<T>,
+    /// Notices for the owner, each under what it is about. They are taken before the queue and need no
+    /// room in it; they end with the owner. At most one for each thing that the owner watches.
+    notices: VecDeque<(Box<str>, T)>,
     /// Who may take; `None` between two lives.
     owner: Option<Incarnation>,
     stopped: bool,
@@ -69,6 +73,7 @@ impl<T> Lane<T> {
     pub(crate) fn new(capacity: usize, policy: WhenFull) -> Self {
         let inner = Inner {
             queue: VecDeque::new(),
+            notices: VecDeque::new(),
             owner: None,
             stopped: false,
             parked: None,
@@ -129,8 +134,33 @@ impl<T> Lane<T> {
             }
         }
         lane.queue.push_back(pack(message));
-        self.length.store(lane.queue.len(), Relaxed);
+        self.length.store(lane.depth(), Relaxed);
         Ok(Pushed { displaced, parked: lane.parked.take() })
+    }
+
+    /// Puts a notice for the life `owner` before all that waits, whether there is room or not. A notice
+    /// about the same thing that still waits is replaced. Returned is what is not going to be served: the
+    /// replaced notice, or this one if the lane belongs to another life.
+    pub(crate) fn notify(&self, owner: Incarnation, about: &str, notice: T) -> Option<T> {
+        let mut lane = self.lock();
+        if lane.owner != Some(owner) {
+            return Some(notice);
+        }
+        let waiting = lane.notices.iter_mut().find(|(known, _)| **known == *about);
+        let replaced = match waiting {
+            Some((_, earlier)) => Some(std::mem::replace(earlier, notice)),
+            None => {
+                lane.notices.push_back((about.into(), notice));
+                None
+            }
+        };
+        self.length.store(lane.depth(), Relaxed);
+        let parked = lane.parked.take();
+        drop(lane);
+        if let Some(waker) = parked {
+            waker.wake();
+        }
+        replaced
     }
 
     /// Completes when there may be room. Who wakes then tries again; a claim that is dropped is
@@ -151,11 +181,15 @@ impl<T> Lane<T> {
             lane.parked = Some(waker.clone());
             return Taken::Empty;
         }
+        if let Some((_, notice)) = lane.notices.pop_front() {
+            self.length.store(lane.depth(), Relaxed);
+            return Taken::Got(notice);
+        }
         let Some(item) = lane.queue.pop_front() else {
             lane.parked = Some(waker.clone());
             return Taken::Empty;
         };
-        self.length.store(lane.queue.len(), Relaxed);
+        self.length.store(lane.depth(), Relaxed);
         let next = lane.room.pop_front();
         drop(lane);
         if let Some((_, waker)) = next {
@@ -167,10 +201,11 @@ impl<T> Lane<T> {
     /// From now on only `owner` may take. A life that lost the lane is cut off from its input.
     pub(crate) fn give_to(&self, owner: Option<Incarnation>) {
         let mut lane = self.lock();
-        lane.owner = owner;
+        let notices = self.change_owner(&mut lane, owner);
         lane.stopped &= owner.is_none();
         let parked = lane.parked.take();
         drop(lane);
+        drop(notices);
         if let Some(waker) = parked {
             waker.wake();
         }
@@ -178,22 +213,33 @@ impl<T> Lane<T> {
 
     /// Passes the lane from one life to the next, unless it already belongs to another.
     pub(crate) fn pass_on(&self, from: Incarnation, to: Incarnation) -> bool {
-        let mut lane = self.lock();
-        let mine = lane.owner == Some(from);
-        if mine {
-            lane.owner = Some(to);
-        }
-        mine
+        self.change_owner_of(from, Some(to))
     }
 
     /// Takes the lane from `owner`, unless it already belongs to another.
     pub(crate) fn leave(&self, owner: Incarnation) -> bool {
+        self.change_owner_of(owner, None)
+    }
+
+    fn change_owner_of(&self, from: Incarnation, to: Option<Incarnation>) -> bool {
         let mut lane = self.lock();
-        let mine = lane.owner == Some(owner);
-        if mine {
-            lane.owner = None;
-        }
+        let mine = lane.owner == Some(from);
+        let notices = mine.then(|| self.change_owner(&mut lane, to));
+        drop(lane);
+        drop(notices);
         mine
+    }
+
+    /// Hands out the notices of the owner before, to be dropped outside of the lock.
+    fn change_owner(
+        &self,
+        lane: &mut Inner<T>,
+        owner: Option<Incarnation>,
+    ) -> VecDeque<(Box<str>, T)> {
+        lane.owner = owner;
+        let notices = std::mem::take(&mut lane.notices);
+        self.length.store(lane.depth(), Relaxed);
+        notices
     }
 
     /// Who may take.
@@ -254,14 +300,22 @@ impl<T> Lane<T> {
             return VecDeque::new();
         }
         lane.stopped = true;
-        lane.owner = None;
+        let notices = self.change_owner(&mut lane, None);
         let parked = lane.parked.take();
         let room = std::mem::take(&mut lane.room);
         let left = std::mem::take(&mut lane.queue);
         self.length.store(0, Relaxed);
         drop(lane);
+        drop(notices);
         parked.into_iter().chain(room.into_iter().map(|(_, waker)| waker)).for_each(Waker::wake);
         left
+    }
+}
+
+impl<T> Inner<T> {
+    /// How many wait to be taken.
+    fn depth(&self) -> usize {
+        self.notices.len() + self.queue.len()
     }
 }
 
@@ -339,7 +393,11 @@ mod tests {
     }
 
     fn take(lane: &Lane<u32>) -> Option<u32> {
-        match lane.take(LIFE, Waker::noop()) {
+        take_as(lane, LIFE)
+    }
+
+    fn take_as(lane: &Lane<u32>, life: Incarnation) -> Option<u32> {
+        match lane.take(life, Waker::noop()) {
             Taken::Got(n) => Some(n),
             _ => None,
         }
@@ -428,5 +486,56 @@ mod tests {
         drop(claim_one);
         assert_eq!(second.0.load(Relaxed), 1);
         assert!(claim_two.as_mut().poll(&mut Context::from_waker(&two)).is_ready());
+    }
+
+    #[test]
+    fn a_notice_comes_before_the_queue_and_though_that_is_full() {
+        for policy in [WhenFull::Refuse, WhenFull::DropNewest, WhenFull::DropOldest] {
+            let lane = lane(1, policy);
+            push(&lane, 1).unwrap();
+
+            assert_eq!(lane.notify(LIFE, "arm", 7), None);
+            assert_eq!(lane.notify(LIFE, "leg", 8), None);
+            assert_eq!(lane.depth(), 3);
+            assert_eq!(lane.notify(LIFE, "arm", 9), Some(7), "one outstanding for each");
+
+            let taken: Vec<_> = std::iter::from_fn(|| take(&lane)).collect();
+            assert_eq!(taken, [9, 8, 1], "{policy:?}");
+            assert!(lane.is_empty());
+        }
+    }
+
+    #[test]
+    fn a_notice_is_for_one_life_only() {
+        let lane = lane(1, WhenFull::Refuse);
+        let next = LIFE.next();
+        assert_eq!(lane.notify(next, "arm", 1), Some(1), "it does not own the lane");
+
+        lane.notify(LIFE, "arm", 2);
+        assert!(lane.pass_on(LIFE, next));
+        assert_eq!((take_as(&lane, next), lane.is_empty()), (None, true));
+
+        lane.notify(next, "arm", 3);
+        assert_eq!(lane.stop(), [0; 0], "nor is it a message that was not served");
+        assert!(lane.is_empty());
+    }
+
+    #[test]
+    fn a_notice_wakes_the_owner_and_makes_no_room() {
+        let lane = lane(1, WhenFull::Wait);
+        let (owner, sender) = (Arc::new(Count::default()), Arc::new(Count::default()));
+        let of_owner = Waker::from(owner.clone());
+        assert!(matches!(lane.take(LIFE, &of_owner), Taken::Empty));
+        lane.notify(LIFE, "arm", 1);
+        assert_eq!(owner.0.load(Relaxed), 1);
+        push(&lane, 2).unwrap();
+        let of_sender = Waker::from(sender.clone());
+        let mut room = pin!(lane.room());
+        assert!(room.as_mut().poll(&mut Context::from_waker(&of_sender)).is_pending());
+
+        assert_eq!(take(&lane), Some(1));
+        assert_eq!(sender.0.load(Relaxed), 0);
+        assert_eq!(take(&lane), Some(2));
+        assert_eq!(sender.0.load(Relaxed), 1);
     }
 }

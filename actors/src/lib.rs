@@ -102,9 +102,11 @@ pub mod platform;
 mod ports;
 mod reference;
 mod registry;
+mod remote_watch;
 mod reply;
 mod sender;
 mod service;
+mod sync;
 mod topic;
 mod variable;
 

@@ -70,6 +70,15 @@ pub(crate) fn end_of_program(payload: Box<dyn Any + Send>) -> ! {
     panic::resume_unwind(payload)
 }
 
+/// Runs what is the user's outside of a life, and says where and how it panicked, if it did.
+pub(crate) fn caught<T>(run: impl FnOnce() -> T) -> Result<T, String> {
+    let _guarded = Guarded::enter();
+    panic::catch_unwind(panic::AssertUnwindSafe(run)).map_err(|payload| {
+        let at = take_place();
+        format!("panicked at {at}: {}", text_of(payload))
+    })
+}
+
 /// The file and line of this thread's last guarded panic.
 pub(crate) fn take_place() -> String {
     PLACE.take()

@@ -5,13 +5,14 @@
 
 use crate::claim::{Names, Roaming};
 use crate::component::Handle;
-use crate::death_watch::{Down, Ending, Mortal, Mourner};
+use crate::death_watch::{Deaths, Down, Ending, Mortal, Mourner};
 use crate::desk::Desk;
 use crate::host::anchor::Anchor;
 use crate::letter::arrived_posting_time;
+use crate::panics;
 use crate::reply::{Answer, Reply};
 use crate::sender::{Inlet, RequestError, SendError, Sender};
-use blastema_contract::reports::{FaultDeclared, FaultMended};
+use blastema_contract::reports::FaultMended;
 use blastema_core::net::NodeId;
 use blastema_core::{
     Contract, ContractIdentity, FaultKind, Former, Incarnation, Instant, MessageId, NodeName,
@@ -23,8 +24,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::marker::PhantomData;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
+use tracing::error;
 
 /// Before a name that is claimed, in the place of a node: whichever holds it.
 pub(crate) const ANY_NODE: &str = "*";
@@ -185,9 +187,16 @@ impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
                 })
             }
             Some(reply_to) => {
-                let former = self.former.clone();
+                let (former, anchor) = (self.former.clone(), self.anchor.clone());
                 let callback = move |result: Result<M::Reply, Why>| {
-                    reply_to(result.and_then(|reply| encoded_reply(reply, former.as_deref())));
+                    // The asker is not to wait for its deadline where the conversion panics.
+                    let converted = |reply| {
+                        let what = || format!("the conversion of a reply to {}", M::NAME);
+                        let encode = || encoded_reply(reply, former.as_deref());
+                        let encoded = anchor.record.guard(what, encode);
+                        encoded.unwrap_or_else(|reason| Err(Why::Undecodable { reason }))
+                    };
+                    reply_to(result.and_then(converted));
                 };
                 let answer = Answer::called_back(Box::new(callback), until);
                 self.anchor.post(message, answer, id).map_err(|error| error.why)
@@ -224,14 +233,17 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
         postmark: Postmark,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), Why> {
-        let read = match &self.former {
+        // To read it runs what is the user's, on the network's thread.
+        let what = || format!("to read a message of {}", M::NAME);
+        let read = || match &self.former {
             None => codec::decode_shared::<M>(message),
             Some(former) => former.read(message),
         };
-        match read {
+        let read = self.anchor.record.guard(what, read);
+        match read.and_then(|read| read.map_err(|error| error.to_string())) {
             Ok(message) => self.hand_over(message, postmark, reply_to),
-            Err(error) => {
-                let why = Why::Undecodable { reason: error.to_string() };
+            Err(reason) => {
+                let why = Why::Undecodable { reason };
                 self.anchor.record.bury(M::NAME, &why);
                 if let Some(reply_to) = reply_to {
                     reply_to(Err(why.clone()));
@@ -258,11 +270,7 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
     }
 
     fn declare(&self, kind: FaultKind, detail: String) {
-        let record = &self.anchor.record;
-        if let Some(faults) = &record.environment.reports.faults {
-            let (object, incarnation) = (record.name.clone(), record.incarnation());
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
-        }
+        self.anchor.record.declare(kind, detail);
     }
 
     fn mend(&self, kind: FaultKind) {
@@ -319,13 +327,19 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
         // Only what may come twice needs to be known again.
         let id = id.or_else(|| M::IDEMPOTENT.then(crate::sender::next_id));
         let reply_to = move |result: Result<Parcel, Why>| {
+            let decode = |reply: Parcel| codec::decode_shared_reply::<M>(&reply.into_bytes());
             let decoded = result.and_then(|reply| {
-                codec::decode_shared_reply::<M>(&reply.into_bytes())
-                    .map_err(|error| Why::Undecodable { reason: error.to_string() })
+                let read = panics::caught(|| decode(reply));
+                let read = read.and_then(|read| read.map_err(|error| error.to_string()));
+                read.map_err(|reason| Why::Undecodable { reason })
             });
-            match decoded {
+            // Where nobody waits any more, the reply is dropped here, on the network's thread.
+            let given = panics::caught(|| match decoded {
                 Ok(reply) => answer.give(reply),
                 Err(why) => answer.refuse(why, None),
+            });
+            if let Err(panicked) = given {
+                error!(contract = M::NAME, "the Drop of a reply that nobody waits for {panicked}");
             }
         };
         let asked = Asked { id, within, reply_to: Box::new(reply_to) };
@@ -363,6 +377,8 @@ struct Inner {
     remote: Option<Arc<dyn RemoteDoors>>,
     /// The names of the whole robot.
     names: Option<Names>,
+    /// Where objects that are not components can be watched.
+    deaths: Deaths,
 }
 
 /// The names of one node. Clones share them.
@@ -384,6 +400,11 @@ impl Registry {
     /// Names of the whole robot, such as `*:map`, are looked up there.
     pub(crate) fn look_up_in(&self, names: Names) {
         self.lock().names = Some(names);
+    }
+
+    /// Objects that are not components are watched there.
+    pub(crate) fn watch_in(&self, deaths: Deaths) {
+        self.lock().deaths = deaths;
     }
 
     /// Gives a name to an object.
@@ -503,15 +524,33 @@ impl Registry {
 
     /// Tells `mourner` whenever a life of this object ends, and at once if it does not live.
     pub(crate) fn watch(&self, object: ObjectName, mourner: Mourner) {
-        let mortal = self.lock().objects.get(&object).map(|entry| entry.mortal.clone());
-        match mortal {
-            Some(mortal) => mortal.watch(mourner),
-            None => (mourner.tell)(Down {
-                object,
-                incarnation: Incarnation(0),
-                ending: Ending::Unknown,
-            }),
+        let inner = self.lock();
+        let mortal = inner.objects.get(&object).map(|entry| entry.mortal.clone());
+        let deaths = inner.deaths.clone();
+        drop(inner);
+        let unknown = match mortal {
+            Some(mortal) => return mortal.watch(mourner),
+            None => deaths.watch(&object, mourner),
+        };
+        if let Some(mourner) = unknown {
+            let (incarnation, ending) = (Incarnation(0), Ending::Unknown);
+            (mourner.tell)(Down { object, node: None, incarnation, ending });
         }
+    }
+
+    /// The same names, for what they own themselves.
+    pub(crate) fn downgrade(&self) -> WeakRegistry {
+        WeakRegistry(Arc::downgrade(&self.0))
+    }
+}
+
+/// The names of a node, which it does not keep.
+#[derive(Clone)]
+pub(crate) struct WeakRegistry(Weak<Mutex<Inner>>);
+
+impl WeakRegistry {
+    pub(crate) fn upgrade(&self) -> Option<Registry> {
+        self.0.upgrade().map(Registry)
     }
 }
 

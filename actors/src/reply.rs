@@ -7,11 +7,12 @@
 use crate::host::pulse::{Deadline, Pulse};
 use crate::platform;
 use crate::sender::RequestError;
+use crate::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use crate::sync::{Mutex, MutexGuard};
 use blastema_core::{Contract, Instant, Why};
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, PoisonError};
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 

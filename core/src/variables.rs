@@ -223,6 +223,11 @@ impl Variables {
         self.outputs.push_back(Watched { watcher, result });
     }
 
+    /// This watcher does not wait any more.
+    pub fn handle_gone(&mut self, watcher: u64) {
+        self.watchers.remove(&watcher);
+    }
+
     /// Writes all of these, or none.
     ///
     /// # Errors
@@ -474,6 +479,20 @@ mod tests {
 
         variables.handle_watch(2, key("speed"), second, NOW);
         assert_eq!(variables.poll_output().unwrap().result.unwrap().value, value(2));
+    }
+
+    #[test]
+    fn a_watcher_that_has_gone_is_told_nothing() {
+        let mut variables = declared(&[("speed", RestorePolicy::Restore)]);
+        let after = variables.read(&key("speed"), NOW).unwrap().revision;
+        variables.handle_watch(1, key("speed"), after, NOW);
+        variables.handle_watch(2, key("speed"), after, NOW);
+
+        variables.handle_gone(1);
+        variables.handle_write(vec![write("speed", 1)], NOW).unwrap();
+
+        assert_eq!(variables.poll_output().unwrap().watcher, 2);
+        assert_eq!(variables.poll_output(), None);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The supervisor's body: it holds the children, and does to them what its machine decides.
 
 use super::directory::{Directory, SupervisorPorts};
+use crate::death_watch::{Deaths, Ending};
 use crate::drive::{Body, Wake};
 use crate::guardian::{self, Guardian};
 use crate::platform;
@@ -58,6 +59,8 @@ pub(crate) struct Supervisor {
     states: Recipient<StateReported>,
     isolation: Recipient<IsolationReported>,
     directory: Directory,
+    /// Where its lives can be watched.
+    watched: Deaths,
     /// It was told to end because it is to begin anew.
     again: bool,
 }
@@ -75,11 +78,13 @@ impl Supervisor {
         // they must not be taken for each other.
         let body = ObjectName::new(&format!("chain/supervisor/{name}"));
         let body = body.unwrap_or_else(|_| name.clone());
-        let address = guardian.start(body, arbiter, move |_: &mut Context<Self>| Self::new(setup));
+        let watched = guardian.watched();
+        let make = move |_: &mut Context<Self>| Self::new(setup, watched);
+        let address = guardian.start(body, arbiter, make);
         SupervisorChild { name, address, report: None }
     }
 
-    fn new(setup: SupervisorSetup) -> Self {
+    fn new(setup: SupervisorSetup, watched: Deaths) -> Self {
         let SupervisorSetup { name, rules, children: given, .. } = setup;
         let SupervisorSetup { monitor, states, isolation, directory, .. } = setup;
         let mut supervisor = Supervisor {
@@ -94,6 +99,7 @@ impl Supervisor {
             states,
             isolation,
             directory,
+            watched,
             again: false,
         };
         for (child, rules) in given {
@@ -147,6 +153,7 @@ impl Supervisor {
     /// Its own state, so that its faults are over for the detector when its next life is at work.
     fn report_state(&self, state: Lifecycle) {
         let (object, incarnation) = (self.name.clone(), self.machine.incarnation());
+        self.watched.enter(&object, incarnation, state);
         self.states.do_send(StateReported { object, incarnation, state, reason: None });
     }
 
@@ -274,6 +281,7 @@ impl Body for Supervisor {
                 } else {
                     self.declare_storm(&reason);
                 }
+                self.watched.end(&self.name, Ending::Fatal);
                 self.tell_parent(ChildEvent::Escalated { reason });
             }
             SupervisorAction::AllStarted => {
@@ -356,6 +364,7 @@ impl Handler<Forsake> for Supervisor {
     type Result = ();
 
     fn handle(&mut self, _: Forsake, context: &mut Context<Self>) {
+        self.watched.end(&self.name, Ending::Abandoned);
         self.machine.handle_forsake(platform::now());
         self.drive(context);
     }

@@ -12,26 +12,26 @@ use super::pulse;
 use super::stamp::{Place, StampReading};
 use super::watch::Glimpsed;
 use crate::component::{Component, Handle};
-use crate::death_watch::Mourners;
+use crate::death_watch::{Down, Mourners};
 use crate::lane::{Lane, WhenFull};
 use crate::letter::{Mail, pack, posting_time};
-use crate::panics::Guarded;
+use crate::panics;
 use crate::platform;
 use crate::reply::{Answer, Reply, Revocable};
 use crate::sender::{Inlet, RequestError, SendError};
 use crate::topic::Subscriptions;
 use actix::Addr;
 use blastema_contract::child::StandingOrder;
-use blastema_contract::reports::Alive;
+use blastema_contract::reports::{Alive, FaultDeclared};
 use blastema_core::net::claims::Wanted;
 use blastema_core::quarantine::Quarantine;
-use blastema_core::{Contract, Incarnation, Lifecycle, MessageId, ObjectName, Why};
+use blastema_core::{Contract, FaultKind, Incarnation, Lifecycle, MessageId, ObjectName, Why};
 use std::future::Future;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
+use tracing::warn;
 
 /// Nothing comes in.
 const ISOLATED: u8 = 1;
@@ -83,6 +83,15 @@ pub(crate) struct Seated {
 pub(crate) struct Followed {
     asker: Option<Arc<dyn Revocable>>,
     id: Option<MessageId>,
+}
+
+/// What becomes of a panic in a `Drop`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Blame {
+    /// It is a fault of the component.
+    Fault,
+    /// The life ends with a fault already: it is only logged.
+    Log,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -214,6 +223,43 @@ impl Record {
     pub(crate) fn bury(&self, contract: &'static str, why: &Why) {
         self.environment.dead_letters.take(&self.name, contract, why);
     }
+
+    /// A fault of the component, or of what was sent to it.
+    pub(crate) fn declare(&self, kind: FaultKind, detail: String) {
+        if let Some(faults) = &self.environment.reports.faults {
+            let (object, incarnation) = (self.name.clone(), self.incarnation());
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        }
+    }
+
+    /// Drops a thing whose `Drop` is the user's. A panic there ends nothing else.
+    pub(crate) fn dispose<T>(&self, what: &str, thing: T, blame: Blame) {
+        let what = || format!("the Drop of {what}");
+        let run = move || drop(thing);
+        match blame {
+            Blame::Fault => drop(self.guard(what, run)),
+            Blame::Log => {
+                if let Err(panicked) = panics::caught(run) {
+                    warn!(object = %self.name, "{} {panicked}", what());
+                }
+            }
+        }
+    }
+
+    /// Runs what is the user's outside of a life. If it panics, that is a fault of the component, and
+    /// nothing else.
+    pub(crate) fn guard<T>(
+        &self,
+        what: impl FnOnce() -> String,
+        run: impl FnOnce() -> T,
+    ) -> Result<T, String> {
+        panics::caught(run).map_err(|panicked| {
+            let detail = format!("{} {panicked}", what());
+            warn!(object = %self.name, "{detail}");
+            self.declare(FaultKind::CheckFailed, detail.clone());
+            detail
+        })
+    }
 }
 
 impl<C: Component> Anchor<C> {
@@ -273,13 +319,13 @@ impl<C: Component> Anchor<C> {
 
     /// A message that is not going to be served.
     pub(crate) fn return_mail(&self, mut mail: Mail<C>, why: Why) {
-        self.record.bury(mail.brief().name, &why);
-        // What is dropped here is the user's; its `Drop` may panic, but not into the host.
-        let _guarded = Guarded::enter();
-        let _ = catch_unwind(AssertUnwindSafe(move || {
+        let contract = mail.brief().name;
+        self.record.bury(contract, &why);
+        let give_back = move || {
             mail.give_back(why);
             drop(mail);
-        }));
+        };
+        let _ = self.record.guard(|| format!("the Drop of a message of {contract}"), give_back);
     }
 
     /// The answer to "are you alive?".
@@ -301,6 +347,20 @@ impl<C: Component> Anchor<C> {
             None => Ok(()),
             Some(why) => Err(why),
         }
+    }
+
+    /// Tells the life that watches of an end, whether its queue is full or not. A notice of an earlier
+    /// end of the same object that it has not taken yet is replaced.
+    pub(crate) fn notify(&self, watcher: Incarnation, down: Down)
+    where
+        C: Handle<Down>,
+    {
+        let about = match &down.node {
+            Some(node) => format!("{node}:{}", down.object),
+            None => down.object.to_string(),
+        };
+        let notice = pack::<C, Down>(down, None, None, pulse::rough_now());
+        drop(self.lane.notify(watcher, &about, notice));
     }
 
     /// An event for a component that is busy, or has just been.

@@ -126,7 +126,7 @@ impl<C: Component> Child for HostedChild<C> {
         self.anchor.set_control(None);
         record.give_names_back();
         let (object, ending) = (record.name.clone(), Ending::Abandoned);
-        record.mourners.tell(&Down { object, incarnation, ending });
+        record.mourners.tell(&Down { object, node: None, incarnation, ending });
     }
 
     fn reset(&mut self) {
@@ -184,6 +184,7 @@ impl<C: Component> Mortal for Anchor<C> {
         if self.lane.owner().is_none() {
             (mourner.tell)(Down {
                 object: self.record.name.clone(),
+                node: None,
                 incarnation: self.record.incarnation(),
                 ending: Ending::NotAlive,
             });

@@ -320,9 +320,12 @@ impl<C: Component> Chores<C> {
         self.timers.remove(&id.0);
     }
 
-    /// Ends everything, and hands it out to be dropped under a guard.
-    pub(crate) fn clear(&mut self) -> Self {
-        std::mem::take(self)
+    /// Ends everything, and hands out what is the user's, to be dropped one by one under a guard.
+    pub(crate) fn clear(&mut self) -> (Vec<Task>, Vec<Action<C>>) {
+        let Chores { tasks, timers, .. } = std::mem::take(self);
+        let tasks = tasks.into_iter().map(|spawned| spawned.task);
+        let actions = timers.into_values().filter_map(|timer| timer.action);
+        (tasks.collect(), actions.collect())
     }
 }
 

@@ -3,12 +3,12 @@
 use super::stamp::Stamp;
 use crate::component::{Component, Failure};
 use crate::context::Context;
+use crate::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use blastema_core::{Incarnation, Why};
 use std::cell::{Cell, RefCell};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::Duration;
 
 /// Says to every thread whether a life still lasts and may speak.

@@ -7,6 +7,7 @@ use super::limits::Limits;
 use crate::claim::ClaimPolicy;
 use crate::component::Component;
 use crate::lane::WhenFull;
+use crate::panics;
 use crate::ports::{OpenPort, Ports};
 use crate::reference::ActorRef;
 use crate::registry::NameTaken;
@@ -68,6 +69,14 @@ pub enum SpecError {
     Refused {
         /// The component.
         name: ObjectName,
+    },
+    /// Its [`Component::ports`], or what that calls, panicked.
+    #[error("{name} cannot say what its ports are: {panicked}")]
+    Ports {
+        /// The component.
+        name: ObjectName,
+        /// Where, and the panic's text.
+        panicked: String,
     },
     /// A setting makes no sense.
     #[error("{setting} of {name} is {value}: {cure}")]
@@ -258,7 +267,8 @@ impl<C: Component> ChildSpec<C> {
             ));
         }
         let name = ObjectName::new(&self.name)?;
-        let mut ports = Ports::<C>::of();
+        let mut ports = panics::caught(Ports::<C>::of)
+            .map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
         ports.check(&name)?;
         ports.open_beside(self.beside);
         let wanted = |(claimed, policy): &(String, ClaimPolicy)| {

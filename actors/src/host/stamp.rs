@@ -3,7 +3,10 @@
 //! Every store is plain and every stamp has one writer, the thread that runs its component. Who
 //! wants to know since when looks twice.
 
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+use crate::sync::atomic::{
+    AtomicU32, AtomicU64,
+    Ordering::{Acquire, Relaxed, Release},
+};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -37,10 +40,10 @@ pub(crate) struct StampReading {
 }
 
 impl Stamp {
-    /// One writer only, so a plain store does.
+    /// One writer only, so a plain store does. It comes after the label's, also for those who read.
     #[inline]
     pub(crate) fn step(&self) {
-        self.turn.store(self.turn.load(Relaxed) + 1, Relaxed);
+        self.turn.store(self.turn.load(Relaxed) + 1, Release);
     }
 
     /// Something is in service.
@@ -84,7 +87,8 @@ impl Stamp {
 
     pub(crate) fn read(&self) -> StampReading {
         StampReading {
-            turn: self.turn.load(Relaxed),
+            // First, so that the label is of this turn or of a later one: see `step`.
+            turn: self.turn.load(Acquire),
             alive: self.alive.load(Relaxed),
             incarnation: self.incarnation.load(Relaxed),
             during: self.during.load(Relaxed),

@@ -42,6 +42,7 @@ use crate::guardian::Guardian;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
 use crate::registry::{Registry, RemoteDoors};
+use crate::remote_watch;
 use crate::topic::Topics;
 use actix::prelude::*;
 use actix_rt::ArbiterHandle;
@@ -247,6 +248,7 @@ pub(crate) fn start(
     sessions.do_send(AddGateway(gateway.clone().recipient()));
     let remote: Arc<dyn RemoteDoors> = doors.clone();
     environment.registry.connect(node, Some(remote));
+    remote_watch::serve(&environment.registry);
 
     let (mut watched, mut grounds) = (Vec::new(), Vec::new());
     let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {

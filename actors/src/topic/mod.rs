@@ -23,6 +23,7 @@ pub(crate) use hub::Listening;
 use crate::component::Component;
 use crate::host::anchor::Anchor;
 use crate::host::environment::Reports;
+use crate::host::life::LifeToken;
 use crate::host::office::DeadLetterOffice;
 use crate::host::pulse;
 use crate::lane::Pushed;
@@ -40,6 +41,7 @@ use std::panic::{AssertUnwindSafe, Location, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tracing::error;
 
 /// Says whether a listener wants an event.
 pub(crate) type Condition<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
@@ -236,17 +238,21 @@ impl<E: Event> AnyTopic for Topic<E> {
 
     fn inject(&self, form: usize, event: &Bytes, age: Duration) -> Result<(), Why> {
         let former = form.checked_sub(1).and_then(|place| self.former.get(place));
-        let read = match former {
+        // To read it runs what is the user's, on the network's thread.
+        let read = panics::caught(|| match former {
             None => codec::decode_shared::<E>(event),
             Some(former) => former.read(event),
-        };
-        match read {
+        });
+        if let Err(panicked) = &read {
+            error!(topic = &*self.key.topic, contract = E::NAME, "to read an event {panicked}");
+        }
+        match read.and_then(|read| read.map_err(|error| error.to_string())) {
             Ok(event) => {
                 self.spread(event, arrived_posting_time::<E>(age));
                 Ok(())
             }
-            Err(error) => {
-                let why = Why::Undecodable { reason: error.to_string() };
+            Err(reason) => {
+                let why = Why::Undecodable { reason };
                 self.bury(&why);
                 Err(why)
             }
@@ -351,7 +357,7 @@ impl Topics {
     /// A way to publish on the topic of this name.
     #[track_caller]
     pub(crate) fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
-        Ok(Publisher { topic: self.topic(topic, Location::caller())? })
+        Ok(Publisher { topic: self.topic(topic, Location::caller())?, life: None })
     }
 
     /// Ships every event that is published here on this topic, from now on, also if the topic does
@@ -426,13 +432,19 @@ pub(crate) struct ForwardId {
 }
 
 /// A way to publish events on one topic.
+///
+/// A publisher that a component got from its [`Context`](crate::Context) belongs to that incarnation of
+/// the component, also when it is moved to a thread or a blocking task: once the incarnation has ended,
+/// [`publish`](Self::publish) fails with [`Why::Fenced`].
 pub struct Publisher<E: Event> {
     topic: Arc<Topic<E>>,
+    /// The incarnation that publishes, if it is a component's.
+    life: Option<Arc<LifeToken>>,
 }
 
 impl<E: Event> Clone for Publisher<E> {
     fn clone(&self) -> Self {
-        Publisher { topic: self.topic.clone() }
+        Publisher { topic: self.topic.clone(), life: self.life.clone() }
     }
 }
 
@@ -443,19 +455,35 @@ impl<E: Event> fmt::Debug for Publisher<E> {
 }
 
 impl<E: Event> Publisher<E> {
+    /// The same, for as long as this incarnation of a component lasts.
+    pub(crate) fn of(mut self, life: Arc<LifeToken>) -> Self {
+        self.life = Some(life);
+        self
+    }
+
     /// Hands the event to everyone who listens and wants it. Never waits.
     ///
     /// # Errors
-    /// [`Why::Fenced`] or [`Why::Isolated`] if the component that publishes must not speak; the event
-    /// comes back.
+    /// [`Why::Fenced`] if the component that publishes is fenced off, or the incarnation that made this
+    /// publisher has ended; [`Why::Isolated`] if the component is isolated. The event comes back, and is
+    /// not counted among the dead letters.
     #[inline]
     pub fn publish(&self, event: E) -> Result<(), SendError<E>> {
-        match pulse::forbidden() {
+        let ended = || self.life.as_ref().and_then(|life| life.forbidden());
+        match pulse::forbidden().or_else(ended) {
             Some(why) => Err(SendError { why, message: event }),
             None => {
                 self.topic.publish(event);
                 Ok(())
             }
+        }
+    }
+
+    /// The same, where the refusal cannot be returned: it is counted among the dead letters under the
+    /// topic's name.
+    pub(crate) fn publish_or_count(&self, event: E) {
+        if let Err(refused) = self.publish(event) {
+            self.topic.bury(&refused.why);
         }
     }
 }

@@ -264,11 +264,24 @@ impl Store {
 
     fn watch(&self, variable: VariableKey, after: u64, answer: Answer<Access>) {
         let mut inner = self.lock();
+        // Those whose life has ended went without a word.
+        let gone = inner.waiting.iter().filter(|(_, answer)| !answer.is_wanted());
+        let gone: Vec<u64> = gone.map(|(watcher, _)| *watcher).collect();
+        for watcher in gone {
+            inner.waiting.remove(&watcher);
+            inner.machine.handle_gone(watcher);
+        }
         inner.next += 1;
         let watcher = inner.next;
         inner.waiting.insert(watcher, answer);
         inner.machine.handle_watch(watcher, variable, after, platform::now());
         self.answer(inner);
+    }
+
+    /// How many wait for a change.
+    #[cfg(test)]
+    pub(crate) fn watchers(&self) -> usize {
+        self.lock().waiting.len()
     }
 
     /// Changes something. Where values are kept, whoever wanted it is answered when it is on the disk.

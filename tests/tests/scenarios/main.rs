@@ -31,3 +31,4 @@ mod throwers;
 mod tree;
 mod two_types;
 mod variables;
+mod watching;

@@ -281,9 +281,10 @@ impl Handle<News> for Puppet {
 
 impl Handle<Down> for Puppet {
     async fn handle(&mut self, down: Down, cx: &mut Context<Self>) {
-        let Down { object, incarnation, ending } = down;
+        let Down { object, node, incarnation, ending } = down;
         let (me, life) = (self.name, cx.incarnation());
-        self.strings.write(format!("{me}{life} mourns {object}{incarnation}: {ending:?}"));
+        let node = node.map(|node| format!("{node}:")).unwrap_or_default();
+        self.strings.write(format!("{me}{life} mourns {node}{object}{incarnation}: {ending:?}"));
     }
 }
 

@@ -1,6 +1,7 @@
 //! Things of the user's that panic where nobody expects it: in `Drop`, while stopping.
 
 use crate::puppet::{Deed, Note, Pull, Strings, ask, life, strike};
+use blastema::SpecError;
 use blastema::core::dead_letters::DeadReason;
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
@@ -123,7 +124,7 @@ async fn messages_whose_drop_panics_are_counted_when_their_receiver_ends() {
     let builder = Node::builder("module1")
         .child(ChildSpec::new("depot", || Depot).queue(2, WhenFull::DropOldest))
         .child(strings.spec("arm"));
-    let node = TestNode::start(builder).await;
+    let mut node = TestNode::start(builder).await;
     let bombs = node.sender("depot").unwrap();
 
     bombs.tell(Bomb { armed: false }).unwrap();
@@ -135,6 +136,8 @@ async fn messages_whose_drop_panics_are_counted_when_their_receiver_ends() {
     let letters = node.dead_letters();
     assert_eq!(letters.count(&name, DeadReason::Full), 3);
     assert_eq!(letters.count(&name, DeadReason::Stopped), 2);
+    let fault = node.await_fault(FaultKind::CheckFailed, "depot").await;
+    assert!(fault.detail.starts_with("the Drop of a message of test/bomb"), "{}", fault.detail);
     assert_eq!(life(&node, "arm").await, 1);
     assert_eq!(node.state(), NodeState::Running);
 }
@@ -162,4 +165,135 @@ async fn a_message_that_killed_three_lives_is_quarantined_and_no_other() {
     let other = ask(&node, "arm", Deed::Panic("poison".into())).await.expect_err("it kills");
     assert!(matches!(other.why, Why::PeerDied { .. }));
     node.sender("arm").unwrap().tell(Note(1)).unwrap();
+}
+
+struct Rash;
+
+impl Component for Rash {
+    fn ports(_: &mut Ports<Self>) {
+        panic!("no ports today");
+    }
+}
+
+#[blastema_testkit::test]
+async fn ports_that_panic_are_an_error_that_names_the_component() {
+    let builder = Node::builder("module1").child(ChildSpec::new("rash", || Rash));
+    let Err(refused) = TestNode::try_start(builder).await else { panic!("it has no ports") };
+    let text = refused.to_string();
+    assert!(text.contains("rash") && text.contains("no ports today"), "{text}");
+    assert!(text.contains("throwers.rs"), "{text}");
+
+    let strings = Strings::default();
+    let node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
+    let refused = node.add_child(ChildSpec::new("rash", || Rash)).await.expect_err("no ports");
+    assert!(matches!(refused, SpecError::Ports { name, .. } if name.as_str() == "rash"));
+    assert_eq!(life(&node, "arm").await, 1);
+    node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn a_component_whose_drop_panics_after_an_orderly_end_is_named_and_replaced() {
+    let strings = Strings::default();
+    let builder = Node::builder("module1").child(strings.spec("arm")).child(strings.spec("hand"));
+    let mut node = TestNode::start(builder).await;
+    strings.pull("hand", "drop", Pull::Panic("while it goes"));
+
+    ask(&node, "hand", Deed::Stop).await.unwrap();
+    let fault = node.await_fault(FaultKind::CheckFailed, "hand").await;
+
+    let detail = &fault.detail;
+    assert!(detail.starts_with("the Drop of the component panicked at"), "{detail}");
+    assert!(detail.ends_with("while it goes"), "{detail}");
+    node.advance(Duration::from_secs(1)).await;
+    assert_eq!((life(&node, "hand").await, life(&node, "arm").await), (2, 1));
+}
+
+/// Holds bombs in tasks and timers.
+struct Arsenal;
+
+impl Component for Arsenal {
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let hour = Duration::from_secs(3600);
+        for _ in 0..2 {
+            let (one, two, three) = (armed(), armed(), armed());
+            cx.every(hour, move |_, _| drop(one.clone()));
+            cx.after(hour, move |_, _| drop(two));
+            cx.spawn(async move {
+                tokio::time::sleep(hour).await;
+                drop(three);
+            });
+        }
+        Ok(())
+    }
+}
+
+fn armed() -> Bomb {
+    Bomb { armed: true }
+}
+
+#[blastema_testkit::test]
+async fn timers_and_tasks_whose_drops_panic_end_with_their_life_and_are_named() {
+    let strings = Strings::default();
+    let builder = Node::builder("module1")
+        .child(ChildSpec::new("arsenal", || Arsenal))
+        .child(strings.spec("arm"));
+    let mut node = TestNode::start(builder).await;
+
+    node.remove_child("arsenal").await.unwrap();
+
+    let fault = node.await_fault(FaultKind::CheckFailed, "arsenal").await;
+    assert!(fault.detail.ends_with("boom"), "{}", fault.detail);
+    assert_eq!(life(&node, "arm").await, 1);
+    assert_eq!(node.state(), NodeState::Running);
+}
+
+/// A reply that explodes where nobody takes it.
+#[derive(Clone, Debug, Structure)]
+struct Shell {
+    armed: bool,
+}
+
+impl Drop for Shell {
+    fn drop(&mut self) {
+        if self.armed && !std::thread::panicking() {
+            panic!("a dud");
+        }
+    }
+}
+
+#[derive(Clone, Debug, Request)]
+#[contract(name = "test/fetch", reply = Shell)]
+struct Fetch;
+
+struct Magazine;
+
+impl Component for Magazine {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Fetch>();
+    }
+}
+
+impl Handle<Fetch> for Magazine {
+    async fn handle(&mut self, _: Fetch, _: &mut Context<Self>) -> Shell {
+        tokio::time::sleep(Duration::from_millis(500)).await;
+        Shell { armed: true }
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_reply_whose_drop_panics_when_nobody_waits_is_the_callees_panic() {
+    let strings = Strings::default();
+    let builder = Node::builder("module1")
+        .child(ChildSpec::new("magazine", || Magazine))
+        .child(strings.spec("arm"));
+    let mut node = TestNode::start(builder).await;
+
+    let fetch = node.sender::<Fetch>("magazine").unwrap();
+    let late = fetch.ask_within(Fetch, Duration::from_millis(100)).await.expect_err("too slow");
+    assert_eq!(late.why, Why::DeadlinePassed);
+
+    let fault = node.await_fault(FaultKind::Panic, "magazine").await;
+    assert!(fault.detail.starts_with("a dud"), "{}", fault.detail);
+    node.await_recovered(FaultKind::Panic, "magazine").await;
+    assert_eq!(life(&node, "arm").await, 1);
 }

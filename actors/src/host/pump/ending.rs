@@ -3,17 +3,17 @@
 use super::{Pump, Service};
 use crate::component::Component;
 use crate::death_watch::{Down, Ending};
+use crate::host::anchor::Blame;
 use crate::host::course::{Course, End};
 use crate::host::label;
-use crate::host::life::Life;
+use crate::host::life::{Life, Wishes};
 use crate::host::pump::outbox::Notice;
-use crate::panics::{self, Guarded};
+use crate::panics;
 use crate::platform;
 use blastema_contract::child::{ChildEvent, StandingOrder};
 use blastema_contract::reports::{Exit, Exited};
 use blastema_core::{Incarnation, Lifecycle, Why};
 use std::any::Any;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::rc::Rc;
 
 impl<C: Component> Pump<C> {
@@ -33,8 +33,14 @@ impl<C: Component> Pump<C> {
     /// This life has ended by a panic. Begins the next one where a standing order says so.
     #[cold]
     pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
-        let exit =
-            Exit::Panicked { text: panics::text_of(payload), at: panics::take_place(), during };
+        let at = panics::take_place();
+        let text = panics::text_of(payload);
+        if self.over {
+            // The life has one end, and its report waits in the outbox: another condition of the
+            // component panicked before the pump had its turn.
+            return;
+        }
+        let exit = Exit::Panicked { text, at, during };
         if self.slot.stamp.is_busy() {
             self.slot.stamp.step();
         }
@@ -45,7 +51,7 @@ impl<C: Component> Pump<C> {
             self.anchor.record.blame(incarnation);
             self.anchor.record.bury(contract, &Why::PeerDied { incarnation });
         }
-        self.bury();
+        self.bury(Blame::Log);
         let restarted_as = self.may_restart().then(|| incarnation.next());
         let mine = match restarted_as {
             Some(next) => self.anchor.lane.pass_on(incarnation, next),
@@ -98,7 +104,7 @@ impl<C: Component> Pump<C> {
         }
         let object = record.name.clone();
         let ending = Ending::from(&exit);
-        record.mourners.tell(&Down { object: object.clone(), incarnation, ending });
+        record.mourners.tell(&Down { object: object.clone(), node: None, incarnation, ending });
         let event = match (&exit, self.course.is_starting() && restarted_as.is_none()) {
             (Exit::Stopped, _) => ChildEvent::Stopped,
             (Exit::Panicked { text, at, .. }, true) => {
@@ -121,7 +127,7 @@ impl<C: Component> Pump<C> {
         let incarnation = self.life.incarnation;
         self.over = true;
         self.life.token.end();
-        self.bury();
+        self.bury(if end == End::Fatal { Blame::Log } else { Blame::Fault });
         let exit = match end {
             End::Stopped => {
                 self.anchor.end_by(incarnation);
@@ -145,14 +151,28 @@ impl<C: Component> Pump<C> {
     }
 
     /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
-    pub(super) fn bury(&mut self) {
+    pub(super) fn bury(&mut self, blame: Blame) {
+        self.followed = false;
+        self.dispose_service(blame);
+        let record = &self.anchor.record;
+        let Wishes { tasks, timers, .. } = self.life.take_wishes();
+        let fresh = timers.into_iter().map(|(_, _, action)| action);
+        fresh.for_each(|action| record.dispose("a timer", action, blame));
+        tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
+        let (tasks, timers) = self.chores.clear();
+        timers.into_iter().for_each(|action| record.dispose("a timer", action, blame));
+        tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
+        record.dispose("the component", self.home.take(), blame);
+    }
+
+    /// Drops what was in service, and what it was kept in.
+    pub(super) fn dispose_service(&mut self, blame: Blame) {
         let service = std::mem::replace(&mut self.service, Service::Idle);
         let nests = std::mem::take(&mut self.nests);
-        self.followed = false;
-        dispose((service, nests));
-        dispose(self.chores.clear());
-        dispose(self.life.take_wishes());
-        dispose(self.home.take());
+        let record = &self.anchor.record;
+        record.dispose("what it was serving", service, blame);
+        // One by one: a second panic while unwinding from the first would end the process.
+        nests.into_iter().for_each(|nested| record.dispose("what it was serving", nested, blame));
     }
 
     /// Somebody gave this life up and begins, or has begun, the next.
@@ -160,12 +180,14 @@ impl<C: Component> Pump<C> {
         self.life.token.has_ended() && !self.over
     }
 
-    /// Ends without a word, after having been given up.
+    /// Ends without a report, after having been given up. Who gave this life up knows of its end, but
+    /// perhaps not yet of those before it.
     pub(super) fn leave(&mut self) {
         self.over = true;
-        let _guarded = Guarded::enter();
-        self.bury();
-        self.outbox.clear();
+        self.bury(Blame::Log);
+        let present = self.life.incarnation;
+        self.outbox.retain(|notice| notice.is_death_before(present));
+        self.flush();
         if self.pulse.is_lost() {
             self.seat.return_late();
         } else {
@@ -176,7 +198,8 @@ impl<C: Component> Pump<C> {
     /// The future is dropped: after its end, or because its arbiter goes away.
     pub(super) fn drop_before_the_end(&mut self) {
         if self.over {
-            return;
+            // It may have ended at a hub, and the arbiter goes away before the pump's next turn.
+            return self.flush();
         }
         if self.is_abandoned() {
             return self.leave();
@@ -185,17 +208,9 @@ impl<C: Component> Pump<C> {
         self.over = true;
         self.life.token.end();
         self.anchor.record.blame(incarnation);
-        self.bury();
+        self.bury(Blame::Log);
         self.anchor.lane.leave(incarnation);
         self.report_exit(incarnation, Exit::Aborted, None);
         self.flush();
-    }
-}
-
-/// Drops a thing whose `Drop` is the user's.
-pub(super) fn dispose<T>(thing: T) {
-    let _guarded = Guarded::enter();
-    if let Err(payload) = catch_unwind(AssertUnwindSafe(move || drop(thing))) {
-        panics::text_of(payload); // What was thrown is the user's too.
     }
 }

@@ -11,10 +11,9 @@ mod shared;
 
 pub(crate) use shared::{SharedPump, local};
 
-use ending::dispose;
 use outbox::Notice;
 
-use super::anchor::{Anchor, Seated};
+use super::anchor::{Anchor, Blame, Seated};
 use super::arbiters::Seat;
 use super::chores::{Chore, Chores};
 use super::course::{Course, End, Hook, News, Step};
@@ -562,9 +561,7 @@ impl<C: Component> Pump<C> {
         }
         self.anchor.record.blame(self.life.incarnation);
         self.followed = false;
-        let service = std::mem::replace(&mut self.service, Service::Idle);
-        let nests = std::mem::take(&mut self.nests);
-        dispose((service, nests));
+        self.dispose_service(Blame::Log);
         self.slot.stamp.step();
     }
 }

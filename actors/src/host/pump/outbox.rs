@@ -42,6 +42,11 @@ impl Notice {
             Notice::Child(_, of) => *of > incarnation,
         }
     }
+
+    /// A life before this one ended by itself.
+    pub(super) fn is_death_before(&self, incarnation: Incarnation) -> bool {
+        matches!(self, Notice::Exited(exited) if exited.incarnation < incarnation)
+    }
 }
 
 fn tell<M>(recipient: Option<&Recipient<M>>, message: M)

@@ -5,12 +5,15 @@ mod busy;
 mod chores;
 mod death;
 mod doorway;
+mod fencing;
 mod hang;
 mod lifecycle;
 mod plain_actors;
+mod reporting;
 mod serving;
 mod subscriptions;
 mod topics;
+mod watching;
 
 use super::arbiters::Arbiters;
 use super::environment::{HostEnvironment, Reports};

@@ -200,3 +200,123 @@ fn who_is_older_than_the_sender_is_refused_with_the_difference_on_both_sides() {
         assert_eq!(lost, 3, "also those that were under way when the first was found to differ");
     });
 }
+
+/// The first release of what cannot convert thirteen.
+mod frail_one {
+    use crate::{Event, Request};
+
+    #[derive(Clone, Debug, PartialEq, Event)]
+    #[contract(name = "frail")]
+    pub(super) struct Frail(pub(super) u32);
+
+    #[derive(Clone, Debug, PartialEq, Request)]
+    #[contract(name = "brittle", reply = u32)]
+    pub(super) struct Brittle(pub(super) u32);
+}
+
+/// The second.
+mod frail_two {
+    use super::frail_one;
+    use crate::{Event, Request, Structure};
+
+    #[derive(Clone, Debug, PartialEq, Event)]
+    #[contract(name = "frail", version = 2, from = frail_one::Frail)]
+    pub(super) struct Frail {
+        pub(super) n: u64,
+    }
+
+    impl From<frail_one::Frail> for Frail {
+        fn from(frail_one::Frail(n): frail_one::Frail) -> Self {
+            assert!(n != 13, "thirteen has no like");
+            Frail { n: n.into() }
+        }
+    }
+
+    #[derive(Clone, Debug, PartialEq, Structure)]
+    pub(super) struct Splinter {
+        pub(super) n: u32,
+    }
+
+    #[derive(Clone, Debug, PartialEq, Request)]
+    #[contract(name = "brittle", version = 2, from = frail_one::Brittle, reply = Splinter)]
+    pub(super) struct Brittle {
+        pub(super) n: u32,
+    }
+
+    impl From<frail_one::Brittle> for Brittle {
+        fn from(frail_one::Brittle(n): frail_one::Brittle) -> Self {
+            assert!(n != 13, "thirteen has no like");
+            Brittle { n }
+        }
+    }
+
+    impl From<Splinter> for u32 {
+        fn from(splinter: Splinter) -> Self {
+            assert!(splinter.n != 14, "nor has fourteen");
+            splinter.n
+        }
+    }
+}
+
+struct Glass(Log);
+
+impl Component for Glass {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<frail_two::Frail>().serve::<frail_two::Brittle>();
+        let _ = ports.listen::<frail_two::Frail>();
+    }
+}
+
+impl Handle<frail_two::Frail> for Glass {
+    async fn handle(&mut self, frail: frail_two::Frail, _: &mut Context<Self>) {
+        self.0.0.lock().unwrap().push(frail.n);
+    }
+}
+
+impl Handle<frail_two::Brittle> for Glass {
+    async fn handle(
+        &mut self,
+        frail_two::Brittle { n }: frail_two::Brittle,
+        _: &mut Context<Self>,
+    ) -> frail_two::Splinter {
+        frail_two::Splinter { n }
+    }
+}
+
+#[test]
+fn a_conversion_that_panics_is_the_receivers_fault_and_costs_that_message_alone() {
+    paused(async {
+        let (_robot, left, right) = pair().await;
+        let log = Log::default();
+        let kept = log.clone();
+        let _glass = live(&right, ChildSpec::new("glass", move || Glass(kept.clone()))).await;
+        let glass = left.sender::<frail_one::Frail>("right:glass");
+        let brittle = left.sender::<frail_one::Brittle>("right:glass");
+        let topic = left.host.topics.publisher::<frail_one::Frail>("frail").unwrap();
+
+        [1, 13, 2].into_iter().for_each(|n| glass.tell(frail_one::Frail(n)).unwrap());
+        advance(50 * MS).await;
+        [3, 13, 4].into_iter().for_each(|n| topic.publish(frail_one::Frail(n)).unwrap());
+        advance(50 * MS).await;
+        assert_eq!(log.take(), [1, 2, 3, 4]);
+        for n in [13, 14] {
+            let refused = brittle.ask(frail_one::Brittle(n)).await.unwrap_err().why;
+            let Why::Undecodable { reason } = &refused else { panic!("{refused}") };
+            assert!(reason.contains("versions.rs"), "{reason}");
+        }
+        assert_eq!(brittle.ask(frail_one::Brittle(5)).await, Ok(5));
+
+        assert!(right.exits.drain().is_empty(), "nothing of the middleware died");
+        let declared = right.declared.drain();
+        assert_eq!(declared.len(), 3, "{declared:?}");
+        for fault in declared {
+            assert_eq!(fault.object.as_str(), "glass");
+            assert_eq!(fault.kind, FaultKind::CheckFailed);
+        }
+        let count = |name| {
+            let name = ObjectName::new(name).unwrap();
+            right.host.dead_letters.count(&name, DeadReason::Undecodable)
+        };
+        assert_eq!((count("glass"), count("frail")), (2, 1));
+    });
+}

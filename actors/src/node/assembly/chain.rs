@@ -135,6 +135,7 @@ pub(super) fn make_chain(
         guardian.start(named("keeper"), place, move |_: &mut Context<Keeper>| Keeper::new(setup));
 
     let (directory, registry) = (Directory::default(), Registry::default());
+    registry.watch_in(guardian.watched());
     let router = Arc::<OnceLock<_>>::default();
     let tools = Tools::new(ToolBox {
         node: node.clone(),

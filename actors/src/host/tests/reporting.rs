@@ -1,0 +1,130 @@
+//! Every death is reported, also where a second panic follows before the first was reported.
+
+use super::{Log, Stage, logged, order};
+use crate::host::arbiters::Arbiters;
+use crate::{ChildSpec, Component, Context, Event, Handle, Incarnation, Ports};
+use blastema_contract::child::ChildEvent;
+use blastema_contract::reports::Exit;
+use blastema_doubles::{paused, settle};
+
+#[derive(Clone, Debug, PartialEq, Event)]
+struct Sample(u64);
+
+/// Its conditions panic on every sample above a hundred.
+struct Picky(Log);
+
+fn small(Sample(n): &Sample) -> bool {
+    assert!(*n <= 100, "{n} is too large");
+    true
+}
+
+impl Component for Picky {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Sample>().only_if(small);
+        ports.listen::<Sample>().on("other").only_if(small);
+    }
+}
+
+impl Handle<Sample> for Picky {
+    async fn handle(&mut self, Sample(n): Sample, _: &mut Context<Self>) {
+        self.0.lock().unwrap().push(n);
+    }
+}
+
+fn picky(name: &str) -> (ChildSpec<Picky>, Log) {
+    let log = Log::default();
+    let kept = log.clone();
+    (ChildSpec::new(name, move || Picky(kept.clone())), log)
+}
+
+fn publish(stage: &Stage, topic: &str, n: u64) {
+    stage.environment.topics.publisher(topic).unwrap().publish(Sample(n)).unwrap();
+}
+
+#[test]
+fn a_condition_that_panics_on_each_event_of_a_batch_is_one_reported_death() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, log) = picky("picky");
+        let (mut child, _) = stage.start(spec).await;
+
+        (101..=105).for_each(|n| publish(&stage, "other", n));
+        publish(&stage, <Sample as blastema_core::Contract>::NAME, 101);
+        publish(&stage, <Sample as blastema_core::Contract>::NAME, 102);
+        settle().await;
+
+        let exits = stage.exits.drain();
+        assert_eq!(exits.len(), 1, "{exits:?}");
+        assert_eq!(exits[0].restarted_as, None);
+        let Exit::Panicked { during, .. } = exits[0].exit else { panic!("{exits:?}") };
+        assert_eq!(during, "a condition of a subscription");
+        let reports = stage.reports.drain();
+        assert!(matches!(reports[..], [ref only] if matches!(only.event, ChildEvent::Died { .. })));
+
+        assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
+        publish(&stage, "other", 1);
+        settle().await;
+        assert_eq!(logged(&log), [1]);
+    });
+}
+
+#[test]
+fn each_life_that_a_condition_ends_within_a_batch_is_reported() {
+    paused(async {
+        let stage = Stage::new();
+        let (mut child, _) = stage.start(picky("picky").0).await;
+        child.standing_order(order(2));
+
+        (101..=104).for_each(|n| publish(&stage, "other", n));
+        settle().await;
+
+        let exits = stage.exits.drain();
+        let lives: Vec<_> = exits.iter().map(|e| (e.incarnation.0, e.restarted_as)).collect();
+        let next = |n| Some(Incarnation(n));
+        assert_eq!(lives, [(1, next(2)), (2, next(3)), (3, None)]);
+        let died = |event: &ChildEvent| {
+            matches!(event, ChildEvent::Died { .. } | ChildEvent::StartFailed { .. })
+        };
+        let reports = stage.reports.drain();
+        assert_eq!(reports.iter().filter(|report| died(&report.event)).count(), 3, "{reports:?}");
+    });
+}
+
+#[test]
+fn a_life_that_is_given_up_leaves_the_report_of_the_life_before_it() {
+    paused(async {
+        let stage = Stage::new();
+        let (mut child, picky) = stage.start(picky("picky").0).await;
+        child.standing_order(order(5));
+        let pump = crate::host::pump::local(&picky.0).unwrap().upgrade().unwrap();
+
+        // On the spot, before the pump has its turn.
+        pump.borrow_mut().die_of(Box::new("in a condition"), "a condition of a subscription");
+        child.abandon();
+        settle().await;
+
+        let exits = stage.exits.drain();
+        let lives: Vec<_> = exits.iter().map(|e| (e.incarnation.0, e.restarted_as)).collect();
+        assert_eq!(lives, [(1, Some(Incarnation(2)))], "the second was given up, not the first");
+    });
+}
+
+#[test]
+fn a_death_at_a_hub_is_reported_though_the_arbiter_goes_away_before_the_pumps_turn() {
+    let system = actix_rt::System::new();
+    system.block_on(async {
+        let stage = Stage::on(Arbiters::pool(1));
+        let (_child, picky) = stage.start(picky("picky").0).await;
+        let anchor = picky.0.clone();
+        let seat = anchor.record.seat().unwrap().seat;
+
+        seat.handle.spawn_fn(move || {
+            let pump = crate::host::pump::local(&anchor).unwrap().upgrade().unwrap();
+            pump.borrow_mut().die_of(Box::new("in a condition"), "a condition of a subscription");
+            actix_rt::Arbiter::current().stop();
+        });
+
+        let exited = stage.exits.expect().await;
+        assert!(matches!(exited.exit, Exit::Panicked { .. }), "{exited:?}");
+    });
+}

@@ -1,0 +1,247 @@
+//! Death watch: no notice is lost to a full queue, and no watch outlives who asked for it.
+
+use super::{Acc, Boom, Stage, acc, boom, order};
+use crate::lane::WhenFull;
+use crate::{
+    ActorRef, ChildSpec, Component, Context, Down, Ending, Event, Failure, Handle, Incarnation,
+    Ports, Variable, VariableSpec,
+};
+use blastema_contract::child::ChildEvent;
+use blastema_doubles::{advance, paused, settle};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// Keeps its queue full.
+#[derive(Clone, Debug, PartialEq, Event)]
+struct Chatter(u64);
+
+/// Is published by each life.
+#[derive(Clone, Debug, PartialEq, Event)]
+struct Born(u64);
+
+/// Is watched by each life.
+#[derive(Clone, Debug, PartialEq, Variable)]
+struct Mood(u64);
+
+#[derive(Clone, Debug, PartialEq)]
+enum Told {
+    Down(String, u64, Ending),
+    Chatter(u64),
+}
+
+/// Watches these from its first hook on, and takes a second for every message.
+struct Widow {
+    watched: Vec<String>,
+    told: Arc<Mutex<Vec<Told>>>,
+}
+
+impl Component for Widow {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Chatter>();
+        ports.listen::<Born>();
+        ports.variable(VariableSpec::new(Mood(0)));
+    }
+
+    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        for name in &self.watched {
+            cx.watch(name).map_err(|error| error.to_string())?;
+        }
+        cx.publish(Born(cx.incarnation().0));
+        let own = cx.name().to_string();
+        let mut mood = cx.variable::<Mood>(&own).map_err(|why| why.to_string())?.watch();
+        cx.spawn(async move { while mood.next().await.is_ok() {} });
+        Ok(())
+    }
+}
+
+impl Handle<Chatter> for Widow {
+    async fn handle(&mut self, Chatter(n): Chatter, _: &mut Context<Self>) {
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        self.told.lock().unwrap().push(Told::Chatter(n));
+    }
+}
+
+impl Handle<Born> for Widow {
+    async fn handle(&mut self, _: Born, _: &mut Context<Self>) {}
+}
+
+impl Handle<Down> for Widow {
+    async fn handle(&mut self, down: Down, _: &mut Context<Self>) {
+        let told = Told::Down(down.object.to_string(), down.incarnation.0, down.ending);
+        self.told.lock().unwrap().push(told);
+    }
+}
+
+impl Handle<Boom> for Widow {
+    async fn handle(&mut self, Boom(text): Boom, _: &mut Context<Self>) {
+        panic!("{text}")
+    }
+}
+
+fn widow(name: &str, watched: &[&str]) -> (ChildSpec<Widow>, Arc<Mutex<Vec<Told>>>) {
+    let told = Arc::<Mutex<Vec<_>>>::default();
+    let (kept, watched) = (told.clone(), watched.iter().map(|name| (*name).to_owned()));
+    let watched: Vec<_> = watched.collect();
+    let make = move || Widow { watched: watched.clone(), told: kept.clone() };
+    (ChildSpec::new(name, make), told)
+}
+
+fn taken(told: &Mutex<Vec<Told>>) -> Vec<Told> {
+    std::mem::take(&mut *told.lock().unwrap())
+}
+
+#[test]
+fn a_full_queue_loses_no_notice_whatever_its_policy() {
+    for policy in [WhenFull::Refuse, WhenFull::DropOldest, WhenFull::DropNewest, WhenFull::Wait] {
+        paused(async {
+            let stage = Stage::new();
+            let (mut one, acc_one) = stage.start::<Acc>(acc("one").0).await;
+            let (mut two, acc_two) = stage.start::<Acc>(acc("two").0).await;
+            one.standing_order(order(5));
+            two.standing_order(order(5));
+            let (spec, told) = widow("widow", &["one", "two"]);
+            let (_widow, widow) = stage.start(spec.queue(1, policy)).await;
+            widow.tell(Chatter(1)).unwrap();
+            settle().await;
+            widow.tell(Chatter(2)).unwrap();
+
+            acc_one.tell(boom("first")).unwrap();
+            acc_two.tell(boom("other")).unwrap();
+            settle().await;
+            acc_one.tell(boom("second")).unwrap();
+            settle().await;
+            assert_eq!(taken(&told), [], "it is busy");
+            advance(Duration::from_millis(1500)).await;
+
+            let told = taken(&told);
+            let [Told::Chatter(1), Told::Down(first, 2, end), Told::Down(other, 1, _)] = &told[..]
+            else {
+                panic!("{policy:?}: {told:?}")
+            };
+            assert_eq!((first.as_str(), other.as_str()), ("one", "two"), "before what waits");
+            assert!(matches!(end, Ending::Panicked { text, .. } if text == "second"), "{end:?}");
+            assert_eq!(widow.queued(), 0, "Chatter(2) is in service");
+        });
+    }
+}
+
+#[test]
+fn an_isolated_watcher_is_told_when_it_is_let_in_again() {
+    paused(async {
+        let stage = Stage::new();
+        let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
+        child.standing_order(order(5));
+        let (spec, told) = widow("widow", &["arm"]);
+        let (mut watcher, _) = stage.start(spec).await;
+
+        watcher.isolate(true);
+        arm.tell(boom("x")).unwrap();
+        settle().await;
+        assert_eq!(taken(&told), []);
+        watcher.isolate(false);
+        settle().await;
+
+        assert!(matches!(&taken(&told)[..], [Told::Down(of, 1, _)] if of == "arm"));
+    });
+}
+
+#[test]
+fn a_notice_that_was_not_taken_ends_with_the_life_that_watched() {
+    paused(async {
+        let stage = Stage::new();
+        let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
+        child.standing_order(order(5));
+        let (spec, told) = widow("widow", &["arm"]);
+        let (mut watcher, widow) = stage.start(spec).await;
+        watcher.standing_order(order(5));
+        widow.tell(Chatter(1)).unwrap();
+        settle().await;
+
+        arm.tell(boom("x")).unwrap();
+        settle().await;
+        watcher.abandon();
+        assert_eq!(stage.begin(&mut *watcher, 2).await, ChildEvent::Started);
+        settle().await;
+
+        assert_eq!(taken(&told), [], "the second life saw it alive");
+        arm.tell(boom("y")).unwrap();
+        settle().await;
+        assert!(matches!(&taken(&told)[..], [Told::Down(_, 2, _)]));
+    });
+}
+
+/// How many watch this component.
+fn watchers<C: Component>(of: &ActorRef<C>) -> usize {
+    of.0.record.mourners.count()
+}
+
+#[test]
+fn three_hundred_lives_that_watch_listen_and_publish_leave_nothing_behind() {
+    paused(async {
+        let stage = Stage::new();
+        let (_arm, arm) = stage.start::<Acc>(acc("arm").0).await;
+        let interest = Arc::<Mutex<Vec<_>>>::default();
+        let kept = interest.clone();
+        stage.environment.topics.on_interest(Arc::new(move |key, more| {
+            kept.lock().unwrap().push((key.topic.to_string(), more));
+        }));
+        let (spec, _) = widow("widow", &["arm", "widow", "nobody"]);
+        let (mut child, widow) = stage.start(spec).await;
+        child.standing_order(order(1000));
+        settle().await;
+        let before = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
+        // Its variables' store watches the widow too.
+        assert_eq!((before.0, before.1), (1, 2));
+        assert_eq!(stage.environment.variables.watchers(), 1);
+
+        for life in 1..=300 {
+            widow.tell(boom("again")).unwrap();
+            settle().await;
+            assert_eq!(widow.incarnation(), Incarnation(life + 1));
+        }
+
+        let after = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
+        assert_eq!(after, before, "watches, and what holds the component");
+        assert_eq!(stage.environment.variables.watchers(), 1);
+        let told = interest.lock().unwrap().clone();
+        assert_eq!(told, [("Born".to_owned(), true)], "one interest for all lives");
+        assert_eq!(stage.environment.topics.listened().len(), 1);
+    });
+}
+
+/// Watches these two when it is told to.
+struct Mate([&'static str; 2]);
+
+impl Component for Mate {}
+
+impl Handle<Born> for Mate {
+    async fn handle(&mut self, _: Born, cx: &mut Context<Self>) {
+        self.0.iter().for_each(|name| cx.watch(name).unwrap());
+    }
+}
+
+impl Handle<Down> for Mate {
+    async fn handle(&mut self, _: Down, _: &mut Context<Self>) {}
+}
+
+#[test]
+fn two_that_watch_each_other_do_not_keep_each_other() {
+    paused(async {
+        let stage = Stage::new();
+        let spec = |name| ChildSpec::new(name, || Mate(["one", "two"]));
+        let (one, first) = stage.start(spec("one")).await;
+        let (two, second) = stage.start(spec("two")).await;
+        first.tell(Born(1)).unwrap();
+        second.tell(Born(1)).unwrap();
+        settle().await;
+        assert_eq!((watchers(&first), watchers(&second)), (2, 2));
+        let kept = (Arc::downgrade(&first.0), Arc::downgrade(&second.0));
+        drop((first, second));
+
+        drop(one);
+        drop(two);
+        settle().await;
+
+        assert_eq!((kept.0.strong_count(), kept.1.strong_count()), (0, 0));
+    });
+}

@@ -1,0 +1,52 @@
+//! The stamp: one thread writes, and what others read of it belongs together.
+
+use crate::Model;
+use crate::host::stamp::Stamp;
+use loom::thread;
+use std::sync::Arc;
+
+pub(crate) const MODELS: [Model; 2] = [
+    ("stamp: who is seen serving is seen with what it serves, or something later", turn_and_label),
+    ("stamp: turns and signs of life never go back", never_back),
+];
+
+fn turn_and_label() {
+    let stamp = Arc::new(Stamp::default());
+    let worker = {
+        let stamp = stamp.clone();
+        thread::spawn(move || {
+            stamp.begin(7);
+            stamp.step();
+            stamp.begin(8);
+        })
+    };
+
+    let reading = stamp.read();
+
+    match reading.turn {
+        0 => {}
+        1 | 2 => assert!(matches!(reading.during, 7 | 8), "{reading:?}"),
+        _ => assert_eq!(reading.during, 8, "{reading:?}"),
+    }
+    worker.join().expect("it does not panic");
+}
+
+fn never_back() {
+    let stamp = Arc::new(Stamp::default());
+    let worker = {
+        let stamp = stamp.clone();
+        thread::spawn(move || {
+            stamp.begin_life(1);
+            stamp.begin(7);
+            stamp.give_sign();
+            stamp.step();
+        })
+    };
+
+    let (first, second) = (stamp.read(), stamp.read());
+
+    assert!(first.turn <= second.turn && first.alive <= second.alive, "{first:?} {second:?}");
+    worker.join().expect("it does not panic");
+    let last = stamp.read();
+    assert_eq!((last.turn, last.alive, last.incarnation, last.during), (2, 1, 1, 7));
+}

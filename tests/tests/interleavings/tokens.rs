@@ -1,0 +1,92 @@
+//! The token of an incarnation, which fences what it left behind in threads.
+
+use crate::Model;
+use crate::bell;
+use crate::host::life::LifeToken;
+use crate::lane::{Lane, Taken, WhenFull};
+use blastema_core::{Incarnation, Why};
+use loom::thread;
+use std::sync::Arc;
+
+pub(crate) const MODELS: [Model; 3] = [
+    ("token: whoever was told of the end finds the token ended", told_of_the_end),
+    ("token: an end is final, whatever is muted meanwhile", an_end_is_final),
+    ("token: what follows the successor's first message is fenced", fenced_before_the_successor),
+];
+
+fn told_of_the_end() {
+    let token = Arc::new(LifeToken::default());
+    let reports = Arc::new(Lane::<u32>::new(1, WhenFull::Refuse));
+    reports.give_to(Some(Incarnation::FIRST));
+    let pump = {
+        let (token, reports) = (token.clone(), reports.clone());
+        thread::spawn(move || {
+            token.end();
+            reports.push_with(1, |n| n).expect("there is room");
+        })
+    };
+
+    let (bell, waker) = bell();
+    while !matches!(reports.take(Incarnation::FIRST, &waker), Taken::Got(1)) {
+        bell.0.wait();
+    }
+
+    assert_eq!(token.forbidden(), Some(Why::Fenced));
+    pump.join().expect("it does not panic");
+}
+
+fn an_end_is_final() {
+    let token = Arc::new(LifeToken::default());
+    let ending = {
+        let token = token.clone();
+        thread::spawn(move || token.end())
+    };
+    let isolating = {
+        let token = token.clone();
+        thread::spawn(move || {
+            token.mute(true);
+            token.mute(false);
+        })
+    };
+
+    let seen = [token.forbidden(), token.forbidden()];
+
+    if seen[0] == Some(Why::Fenced) {
+        assert_eq!(seen[1], Some(Why::Fenced));
+    }
+    ending.join().expect("it does not panic");
+    isolating.join().expect("it does not panic");
+    assert_eq!(token.forbidden(), Some(Why::Fenced));
+}
+
+/// A thread of the old life that hears of anything that the new one did cannot send any more.
+fn fenced_before_the_successor() {
+    let token = Arc::new(LifeToken::default());
+    let (queue, out) = (lane(), lane());
+    queue.push_with(7, |n| n).expect("there is room");
+    let supervisor = {
+        let (token, queue, out) = (token.clone(), queue.clone(), out.clone());
+        thread::spawn(move || {
+            // As `HostedChild::abandon` and `start` do.
+            queue.leave(Incarnation(1));
+            token.end();
+            queue.give_to(Some(Incarnation(2)));
+            if let Taken::Got(n) = queue.take(Incarnation(2), std::task::Waker::noop()) {
+                out.push_with(n, |n| n).expect("there is room");
+            }
+        })
+    };
+
+    // A thread that the old life started, as a detached sender has it.
+    let heard = matches!(out.take(Incarnation(1), std::task::Waker::noop()), Taken::Got(7));
+    let refused = token.forbidden();
+
+    assert!(!heard || refused == Some(Why::Fenced));
+    supervisor.join().expect("it does not panic");
+}
+
+fn lane() -> Arc<Lane<u32>> {
+    let lane = Lane::new(1, WhenFull::Refuse);
+    lane.give_to(Some(Incarnation(1)));
+    Arc::new(lane)
+}
