@@ -50,6 +50,8 @@ struct Inner<T> {
     queue: VecDeque<T>,
     /// Who may take; `None` between two lives.
     owner: Option<Incarnation>,
+    /// The last life that has owned it.
+    newest: Incarnation,
     stopped: bool,
     parked: Option<Waker>,
     /// Senders that wait for room, in the order in which they came.
@@ -62,6 +64,7 @@ impl<T> Lane<T> {
         let inner = Inner {
             queue: VecDeque::new(),
             owner: None,
+            newest: Incarnation::default(),
             stopped: false,
             parked: None,
             room: VecDeque::new(),
@@ -146,16 +149,19 @@ impl<T> Lane<T> {
         Taken::Got(item)
     }
 
-    /// From now on only `owner` may take. A life that lost the lane is cut off from its input.
-    pub(crate) fn give_to(&self, owner: Option<Incarnation>) {
+    /// From now on only this life may take: `life`, or the one after the last that has owned the lane, so
+    /// that no two have one number. Says which. A life that lost the lane is cut off from its input.
+    pub(crate) fn begin(&self, life: Incarnation) -> Incarnation {
         let mut lane = self.lock();
-        lane.owner = owner;
-        lane.stopped &= owner.is_none();
+        let life = life.max(lane.newest.next());
+        (lane.owner, lane.newest) = (Some(life), life);
+        lane.stopped = false;
         let parked = lane.parked.take();
         drop(lane);
         if let Some(waker) = parked {
             waker.wake();
         }
+        life
     }
 
     /// Passes the lane from one life to the next, unless it already belongs to another.
@@ -164,6 +170,7 @@ impl<T> Lane<T> {
         let mine = lane.owner == Some(from);
         if mine {
             lane.owner = Some(to);
+            lane.newest = lane.newest.max(to);
         }
         mine
     }
@@ -307,7 +314,7 @@ mod tests {
 
     fn lane(capacity: usize, policy: WhenFull) -> Lane<u32> {
         let lane = Lane::new(capacity, policy);
-        lane.give_to(Some(LIFE));
+        lane.begin(LIFE);
         lane
     }
 
@@ -342,8 +349,9 @@ mod tests {
         assert_eq!(push(&lane, 1), Ok(None));
         assert_eq!(push(&lane, 2), Err((2, Why::Restarting)));
 
-        lane.give_to(Some(LIFE));
-        assert_eq!(take(&lane), Some(1));
+        let next = lane.begin(LIFE);
+        assert_eq!(next, LIFE.next(), "no two lives have one number");
+        assert!(matches!(lane.take(next, Waker::noop()), Taken::Got(1)));
     }
 
     #[test]
@@ -351,7 +359,7 @@ mod tests {
         let lane = lane(2, WhenFull::Refuse);
         push(&lane, 1).unwrap();
 
-        lane.give_to(Some(LIFE.next()));
+        lane.begin(LIFE.next());
 
         assert!(matches!(lane.take(LIFE, Waker::noop()), Taken::Retired));
         assert!(!lane.leave(LIFE) && !lane.pass_on(LIFE, LIFE));
@@ -369,10 +377,8 @@ mod tests {
         assert_eq!(lane.stop_by(LIFE), [1]);
         assert_eq!(lane.stop(), [0; 0]);
         assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));
-        lane.give_to(None);
-        assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));
 
-        lane.give_to(Some(LIFE.next()));
+        lane.begin(LIFE.next());
         assert_eq!(push(&lane, 2), Ok(None));
     }
 

@@ -29,6 +29,8 @@ pub(crate) enum Chore {
     ReadyLimit,
     /// It should have ended by now.
     StopLimit,
+    /// What was not there yet may be there now.
+    Retry,
 }
 
 /// What a future of this list came to.
@@ -174,7 +176,7 @@ impl<C: Component> Chores<C> {
         self.timers.retain(|timer| !cancelled.contains(&timer.id));
     }
 
-    /// Sets one of the two limits. One that is set already stays as it is.
+    /// Sets one of the limits. One that is set already stays as it is.
     pub(crate) fn limit(&mut self, limit: Chore, within: Duration) {
         if self.limits.iter().all(|(set, _)| *set != limit) {
             self.fresh = true;

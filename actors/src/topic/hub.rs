@@ -96,7 +96,7 @@ impl<E: Event> Topic<E> {
             return hub;
         }
         let lane = Lane::new(CAPACITY, WhenFull::DropOldest);
-        lane.give_to(Some(OWNER));
+        lane.begin(OWNER);
         let id = NEXT.fetch_add(1, Relaxed);
         let shared = Arc::new(HubLane {
             lane,

@@ -5,6 +5,7 @@ mod chores;
 mod death;
 mod doorway;
 mod hang;
+mod incarnations;
 mod lifecycle;
 mod plain_actors;
 mod serving;
