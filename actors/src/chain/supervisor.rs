@@ -232,7 +232,11 @@ impl Body for Supervisor {
                 self.answer(ticket, Err(GaveUp { object: child, why }));
             }
             SupervisorAction::Refused { child, incarnation, reason } => {
-                self.declare(child, incarnation, FaultKind::UnexpectedExit, reason);
+                self.declare(child.clone(), incarnation, FaultKind::UnexpectedExit, reason);
+                // What waits below for its next life waits in vain.
+                if let Some(child) = self.child(&child) {
+                    child.retire();
+                }
             }
             SupervisorAction::Unavailable { reason } => {
                 warn!(supervisor = %self.name, reason, "its start waits for what is not there yet");
@@ -272,6 +276,7 @@ impl Body for Supervisor {
             SupervisorAction::AllStopped => {
                 if !self.again {
                     self.retire_all();
+                    self.machine.handle_retired();
                 }
                 self.report_state(Lifecycle::Finalized);
                 self.tell_parent(ChildEvent::Stopped);

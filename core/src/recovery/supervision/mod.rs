@@ -179,6 +179,18 @@ impl Supervision {
         self.advance(now);
     }
 
+    /// No life follows the one that has ended: whoever waits for a child to work is told so.
+    pub fn handle_retired(&mut self) {
+        let (work, others) = std::mem::take(&mut self.pending)
+            .into_iter()
+            .partition(|pending: &Pending| pending.wish == Wish::Work);
+        self.pending = others;
+        let work: Vec<Pending> = work;
+        for Pending { ticket, child, .. } in work {
+            self.answer_gave_up(ticket, child, GiveUpReason::NotAtWork);
+        }
+    }
+
     /// Gives all children up at once.
     pub fn handle_forsake(&mut self, now: Instant) {
         self.phase = Phase::Idle;

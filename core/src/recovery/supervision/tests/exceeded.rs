@@ -141,6 +141,21 @@ fn a_supervisor_below_that_is_not_worth_it_any_more_is_left_to_the_recoverer() {
 }
 
 #[test]
+fn who_waits_for_a_supervisor_that_does_not_return_is_told() {
+    let mut rig = Rig::with(Strategy::OneForAll, 0, &[("a", permanent())]);
+    rig.begin();
+    rig.started("a", 1);
+    let escalated = rig.restart("a", Cause::Died, 1);
+    assert_eq!(escalated, ["escalate: a needed more than 0 restarts in 60s"], "its next life says");
+
+    assert_eq!(rig.end(), ["all stopped"]);
+    rig.machine.handle_retired();
+
+    assert_eq!(rig.said(), ["1 gave a up: its supervisor is not at work"]);
+    assert_eq!(rig.restart("a", Cause::Died, 1), ["2 gave a up: its supervisor is not at work"]);
+}
+
+#[test]
 fn a_thousand_children_that_fail_at_once_are_all_replaced() {
     let names: Vec<String> = (0..1000).map(|n| format!("c{n}")).collect();
     let children: Vec<_> = names.iter().map(|name| (name.as_str(), permanent())).collect();
