@@ -130,24 +130,55 @@ pub struct Failure {
     pub reason: String,
     /// This life cannot be saved by a reset.
     pub fatal: bool,
+    /// Something that it needs is not there yet: a life that begins, or resets itself, tries again later.
+    pub unavailable: bool,
 }
 
 impl Failure {
     /// A failure that a reset cannot mend: the component is to be built anew.
     pub fn fatal(reason: impl Into<String>) -> Self {
-        Failure { reason: reason.into(), fatal: true }
+        Failure { reason: reason.into(), fatal: true, unavailable: false }
+    }
+
+    /// Something outside of the component that it needs is not there yet: a device that is not plugged in,
+    /// a server that is still starting.
+    ///
+    /// From `on_initialize`, `on_startup`, `on_activated` and `on_reset` it is no error of the component: the
+    /// same hook of the same life is called again, after 100 ms and then ever later, up to five seconds apart,
+    /// for as long as that takes. The fault *unavailable* (`B22`) stands meanwhile, and no restart is counted.
+    /// From anywhere else it is a failure like any other, which the plan answers by a reset first.
+    ///
+    /// ```
+    /// use blastema::prelude::*;
+    /// use std::fs::File;
+    ///
+    /// struct Laser {
+    ///     port: Option<File>,
+    /// }
+    ///
+    /// impl Component for Laser {
+    ///     async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+    ///         let port = File::open("/dev/ttyUSB0");
+    ///         let port = port.map_err(|error| Failure::unavailable(format!("the laser: {error}")))?;
+    ///         self.port = Some(port);
+    ///         Ok(())
+    ///     }
+    /// }
+    /// ```
+    pub fn unavailable(reason: impl Into<String>) -> Self {
+        Failure { reason: reason.into(), fatal: false, unavailable: true }
     }
 }
 
 impl From<&str> for Failure {
     fn from(reason: &str) -> Self {
-        Failure { reason: reason.into(), fatal: false }
+        Failure { reason: reason.into(), fatal: false, unavailable: false }
     }
 }
 
 impl From<String> for Failure {
     fn from(reason: String) -> Self {
-        Failure { reason, fatal: false }
+        Failure { reason, fatal: false, unavailable: false }
     }
 }
 

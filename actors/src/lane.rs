@@ -62,6 +62,8 @@ struct Inner<T> {
     notices: VecDeque<(Box<str>, T)>,
     /// Who may take; `None` between two lives.
     owner: Option<Incarnation>,
+    /// The last life that has owned it.
+    newest: Incarnation,
     stopped: bool,
     parked: Option<Waker>,
     /// Senders that wait for room, in the order in which they came.
@@ -75,6 +77,7 @@ impl<T> Lane<T> {
             queue: VecDeque::new(),
             notices: VecDeque::new(),
             owner: None,
+            newest: Incarnation::default(),
             stopped: false,
             parked: None,
             room: VecDeque::new(),
@@ -198,17 +201,20 @@ impl<T> Lane<T> {
         Taken::Got(item)
     }
 
-    /// From now on only `owner` may take. A life that lost the lane is cut off from its input.
-    pub(crate) fn give_to(&self, owner: Option<Incarnation>) {
+    /// From now on only this life may take: `life`, or the one after the last that has owned the lane, so
+    /// that no two have one number. Says which. A life that lost the lane is cut off from its input.
+    pub(crate) fn begin(&self, life: Incarnation) -> Incarnation {
         let mut lane = self.lock();
-        let notices = self.change_owner(&mut lane, owner);
-        lane.stopped &= owner.is_none();
+        let life = life.max(lane.newest.next());
+        let notices = self.change_owner(&mut lane, Some(life));
+        lane.stopped = false;
         let parked = lane.parked.take();
         drop(lane);
         drop(notices);
         if let Some(waker) = parked {
             waker.wake();
         }
+        life
     }
 
     /// Passes the lane from one life to the next, unless it already belongs to another.
@@ -237,6 +243,7 @@ impl<T> Lane<T> {
         owner: Option<Incarnation>,
     ) -> VecDeque<(Box<str>, T)> {
         lane.owner = owner;
+        lane.newest = lane.newest.max(owner.unwrap_or_default());
         let notices = std::mem::take(&mut lane.notices);
         self.length.store(lane.depth(), Relaxed);
         notices
@@ -384,7 +391,7 @@ mod tests {
 
     fn lane(capacity: usize, policy: WhenFull) -> Lane<u32> {
         let lane = Lane::new(capacity, policy);
-        lane.give_to(Some(LIFE));
+        lane.begin(LIFE);
         lane
     }
 
@@ -423,8 +430,9 @@ mod tests {
         assert_eq!(push(&lane, 1), Ok(None));
         assert_eq!(push(&lane, 2), Err((2, Why::Restarting)));
 
-        lane.give_to(Some(LIFE));
-        assert_eq!(take(&lane), Some(1));
+        let next = lane.begin(LIFE);
+        assert_eq!(next, LIFE.next(), "no two lives have one number");
+        assert!(matches!(lane.take(next, Waker::noop()), Taken::Got(1)));
     }
 
     #[test]
@@ -432,7 +440,7 @@ mod tests {
         let lane = lane(2, WhenFull::Refuse);
         push(&lane, 1).unwrap();
 
-        lane.give_to(Some(LIFE.next()));
+        lane.begin(LIFE.next());
 
         assert!(matches!(lane.take(LIFE, Waker::noop()), Taken::Retired));
         assert!(!lane.leave(LIFE) && !lane.pass_on(LIFE, LIFE));
@@ -450,10 +458,8 @@ mod tests {
         assert_eq!(lane.stop_by(LIFE), [1]);
         assert_eq!(lane.stop(), [0; 0]);
         assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));
-        lane.give_to(None);
-        assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));
 
-        lane.give_to(Some(LIFE.next()));
+        lane.begin(LIFE.next());
         assert_eq!(push(&lane, 2), Ok(None));
     }
 

@@ -193,7 +193,7 @@ pub use blastema_core as core;
 /// Everything that an application usually needs.
 pub mod prelude {
     pub use crate::core::detection::Watch;
-    pub use crate::core::recovery::{Ladder, Measure, Plan, Restart, Strategy};
+    pub use crate::core::recovery::{Ladder, Measure, Plan, Restart, Strategy, WhenExceeded};
     pub use crate::{
         ActorRef, ChildSpec, Component, Context, Event, Failure, FaultKind, Handle, Node,
         NodeState, Outcome, Ports, Publisher, Request, Sender, StartError, Structure,

@@ -54,6 +54,9 @@ pub enum FaultKind {
     StateLost,
     /// A service has no primary, as far as a node knows that carries it, for longer than a takeover takes.
     NotServed,
+    /// Something that a component needs to begin its work, such as its device, is not there yet. It tries
+    /// again by itself, for as long as that takes.
+    Unavailable,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -71,7 +74,7 @@ pub enum Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 21] = [
+    pub const BUILT_IN: [FaultKind; 22] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -93,9 +96,10 @@ impl FaultKind {
         FaultKind::Unprotected,
         FaultKind::StateLost,
         FaultKind::NotServed,
+        FaultKind::Unavailable,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B21`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B22`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -120,6 +124,7 @@ impl FaultKind {
             FaultKind::Unprotected => "B19",
             FaultKind::StateLost => "B20",
             FaultKind::NotServed => "B21",
+            FaultKind::Unavailable => "B22",
             FaultKind::Custom(code) => code,
         }
     }
@@ -148,6 +153,7 @@ impl FaultKind {
             FaultKind::Unprotected => "service unprotected",
             FaultKind::StateLost => "state lost",
             FaultKind::NotServed => "service not served",
+            FaultKind::Unavailable => "unavailable",
             FaultKind::Custom(code) => code,
         }
     }

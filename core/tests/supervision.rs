@@ -7,7 +7,7 @@
 
 use blastema_core::recovery::{
     Cause, ChildRules, ChildState, Restart, Strategy, Supervision, SupervisorAction,
-    SupervisorRules, Ticket,
+    SupervisorRules, Ticket, WhenExceeded,
 };
 use blastema_core::{Incarnation, Instant, Machine, ObjectName};
 use proptest::prelude::{Just, ProptestConfig, Strategy as _, prop, prop_assert, prop_assert_eq};
@@ -20,6 +20,8 @@ const PERIOD: Duration = Duration::from_secs(10);
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Life {
     Starting,
+    /// For what is not there yet.
+    Waiting,
     Present,
     Stopping,
 }
@@ -29,6 +31,8 @@ enum Turn {
     /// The present step of this child succeeds: it has started, or stopped.
     Answer(usize),
     StartFails(usize),
+    /// Something that it needs is not there yet.
+    Waits(usize),
     /// It dies; the guard tells the supervisor, and the recoverer orders a restart.
     Dies(usize),
     /// It dies, and only the recoverer hears of it.
@@ -62,7 +66,17 @@ struct World {
 
 impl World {
     fn new(strategy: Strategy, intensity: u32, restarts: &[Restart]) -> Self {
-        let rules = SupervisorRules { strategy, intensity, period: PERIOD, root: true };
+        World::with(WhenExceeded::Escalate, strategy, intensity, restarts)
+    }
+
+    fn with(
+        when_exceeded: WhenExceeded,
+        strategy: Strategy,
+        intensity: u32,
+        restarts: &[Restart],
+    ) -> Self {
+        let rules =
+            SupervisorRules { strategy, intensity, period: PERIOD, when_exceeded, root: true };
         let mut machine = Supervision::new(rules);
         let mut names = Vec::new();
         let now = Instant::from_millis(1);
@@ -147,6 +161,8 @@ impl World {
                     assert!(!self.escalated, "it is said before all else");
                 }
                 SupervisorAction::Reset { .. }
+                | SupervisorAction::Refused { .. }
+                | SupervisorAction::Unavailable { .. }
                 | SupervisorAction::Isolate { .. }
                 | SupervisorAction::Overdue { .. }
                 | SupervisorAction::Retire { .. }
@@ -189,6 +205,16 @@ impl World {
                     self.machine.handle_start_failed(&name, life, "no".into(), self.now);
                     self.look();
                     self.restart(&name, Cause::Died, life);
+                }
+            }
+            Turn::Waits(at) => {
+                let name = name(at);
+                if let Some((life, state @ (Life::Starting | Life::Present))) =
+                    self.lives.get_mut(&name)
+                {
+                    let life = *life;
+                    *state = Life::Waiting;
+                    self.machine.handle_unavailable(&name, life, "no".into(), self.now);
                 }
             }
             Turn::Dies(at) => {
@@ -248,7 +274,7 @@ impl World {
 
     fn answer(&mut self, name: &ObjectName) {
         match self.lives.get(name).copied() {
-            Some((life, Life::Starting)) => {
+            Some((life, Life::Starting | Life::Waiting)) => {
                 self.lives.insert(name.clone(), (life, Life::Present));
                 self.machine.handle_started(name, life, self.now);
             }
@@ -269,12 +295,16 @@ impl World {
 
     /// The world answers everything, and the recoverer decides about whatever has failed.
     fn calm_down(&mut self) {
-        for _ in 0..50 {
+        for round in 0..50 {
             for name in self.names.clone() {
                 self.answer(&name);
             }
             for child in self.machine.children().collect::<Vec<_>>() {
-                if child.state == ChildState::Failed {
+                if child.state == ChildState::Failed && round >= 40 {
+                    let ticket = self.ticket();
+                    self.machine.handle_rest(&child.name, ticket, Cause::Faulty, self.now);
+                    self.look();
+                } else if child.state == ChildState::Failed {
                     self.take(Turn::Time(10_001));
                     self.restart(&child.name, Cause::Died, child.incarnation);
                 }
@@ -289,6 +319,7 @@ fn turns() -> impl proptest::strategy::Strategy<Value = Turn> {
     prop_oneof![
         8 => child.clone().prop_map(Turn::Answer),
         1 => child.clone().prop_map(Turn::StartFails),
+        1 => child.clone().prop_map(Turn::Waits),
         2 => child.clone().prop_map(Turn::Dies),
         1 => child.clone().prop_map(Turn::DiesUnheard),
         1 => child.clone().prop_map(Turn::Hangs),
@@ -323,12 +354,13 @@ proptest! {
 
     #[test]
     fn whatever_happens_the_tree_comes_to_rest_or_to_work(
+        when_exceeded in prop_oneof![Just(WhenExceeded::StopChild), Just(WhenExceeded::Escalate)],
         strategy in strategies(),
         intensity in 0u32..6,
         restarts in restarts(),
         turns in prop::collection::vec(turns(), 0..80),
     ) {
-        let mut world = World::new(strategy, intensity, &restarts);
+        let mut world = World::with(when_exceeded, strategy, intensity, &restarts);
         world.take(Turn::Begin);
         for turn in turns {
             world.take(turn);

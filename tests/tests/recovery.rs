@@ -165,6 +165,7 @@ fn restarts_on_the_spot_are_drawn_from_the_supervisors_budget() {
         let diary = Diary::default();
         let drive = SupervisorSpec::new("drive", Strategy::OneForOne)
             .intensity(2, Duration::from_secs(60))
+            .when_exceeded(WhenExceeded::Escalate)
             .child(part("wheel", &diary))
             .child(part("brake", &diary));
         let node = start(node().supervisor(drive)).await;
@@ -325,6 +326,7 @@ fn a_storm_that_reaches_the_root_puts_the_node_to_rest() {
         let diary = Diary::default();
         let builder = node()
             .intensity(1, Duration::from_secs(60))
+            .when_exceeded(WhenExceeded::Escalate)
             .child(part("arm", &diary))
             .child(part("laser", &diary));
         let node = start(builder).await;

@@ -32,7 +32,7 @@ impl Handle<Strike> for Lamp {
 /// A node that comes to rest at the first blow.
 fn fragile(window: &Path) -> blastema::NodeBuilder {
     Node::builder("module1")
-        .child(ChildSpec::new("lamp", || Lamp))
+        .child(ChildSpec::new("lamp", || Lamp).essential())
         .intensity(0, Duration::from_secs(10))
         .shown_at(window)
 }

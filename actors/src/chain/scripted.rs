@@ -92,7 +92,7 @@ impl Child for Scripted {
         &self.name
     }
 
-    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) {
+    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) -> Incarnation {
         self.report = Some(report);
         self.life = incarnation;
         match self.call("start") {
@@ -104,6 +104,7 @@ impl Child for Scripted {
             Answer::Fails => self.tell(ChildEvent::StartFailed { reason: "no device".into() }),
             Answer::Hangs | Answer::Panics => {}
         }
+        incarnation
     }
 
     fn stop(&mut self) {

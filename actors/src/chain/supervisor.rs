@@ -1,5 +1,7 @@
 //! The supervisor's body: it holds the children, and does to them what its machine decides.
 
+mod tree;
+
 use super::directory::{Directory, SupervisorPorts};
 use crate::death_watch::{Deaths, Ending};
 use crate::drive::{Body, Wake};
@@ -10,20 +12,16 @@ use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
 use blastema_contract::monitor::IsolationReported;
 use blastema_contract::reports::{Alive, AreYouAlive, Exit, Exited, FaultDeclared, StateReported};
 use blastema_contract::supervisor::{
-    AddChild, Begin, Branch, End, Forsake, GaveUp, IsolateAll, IsolateChild, Leaf, ReadTree,
-    Recovered, RemoveChild, ResetChild, RestartChild, SafeStop,
+    AddChild, Begin, End, Forsake, GaveUp, IsolateAll, IsolateChild, ReadTree, Recovered,
+    RemoveChild, ResetChild, RestartChild, SafeStop,
 };
 use blastema_core::recovery::{
     Cause, ChildRules, GiveUpReason, Supervision, SupervisorAction, SupervisorRules, Ticket,
 };
 use blastema_core::{Fault, FaultKind, Incarnation, Instant, Lifecycle, ObjectName};
 use std::collections::BTreeMap;
-use std::time::Duration;
 use tokio::sync::oneshot;
 use tracing::{error, info, warn};
-
-/// A supervisor below that does not say how it stands within this time is shown without its children.
-const READ_LIMIT: Duration = Duration::from_millis(500);
 
 type Outcome = Result<Recovered, GaveUp>;
 
@@ -182,25 +180,6 @@ impl Supervisor {
     fn child(&mut self, name: &ObjectName) -> Option<&mut Box<dyn Child>> {
         self.children.get_mut(name)
     }
-
-    /// The table without what stands below supervisors.
-    fn branch(&self) -> Branch {
-        let leaf = |status: blastema_core::recovery::ChildStatus| Leaf {
-            name: status.name,
-            incarnation: status.incarnation,
-            state: status.state,
-            restarts: status.restarts,
-            isolated: status.isolated,
-            below: None,
-        };
-        Branch {
-            name: self.name.clone(),
-            incarnation: self.machine.incarnation(),
-            strategy: self.machine.rules().strategy,
-            restarts_left: self.machine.restarts_left(platform::now()),
-            children: self.machine.children().map(leaf).collect(),
-        }
-    }
 }
 
 impl Body for Supervisor {
@@ -218,8 +197,9 @@ impl Body for Supervisor {
         match action {
             SupervisorAction::Start { child, incarnation } => {
                 let report = context.address().recipient();
-                if let Some(child) = self.child(&child) {
-                    child.start(incarnation, report);
+                if let Some(started) = self.child(&child) {
+                    let begun = started.start(incarnation, report);
+                    self.machine.handle_begun(&child, begun);
                 }
             }
             SupervisorAction::Stop { child, again } => {
@@ -258,6 +238,17 @@ impl Body for Supervisor {
             SupervisorAction::GaveUp { ticket, child, why } => {
                 self.answer(ticket, Err(GaveUp { object: child, why }));
             }
+            SupervisorAction::Refused { child, incarnation, reason } => {
+                self.declare(child.clone(), incarnation, FaultKind::UnexpectedExit, reason);
+                // What waits below for its next life waits in vain.
+                if let Some(child) = self.child(&child) {
+                    child.retire();
+                }
+            }
+            SupervisorAction::Unavailable { reason } => {
+                warn!(supervisor = %self.name, reason, "its start waits for what is not there yet");
+                self.tell_parent(ChildEvent::Unavailable { reason });
+            }
             SupervisorAction::Overdue { child, incarnation, limit } => {
                 let detail = format!("it was not at work within {limit:?}");
                 self.declare(child, incarnation, FaultKind::InitializationFailed, detail);
@@ -293,6 +284,7 @@ impl Body for Supervisor {
             SupervisorAction::AllStopped => {
                 if !self.again {
                     self.retire_all();
+                    self.machine.handle_retired();
                 }
                 self.report_state(Lifecycle::Finalized);
                 self.tell_parent(ChildEvent::Stopped);
@@ -389,6 +381,9 @@ impl Handler<ChildReport> for Supervisor {
         let machine = &mut self.machine;
         match event {
             ChildEvent::Started => machine.handle_started(&object, incarnation, now),
+            ChildEvent::Unavailable { reason } => {
+                machine.handle_unavailable(&object, incarnation, reason, now);
+            }
             ChildEvent::StartFailed { reason } => {
                 machine.handle_start_failed(&object, incarnation, reason, now);
             }
@@ -464,7 +459,7 @@ impl Handler<SafeStop> for Supervisor {
 
     fn handle(&mut self, message: SafeStop, context: &mut Context<Self>) -> Self::Result {
         let SafeStop { object, fault } = message;
-        let cause = fault.as_ref().map_or(Cause::Faulty, cause_of_rest);
+        let cause = fault.as_ref().map_or(Cause::Asked, cause_of_rest);
         self.ask(context, object, |machine, object, ticket, now| {
             machine.handle_rest(object, ticket, cause, now);
         })
@@ -504,24 +499,6 @@ impl Handler<AddChild> for Supervisor {
     }
 }
 
-impl Handler<ReadTree> for Supervisor {
-    type Result = ResponseFuture<Branch>;
-
-    fn handle(&mut self, _: ReadTree, _: &mut Context<Self>) -> Self::Result {
-        let mut branch = self.branch();
-        let below: Vec<_> = (branch.children.iter().enumerate())
-            .filter_map(|(at, leaf)| Some((at, self.directory.supervisor(&leaf.name)?)))
-            .collect();
-        Box::pin(async move {
-            for (at, supervisor) in below {
-                let read = supervisor.read.send(ReadTree).timeout(READ_LIMIT).await;
-                branch.children[at].below = read.ok();
-            }
-            branch
-        })
-    }
-}
-
 /// A supervisor as its parent, or the node, sees it.
 pub(crate) struct SupervisorChild {
     name: ObjectName,
@@ -556,9 +533,10 @@ impl Child for SupervisorChild {
         &self.name
     }
 
-    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) {
+    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) -> Incarnation {
         self.report = Some((incarnation, report.clone()));
         self.address.do_send(Begin { incarnation, report });
+        incarnation
     }
 
     fn stop(&mut self) {

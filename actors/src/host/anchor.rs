@@ -140,8 +140,20 @@ impl Record {
         Incarnation(self.incarnation.load(Relaxed))
     }
 
+    /// This life is about to begin; it never goes back.
     pub(crate) fn set_incarnation(&self, incarnation: Incarnation) {
-        self.incarnation.store(incarnation.0, Relaxed);
+        self.incarnation.fetch_max(incarnation.0, Relaxed);
+    }
+
+    /// A life is in its place. False if a later one has begun elsewhere, whose place stays known.
+    pub(crate) fn enter(&self, incarnation: Incarnation, seated: Seated) -> bool {
+        let mut standing = lock(&self.state);
+        let is_newest = incarnation >= self.incarnation();
+        if is_newest {
+            self.set_incarnation(incarnation);
+            standing.seat = Some(seated);
+        }
+        is_newest
     }
 
     pub(crate) fn state(&self) -> Lifecycle {
@@ -156,8 +168,8 @@ impl Record {
         lock(&self.state).seat.clone()
     }
 
-    pub(crate) fn set_seat(&self, seat: Option<Seated>) -> Option<Seated> {
-        std::mem::replace(&mut lock(&self.state).seat, seat)
+    pub(crate) fn take_seat(&self) -> Option<Seated> {
+        lock(&self.state).seat.take()
     }
 
     pub(crate) fn order(&self) -> Option<StandingOrder> {

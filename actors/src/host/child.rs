@@ -55,22 +55,24 @@ impl<C: Component> Child for HostedChild<C> {
         &self.anchor.record.name
     }
 
-    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) {
+    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) -> Incarnation {
         self.abandon();
         self.report = Some(report.clone());
         let record = &self.anchor.record;
-        record.set_incarnation(incarnation);
         record.set_state(Lifecycle::Created);
         let known = self.seat.take().filter(Seat::is_usable);
         let place = || record.environment.arbiters.place(record.limits.own_thread);
         let seat = match known.map_or_else(place, Ok) {
             Ok(seat) => seat,
             Err(error) => {
+                record.set_incarnation(incarnation);
                 let reason = format!("it was given no thread: {error}");
-                return self.tell(incarnation, ChildEvent::StartFailed { reason });
+                self.tell(incarnation, ChildEvent::StartFailed { reason });
+                return incarnation;
             }
         };
-        self.anchor.lane.give_to(Some(incarnation));
+        let incarnation = self.anchor.lane.begin(incarnation);
+        record.set_incarnation(incarnation);
         let (sender, receiver) = channel::channel::<Host<C>>(CONTROL);
         self.anchor.set_control(Some(Addr::new(sender)));
         let boarding = Boarding { anchor: Some(self.anchor.clone()), incarnation, seat, report };
@@ -82,6 +84,7 @@ impl<C: Component> Child for HostedChild<C> {
                 actix_rt::spawn(context.into_future(Host::new(pump)));
             }
         });
+        incarnation
     }
 
     fn stop(&mut self) {
@@ -107,7 +110,7 @@ impl<C: Component> Child for HostedChild<C> {
         let record = &self.anchor.record;
         let Some(incarnation) = self.anchor.lane.owner() else { return };
         self.anchor.lane.leave(incarnation);
-        if let Some(seated) = record.set_seat(None) {
+        if let Some(seated) = record.take_seat() {
             seated.token.end();
             record.environment.watch_list.leave(seated.slot.index);
             let reading = seated.slot.stamp.read();

@@ -41,6 +41,8 @@ pub(crate) enum Chore {
     ReadyLimit,
     /// It should have ended by now.
     StopLimit,
+    /// What was not there yet may be there now.
+    Retry,
 }
 
 /// When an entry of the schedule is due, and which of those of one instant it is.
@@ -223,7 +225,7 @@ impl<C: Component> Chores<C> {
         self.due.retain(|chore| *chore != Chore::Timer(id));
     }
 
-    /// Sets one of the two limits. One that is set already stays as it is.
+    /// Sets one of the limits. One that is set already stays as it is.
     pub(crate) fn limit(&mut self, limit: Chore, within: Duration) {
         if self.schedule.values().all(|set| *set != limit) {
             self.enter(platform::now() + within, limit);
@@ -293,7 +295,9 @@ impl<C: Component> Chores<C> {
                     timer.entry = entry;
                 }
             }
-            Chore::ReadyLimit | Chore::StopLimit => return self.reached.push(chore),
+            Chore::ReadyLimit | Chore::StopLimit | Chore::Retry => {
+                return self.reached.push(chore);
+            }
         }
         if !self.due.contains(&chore) {
             self.due.push_back(chore);

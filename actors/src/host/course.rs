@@ -6,7 +6,18 @@
 use crate::component::Failure;
 use blastema_contract::child::ChildEvent;
 use blastema_core::Lifecycle;
+use blastema_core::recovery::Backoff;
 use std::collections::VecDeque;
+use std::time::Duration;
+
+/// How long a hook waits that found what it needs not there yet: 100 ms, then twice as long each time, up to
+/// five seconds, so that a device is used soon after it was plugged in, and a missing one costs nothing.
+const UNAVAILABLE: Backoff = Backoff {
+    first: Duration::from_millis(100),
+    factor: 2,
+    limit: Duration::from_secs(5),
+    jitter_percent: 10,
+};
 
 /// One of a component's hooks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,6 +101,21 @@ pub(crate) enum Step {
 pub(crate) enum News {
     State(Lifecycle, Option<String>),
     Child(ChildEvent),
+    /// Something is not there yet; [`Course::handle_retry`] is to be called when this has passed.
+    Unavailable {
+        reason: String,
+        retry_in: Duration,
+    },
+}
+
+/// A hook that is to be called again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Retried {
+    hook: Hook,
+    /// How many times it has failed.
+    attempts: u32,
+    /// It is not its time yet.
+    waits: bool,
 }
 
 /// What the supervisor waits for.
@@ -105,6 +131,8 @@ pub(crate) struct Course {
     /// At most one per hook.
     hooks: VecDeque<Hook>,
     awaited: Option<Awaited>,
+    /// A hook found that something is not there yet.
+    retried: Option<Retried>,
     end: Option<End>,
     news: Vec<News>,
 }
@@ -117,6 +145,7 @@ impl Course {
             state: Lifecycle::Created,
             hooks: VecDeque::from([Hook::Initialize, Hook::Startup, Hook::Activated]),
             awaited: announced.then_some(Awaited::Start),
+            retried: None,
             end: None,
             news: vec![News::State(Lifecycle::Created, None)],
         }
@@ -148,6 +177,9 @@ impl Course {
 
     /// What is to be done next. A hook that is named here counts as begun.
     pub(crate) fn next(&mut self) -> Step {
+        if self.retried.is_some_and(|retried| retried.waits) {
+            return Step::Rest;
+        }
         match (self.hooks.pop_front(), self.end) {
             (Some(hook), _) => Step::Run(hook),
             (None, Some(end)) => Step::End(end),
@@ -159,6 +191,10 @@ impl Course {
     /// A hook has ended.
     pub(crate) fn handle_done(&mut self, hook: Hook, result: Result<(), Failure>) {
         match (hook, result) {
+            (
+                Hook::Initialize | Hook::Startup | Hook::Activated | Hook::Reset,
+                Err(Failure { reason, unavailable: true, .. }),
+            ) if self.end.is_none() => self.handle_unavailable(hook, reason),
             (Hook::Initialize, Ok(())) => self.enter(Lifecycle::Initialized, None),
             (Hook::Activated, Ok(())) => self.handle_activated(),
             (Hook::Reset, Ok(())) => {
@@ -184,7 +220,30 @@ impl Course {
         }
     }
 
+    /// Something that the hook needs is not there yet.
+    fn handle_unavailable(&mut self, hook: Hook, reason: String) {
+        let before = self.retried.filter(|retried| retried.hook == hook);
+        let attempts = before.map_or(0, |retried| retried.attempts).saturating_add(1);
+        self.retried = Some(Retried { hook, attempts, waits: true });
+        // Whoever waited for the start, or the reset, waits for the start from now on.
+        self.awaited = Some(Awaited::Start);
+        self.news.push(News::Child(ChildEvent::Unavailable { reason: reason.clone() }));
+        // The first attempt was made at once; what it waits before the second is the first wait.
+        let retry_in = UNAVAILABLE.delay(attempts.saturating_add(1), u64::from(attempts));
+        self.news.push(News::Unavailable { reason, retry_in });
+    }
+
+    /// The time has come to call the hook again; says whether that is still so.
+    pub(crate) fn handle_retry(&mut self) -> bool {
+        let waiting = self.retried.as_mut().filter(|retried| retried.waits);
+        let Some(retried) = waiting else { return false };
+        retried.waits = false;
+        self.hooks.push_front(retried.hook);
+        true
+    }
+
     fn handle_activated(&mut self) {
+        self.retried = None;
         self.enter(Lifecycle::Active, None);
         if self.end.is_some() {
             self.hooks.push_front(Hook::Deactivated);
@@ -206,6 +265,7 @@ impl Course {
             return;
         }
         self.answer_failed(&failure.reason);
+        self.retried = None;
         self.enter(Lifecycle::Error, Some(failure.reason));
         self.hooks = VecDeque::from([Hook::Aborting, Hook::Error]);
     }
@@ -216,6 +276,7 @@ impl Course {
             return;
         }
         self.answer_failed(&reason);
+        self.retried = None;
         let aborting = self.state == Lifecycle::Active || self.hooks.contains(&Hook::Aborting);
         self.enter(Lifecycle::Fatal, Some(reason));
         self.hooks.clear();
@@ -250,6 +311,7 @@ impl Course {
         }
         self.end = Some(end);
         self.awaited = None;
+        self.retried = None;
         self.hooks.retain(|hook| *hook == Hook::Aborting);
         match self.state {
             Lifecycle::Active => {
@@ -287,7 +349,9 @@ impl Course {
             (Lifecycle::Active, false, None) if self.hooks.is_empty() => {
                 self.hooks.push_back(Hook::Deactivated);
             }
-            (Lifecycle::Initialized, true, None) if self.hooks.is_empty() => {
+            (Lifecycle::Initialized, true, None)
+                if self.hooks.is_empty() && self.retried.is_none() =>
+            {
                 self.hooks.push_back(Hook::Activated);
             }
             _ => {}
@@ -308,266 +372,4 @@ impl Course {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use Lifecycle::{Active, Created, Error, Fatal, Finalized, Initialized};
-
-    fn failed(reason: &str) -> Result<(), Failure> {
-        Err(reason.into())
-    }
-
-    /// Runs all hooks that are due; each succeeds.
-    fn run(course: &mut Course) -> Vec<Hook> {
-        let mut ran = Vec::new();
-        while let Step::Run(hook) = course.next() {
-            ran.push(hook);
-            course.handle_done(hook, Ok(()));
-        }
-        ran
-    }
-
-    /// A life that has come as far as `state`, its news told.
-    fn life(state: Lifecycle) -> Course {
-        let mut course = Course::new(true);
-        match state {
-            Created => {}
-            Initialized => {
-                run(&mut course);
-                course.handle_activate(false);
-                run(&mut course);
-            }
-            Active => {
-                run(&mut course);
-            }
-            Error => {
-                run(&mut course);
-                course.handle_failure("broken".into());
-                run(&mut course);
-            }
-            Fatal => {
-                run(&mut course);
-                course.handle_failure(Failure::fatal("broken"));
-            }
-            Finalized => {
-                run(&mut course);
-                course.handle_stop(End::Stopped);
-                run(&mut course);
-            }
-        }
-        course.poll_news();
-        assert_eq!(course.state, state);
-        course
-    }
-
-    fn states(news: &[News]) -> Vec<Lifecycle> {
-        let state = |news: &News| match news {
-            News::State(state, _) => Some(*state),
-            News::Child(_) => None,
-        };
-        news.iter().filter_map(state).collect()
-    }
-
-    fn answers(news: Vec<News>) -> Vec<ChildEvent> {
-        let answer = |news| match news {
-            News::Child(event) => Some(event),
-            News::State(..) => None,
-        };
-        news.into_iter().filter_map(answer).collect()
-    }
-
-    #[test]
-    fn a_life_is_initialised_started_and_activated() {
-        let mut course = Course::new(true);
-
-        assert_eq!(run(&mut course), [Hook::Initialize, Hook::Startup, Hook::Activated]);
-
-        let news = course.poll_news();
-        assert_eq!(states(&news), [Created, Initialized, Active]);
-        assert_eq!(answers(news), [ChildEvent::Started]);
-        assert_eq!(course.next(), Step::Serve);
-        assert!(course.is_serving());
-    }
-
-    #[test]
-    fn a_life_that_nobody_waits_for_tells_no_supervisor() {
-        let mut course = Course::new(false);
-        run(&mut course);
-        assert_eq!(answers(course.poll_news()), []);
-    }
-
-    #[test]
-    fn a_failed_initialisation_is_fatal() {
-        let mut course = Course::new(true);
-        assert_eq!(course.next(), Step::Run(Hook::Initialize));
-
-        course.handle_done(Hook::Initialize, failed("no device"));
-
-        assert_eq!(run(&mut course), [Hook::Finalize]);
-        assert_eq!(course.next(), Step::End(End::Fatal));
-        let news = course.poll_news();
-        assert_eq!(states(&news), [Created, Fatal, Finalized]);
-        assert_eq!(answers(news), [ChildEvent::StartFailed { reason: "no device".into() }]);
-    }
-
-    #[test]
-    fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
-        for hook in [Hook::Execute, Hook::RateChanged] {
-            let mut course = life(Active);
-            course.handle_done(hook, failed("out of range"));
-            assert_eq!(run(&mut course), [Hook::Aborting, Hook::Error]);
-            assert_eq!(course.next(), Step::Rest);
-            let news = course.poll_news();
-            assert_eq!(news, [News::State(Error, Some("out of range".into()))]);
-
-            course.handle_reset();
-            course.handle_reset();
-            assert_eq!(run(&mut course), [Hook::Reset, Hook::Activated]);
-            let news = course.poll_news();
-            assert_eq!(states(&news), [Initialized, Active]);
-            assert_eq!(answers(news), [ChildEvent::Reset]);
-        }
-    }
-
-    #[test]
-    fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of() {
-        for hook in [Hook::Startup, Hook::Activated] {
-            let mut course = Course::new(true);
-            while let Step::Run(next) = course.next() {
-                if next == hook {
-                    course.handle_done(next, failed("jammed"));
-                    break;
-                }
-                course.handle_done(next, Ok(()));
-            }
-            assert_eq!(course.state, Error);
-            let failed = ChildEvent::StartFailed { reason: "jammed".into() };
-            assert_eq!(answers(course.poll_news()), [failed]);
-        }
-    }
-
-    #[test]
-    fn a_failed_reset_is_fatal() {
-        let mut course = life(Error);
-        course.handle_reset();
-        assert_eq!(course.next(), Step::Run(Hook::Reset));
-
-        course.handle_done(Hook::Reset, failed("still broken"));
-
-        assert_eq!(run(&mut course), [Hook::Finalize]);
-        assert_eq!(course.next(), Step::End(End::Fatal));
-        let reason = "still broken".into();
-        assert_eq!(answers(course.poll_news()), [ChildEvent::ResetFailed { reason }]);
-    }
-
-    #[test]
-    fn a_failure_while_aborting_counts_only_when_it_is_fatal() {
-        let mut course = life(Active);
-        course.handle_failure("one".into());
-        assert_eq!(course.next(), Step::Run(Hook::Aborting));
-        course.handle_done(Hook::Aborting, failed("two"));
-        assert_eq!(course.next(), Step::Run(Hook::Error));
-
-        course.handle_done(Hook::Error, Err(Failure::fatal("three")));
-
-        assert_eq!(course.state, Fatal);
-        assert_eq!(run(&mut course), [Hook::Finalize]);
-    }
-
-    #[test]
-    fn stop_ends_every_state_in_its_own_way() {
-        let check = |state, expected: &[Hook]| {
-            let mut course = life(state);
-            course.handle_stop(End::Stopped);
-            assert_eq!(run(&mut course), expected, "{state}");
-            assert_eq!(course.next(), Step::End(End::Stopped), "{state}");
-            assert_eq!(course.state, Finalized);
-        };
-        check(Created, &[Hook::Finalize]);
-        check(Initialized, &[Hook::Shutdown, Hook::Finalize]);
-        check(Active, &[Hook::Deactivated, Hook::Shutdown, Hook::Finalize]);
-        check(Error, &[Hook::Shutdown, Hook::Finalize]);
-        check(Fatal, &[Hook::Aborting, Hook::Finalize]);
-        check(Finalized, &[]);
-    }
-
-    #[test]
-    fn a_stop_that_overtakes_the_activation_deactivates_again() {
-        let mut course = Course::new(true);
-        for hook in [Hook::Initialize, Hook::Startup] {
-            assert_eq!(course.next(), Step::Run(hook));
-            course.handle_done(hook, Ok(()));
-        }
-        assert_eq!(course.next(), Step::Run(Hook::Activated));
-        course.handle_stop(End::Stopped);
-
-        course.handle_done(Hook::Activated, Ok(()));
-
-        assert_eq!(run(&mut course), [Hook::Deactivated, Hook::Shutdown, Hook::Finalize]);
-        assert_eq!(answers(course.poll_news()), []);
-    }
-
-    #[test]
-    fn reset_is_answered_in_every_state() {
-        for state in [Created, Initialized, Fatal, Finalized] {
-            let mut course = life(state);
-            course.handle_reset();
-            let news = answers(course.poll_news());
-            assert!(matches!(news[..], [ChildEvent::ResetFailed { .. }]), "{state}");
-        }
-        let mut course = life(Active);
-        course.handle_reset();
-        assert_eq!(answers(course.poll_news()), [ChildEvent::Reset]);
-    }
-
-    #[test]
-    fn activation_orders_act_only_between_initialized_and_active() {
-        for state in [Created, Error, Fatal, Finalized] {
-            for active in [true, false] {
-                let mut course = life(state);
-                let before = course.hooks.clone();
-                course.handle_activate(active);
-                assert_eq!(course.hooks, before);
-            }
-        }
-        let mut course = life(Initialized);
-        course.handle_activate(true);
-        assert_eq!(run(&mut course), [Hook::Activated]);
-        course.handle_activate(false);
-        assert_eq!(run(&mut course), [Hook::Deactivated]);
-        assert_eq!(course.state, Initialized);
-    }
-
-    #[test]
-    fn a_declared_failure_acts_in_every_state_that_can_still_fail() {
-        for (state, expected) in [
-            (Created, Error),
-            (Initialized, Error),
-            (Active, Error),
-            (Error, Error),
-            (Fatal, Fatal),
-            (Finalized, Finalized),
-        ] {
-            let mut course = life(state);
-            course.handle_failure("declared".into());
-            assert_eq!(course.state, expected, "{state}");
-        }
-        for state in [Created, Initialized, Active, Error] {
-            let mut course = life(state);
-            course.handle_failure(Failure::fatal("declared"));
-            assert_eq!(course.state, Fatal, "{state}");
-        }
-    }
-
-    #[test]
-    fn a_changed_rate_is_told_only_at_work() {
-        for state in [Created, Initialized, Error, Fatal, Finalized] {
-            let mut course = life(state);
-            let before = course.hooks.clone();
-            course.handle_rate_changed();
-            assert_eq!(course.hooks, before, "{state}");
-        }
-        let mut course = life(Active);
-        course.handle_rate_changed();
-        assert_eq!(run(&mut course), [Hook::RateChanged]);
-    }
-}
+mod tests;

@@ -127,6 +127,7 @@ pub struct ChildSpec<C: Component> {
     limits: Limits,
     depends_on: Vec<String>,
     claims: Vec<(String, ClaimPolicy)>,
+    essential: bool,
     /// Contracts of the middleware's own that it takes beside its ports.
     beside: Vec<OpenPort<C>>,
 }
@@ -151,6 +152,7 @@ impl<C: Component> ChildSpec<C> {
             limits: Limits::default(),
             depends_on: Vec::new(),
             claims: Vec::new(),
+            essential: false,
             beside: Vec::new(),
         }
     }
@@ -229,6 +231,18 @@ impl<C: Component> ChildSpec<C> {
     pub fn claim(mut self, name: &str, policy: ClaimPolicy) -> Self {
         self.claims.push((name.to_owned(), policy));
         self
+    }
+
+    /// Its supervisor cannot do without it: if it is not worth restarting any more, or is put to safe rest
+    /// because of a fault, the supervisor ends its children and itself and leaves the decision to its parent.
+    /// Directly under the root that is the node's safe rest.
+    pub fn essential(mut self) -> Self {
+        self.essential = true;
+        self
+    }
+
+    pub(crate) fn is_essential(&self) -> bool {
+        self.essential
     }
 
     /// How its signs of life come.

@@ -11,7 +11,7 @@ use crate::host::spec::{ChildSpec, SpecError};
 use crate::service::{Carried, ServiceSpec, Stateful};
 use blastema_core::dependencies::DependencyError;
 use blastema_core::detection::EnrolError;
-use blastema_core::recovery::{Plan, PlanError, Restart, Strategy};
+use blastema_core::recovery::{Plan, PlanError, Restart, Strategy, WhenExceeded};
 use blastema_core::{Fault, FaultKind, NameError, ObjectName};
 use blastema_transports::EndpointError;
 use std::fmt;
@@ -191,10 +191,17 @@ impl NodeBuilder {
         self
     }
 
-    /// More restarts than `times` in one `period` directly under the root, and the node comes to safe
-    /// rest.
+    /// How many restarts of each child directly under the root are worth it in one `period`; of all together
+    /// where [`when_exceeded`](Self::when_exceeded) or the [`strategy`](Self::strategy) says so.
     pub fn intensity(mut self, times: u32, period: Duration) -> Self {
         self.root = self.root.intensity(times, period);
+        self
+    }
+
+    /// What is done when restarts directly under the root exceed the [`intensity`](Self::intensity): that
+    /// child is stopped, unless this says that the node comes to safe rest.
+    pub fn when_exceeded(mut self, when_exceeded: WhenExceeded) -> Self {
+        self.root = self.root.when_exceeded(when_exceeded);
         self
     }
 

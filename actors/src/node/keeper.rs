@@ -283,7 +283,8 @@ impl Handler<ChildReport> for Keeper {
             return;
         }
         match report.event {
-            ChildEvent::Started => {
+            // What waits for something that is not there yet holds nobody up who looks after the node.
+            ChildEvent::Started | ChildEvent::Unavailable { .. } => {
                 if self.state() == NodeState::Starting {
                     info!("the node runs");
                     self.setup.state.send_replace(NodeState::Running);

@@ -13,7 +13,7 @@ use blastema_contract::child::Child;
 use blastema_contract::reports::AreYouAlive;
 use blastema_core::ObjectName;
 use blastema_core::detection::Watch;
-use blastema_core::recovery::{ChildRules, Plan, Restart, Strategy, SupervisorRules};
+use blastema_core::recovery::{ChildRules, Plan, Restart, Strategy, SupervisorRules, WhenExceeded};
 use std::any::Any;
 use std::fmt;
 use std::time::Duration;
@@ -35,6 +35,8 @@ use std::time::Duration;
 pub struct SupervisorSpec {
     name: String,
     rules: SupervisorRules,
+    /// How its own supervisor keeps it.
+    kept: ChildRules,
     children: Vec<Entry>,
 }
 
@@ -51,16 +53,45 @@ impl fmt::Debug for SupervisorSpec {
 }
 
 impl SupervisorSpec {
-    /// A supervisor without children, which allows three restarts in ten seconds.
+    /// A supervisor without children, which allows three restarts of each in ten seconds.
     pub fn new(name: &str, strategy: Strategy) -> Self {
         let rules = SupervisorRules { strategy, ..SupervisorRules::default() };
-        SupervisorSpec { name: name.to_owned(), rules, children: Vec::new() }
+        let (name, kept) = (name.to_owned(), ChildRules::supervisor());
+        SupervisorSpec { name, rules, kept, children: Vec::new() }
     }
 
-    /// More restarts than `times` in one `period`, and the supervisor ends its children and itself and
-    /// leaves the decision to its parent. A million times at most; the period is no shorter than 1 ms.
+    /// How many restarts are worth it in one `period`: of each child, or of all together where the strategy
+    /// is not [`OneForOne`](Strategy::OneForOne) or [`when_exceeded`](Self::when_exceeded) says so. A million
+    /// times at most; the period is no shorter than 1 ms.
     pub fn intensity(mut self, times: u32, period: Duration) -> Self {
         (self.rules.intensity, self.rules.period) = (times, period);
+        self
+    }
+
+    /// What is done when restarts exceed the [`intensity`](Self::intensity): the child is stopped and its
+    /// siblings go on, unless this says otherwise.
+    pub fn when_exceeded(mut self, when_exceeded: WhenExceeded) -> Self {
+        self.rules.when_exceeded = when_exceeded;
+        self
+    }
+
+    /// Its own supervisor cannot do without it: see [`ChildSpec::essential`].
+    pub fn essential(mut self) -> Self {
+        self.kept.essential = true;
+        self
+    }
+
+    /// How long its children may take to start together. For ever, unless this says otherwise: each child has
+    /// a deadline of its own. A supervisor that takes longer has failed to start, which is a fault of it.
+    pub fn ready_within(mut self, span: Duration) -> Self {
+        self.kept.ready_within = span;
+        self
+    }
+
+    /// How long its children may take to stop together, before they are given up. For ever, unless this says
+    /// otherwise: each child has a deadline of its own.
+    pub fn shutdown_within(mut self, span: Duration) -> Self {
+        self.kept.shutdown_within = span;
         self
     }
 
@@ -110,6 +141,7 @@ pub(super) struct Planted {
     pub(super) depends_on: Vec<String>,
     pub(super) inquiries: Recipient<AreYouAlive>,
     restart: Restart,
+    essential: bool,
     ready_within: Duration,
     shutdown_within: Duration,
 }
@@ -119,6 +151,7 @@ impl Planted {
         ChildRules {
             restart: self.restart,
             on_the_spot: plan.restarts_on_the_spot(self.child.name()),
+            essential: self.essential,
             ..ChildRules::guarded(self.ready_within, self.shutdown_within)
         }
     }
@@ -132,6 +165,7 @@ impl<C: Component> Seed for ChildSpec<C> {
     fn plant(self: Box<Self>, environment: &HostEnvironment) -> Result<Planted, SpecError> {
         let (watch, depends_on) = (self.watched_by(), self.dependencies().to_vec());
         let (ready_within, shutdown_within) = self.deadlines();
+        let essential = self.is_essential();
         let (child, actor) = self.into_child(environment)?;
         let inquiries = actor.inquiries();
         let actor: Box<dyn Any + Send> = Box::new(ActorRef::<C>::clone(&actor));
@@ -142,6 +176,7 @@ impl<C: Component> Seed for ChildSpec<C> {
             depends_on,
             inquiries,
             restart: Restart::Permanent,
+            essential,
             ready_within,
             shutdown_within,
         })
@@ -218,8 +253,9 @@ impl SupervisorSpec {
                     children.push((child, rules));
                 }
                 Entry::Supervisor(spec) => {
+                    let kept = spec.kept;
                     let child = spec.plant(ground, harvest)?;
-                    children.push((Box::new(child), ChildRules::supervisor()));
+                    children.push((Box::new(child), kept));
                 }
             }
         }

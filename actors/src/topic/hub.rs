@@ -170,7 +170,7 @@ impl<E: Event> Topic<E> {
             return hub;
         }
         let lane = Lane::new(CAPACITY, WhenFull::DropOldest);
-        lane.give_to(Some(OWNER));
+        lane.begin(OWNER);
         let serving = Serving { events: Arc::default(), only: None, brought: VecDeque::new() };
         let shared = Arc::new(HubLane {
             lane,

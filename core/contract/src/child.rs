@@ -14,9 +14,11 @@ pub trait Child: Send {
     /// The child's name.
     fn name(&self) -> &ObjectName;
 
-    /// Begins the next life: builds the child, initialises and activates it. Answer:
-    /// [`ChildEvent::Started`] or [`ChildEvent::StartFailed`].
-    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>);
+    /// Begins the next life: builds the child, initialises and activates it. Says which life it is:
+    /// `incarnation`, or a later one where the child's guard has begun that one by itself and the report of it
+    /// is still under way. Answer: [`ChildEvent::Started`], [`ChildEvent::StartFailed`], or
+    /// [`ChildEvent::Unavailable`] first.
+    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) -> Incarnation;
 
     /// Asks the present life to end in order. Answer: [`ChildEvent::Stopped`]. A child that is not
     /// alive answers at once.
@@ -63,8 +65,14 @@ pub struct ChildReport {
 /// See [`Child`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ChildEvent {
-    /// The new life is active.
+    /// The new life is active, or, after [`Unavailable`](ChildEvent::Unavailable), it is at last.
     Started,
+    /// Something that it needs, such as its device, is not there yet. It tries again by itself, for as long as
+    /// that takes; until then it is not active.
+    Unavailable {
+        /// What it waits for, as the component said it.
+        reason: String,
+    },
     /// It could not be built, initialised or activated.
     StartFailed {
         /// Why, as the component said it.

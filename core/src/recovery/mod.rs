@@ -26,7 +26,7 @@ pub use intensity::{RestartWindow, add_restart};
 pub use ladder::{Ladder, Measure, Step};
 pub use plan::{Plan, PlanError};
 pub use recoverer::{Done, Failed, Order, Recoverer, RecovererAction, RecovererLimits, Settled};
-pub use rules::{ChildRules, Restart, StandingOrder, Strategy, SupervisorRules};
+pub use rules::{ChildRules, Restart, StandingOrder, Strategy, SupervisorRules, WhenExceeded};
 pub use supervision::{
     Cause, ChildState, ChildStatus, GiveUpReason, Supervision, SupervisorAction, Ticket,
 };

@@ -146,6 +146,8 @@ impl Default for Plan {
             FaultKind::Unprotected | FaultKind::StateLost => observe.clone(),
             // Its nodes elect somebody by themselves as soon as they can.
             FaultKind::NotServed => observe.clone(),
+            // The component tries again by itself until what it needs is there.
+            FaultKind::Unavailable => observe.clone(),
             // Without an alternative nothing helps but the link's, or the node's, return.
             FaultKind::LinkDown | FaultKind::LinkDegraded | FaultKind::NodeLost => reroute.clone(),
             _ => restart.clone(),

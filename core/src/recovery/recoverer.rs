@@ -150,6 +150,7 @@ impl Recoverer {
             return;
         }
         if let Some(root) = fault.symptom_of
+            && !self.stands_behind(&fault, root)
             && (self.is_open(root) || self.symptoms.contains_key(&root))
             && self.symptoms.len() < self.limits.symptoms
         {
@@ -395,6 +396,13 @@ impl Recoverer {
 
     fn is_open(&self, id: FaultId) -> bool {
         self.cases.values().any(|case| case.faults.iter().any(|noted| noted.fault.id == id))
+    }
+
+    /// The thread on which it lives was kept by another, and is lost: replacing that one does not free it.
+    /// If both are of one group, that one's replacement even waits until this life has been given up.
+    fn stands_behind(&self, fault: &Fault, root: FaultId) -> bool {
+        let hangs = |noted: &Noted| noted.fault.id == root && noted.fault.kind == FaultKind::Hang;
+        fault.kind == FaultKind::Hang && self.cases.values().any(|c| c.faults.iter().any(hangs))
     }
 
     /// What another node found in itself has a number of that node's record, which says nothing here.

@@ -15,6 +15,22 @@ pub enum Strategy {
     RestForOne,
 }
 
+/// What a supervisor does about a child that needs more restarts than it allows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum WhenExceeded {
+    /// Restarts are counted per child. The child that exceeds the intensity is not restarted any more:
+    /// the plan's next measure is taken, at last safe stop. Its siblings go on.
+    ///
+    /// Under [`OneForAll`](Strategy::OneForAll) and [`RestForOne`](Strategy::RestForOne) children depend on
+    /// each other, and this is the same as [`Escalate`](Self::Escalate).
+    #[default]
+    StopChild,
+    /// Restarts are counted for all children together, as in Erlang/OTP. When they exceed the intensity,
+    /// the supervisor ends all children and itself, and its parent decides; the root's end is the node's
+    /// safe rest.
+    Escalate,
+}
+
 /// Which ends of a child are followed by a restart.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Restart {
@@ -38,6 +54,9 @@ pub struct ChildRules {
     pub shutdown_within: Duration,
     /// A panic's first measure is the built-in restart, so that the guard may restart on the spot.
     pub on_the_spot: bool,
+    /// The supervisor cannot do without it: if it is not worth restarting any more, or is put to safe rest
+    /// because of a fault, the supervisor escalates.
+    pub essential: bool,
 }
 
 impl Default for ChildRules {
@@ -48,6 +67,7 @@ impl Default for ChildRules {
             ready_within: Duration::from_secs(5),
             shutdown_within: Duration::from_secs(5),
             on_the_spot: false,
+            essential: false,
         }
     }
 }
@@ -67,11 +87,11 @@ impl ChildRules {
     }
 
     /// For a child that is a supervisor: its own children take their own deadlines, one after the
-    /// other, so that its deadline is only there for the case that it is stuck itself.
+    /// other, so that it has none itself, as in OTP.
     pub fn supervisor() -> Self {
         ChildRules {
-            ready_within: Duration::from_secs(60),
-            shutdown_within: Duration::from_secs(60),
+            ready_within: Duration::MAX,
+            shutdown_within: Duration::MAX,
             ..ChildRules::default()
         }
     }
@@ -82,11 +102,13 @@ impl ChildRules {
 pub struct SupervisorRules {
     /// Whom it restarts together.
     pub strategy: Strategy,
-    /// More restarts than this in one `period`, and it gives up. Higher rides out more; lower
+    /// More restarts than this in one `period`, and `when_exceeded` applies. Higher rides out more; lower
     /// reaches the next authority sooner.
     pub intensity: u32,
     /// The sliding window in which restarts are counted.
     pub period: Duration,
+    /// What is done when restarts exceed the intensity.
+    pub when_exceeded: WhenExceeded,
     /// Nobody stands above it: its end is the node's safe rest.
     pub root: bool,
 }
@@ -98,8 +120,16 @@ impl Default for SupervisorRules {
             strategy: Strategy::OneForOne,
             intensity: 3,
             period: Duration::from_secs(10),
+            when_exceeded: WhenExceeded::StopChild,
             root: false,
         }
+    }
+}
+
+impl SupervisorRules {
+    /// Whether the restarts of all children are one count, whose end is the supervisor's.
+    pub fn counts_together(&self) -> bool {
+        self.strategy != Strategy::OneForOne || self.when_exceeded == WhenExceeded::Escalate
     }
 }
 

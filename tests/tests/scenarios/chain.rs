@@ -58,6 +58,7 @@ async fn safe_outputs_that_panic_do_not_keep_the_node_from_its_rest() {
     let strings = Strings::default();
     let builder = Node::builder("module1")
         .intensity(1, Duration::from_secs(10))
+        .when_exceeded(WhenExceeded::Escalate)
         .safe_outputs(|_| panic!("no brakes"))
         .child(strings.spec("laser"));
     let node = TestNode::start(builder).await;

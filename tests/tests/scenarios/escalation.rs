@@ -1,7 +1,8 @@
 //! Restarts that are not worth it any more.
 
-use crate::puppet::{Deed, Strings, ask, life, strike};
+use crate::puppet::{Deed, Do, Strings, ask, life, strike};
 use blastema::core::detection::Opinion;
+use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema::{Fault, NodeBuilder, Place};
 use blastema_testkit::TestNode;
@@ -14,6 +15,7 @@ const PERIOD: Duration = Duration::from_secs(10);
 fn robot(strings: &Strings) -> NodeBuilder {
     let drive = SupervisorSpec::new("drive", Strategy::OneForOne)
         .intensity(1, PERIOD)
+        .when_exceeded(WhenExceeded::Escalate)
         .child(strings.spec("motors"));
     Node::builder("module1").child(strings.spec("lamp")).supervisor(drive)
 }
@@ -46,6 +48,7 @@ async fn a_root_that_gives_up_brings_the_node_to_safe_rest() {
     let outputs = rested.clone();
     let builder = robot(&strings)
         .intensity(1, PERIOD)
+        .when_exceeded(WhenExceeded::Escalate)
         .safe_outputs(move |fault| outputs.lock().unwrap().push(fault.clone()));
     let node = TestNode::start(builder).await;
     strings.diary();
@@ -96,7 +99,6 @@ async fn a_temporary_child_is_not_missed_and_a_transient_one_only_when_it_failed
     ask(&node, "job", Deed::Stop).await.unwrap();
     node.advance(Duration::from_secs(60)).await;
 
-    use blastema::core::recovery::ChildState;
     let tree = node.tree().await.unwrap();
     let states: Vec<_> =
         tree.children[0].below.as_ref().unwrap().children.iter().map(|leaf| leaf.state).collect();
@@ -124,4 +126,88 @@ async fn a_node_that_is_shut_down_stops_everything_in_reverse_order() {
     let ends = strings.lines("on_finalize");
     assert_eq!(ends, ["motors#1 on_finalize", "lamp#1 on_finalize"]);
     node.shutdown().await;
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_fails_too_often_is_stopped_alone_unless_it_is_essential() {
+    for essential in [false, true] {
+        let strings = Strings::default();
+        let motors = strings.spec("motors");
+        let motors = if essential { motors.essential() } else { motors };
+        let builder = Node::builder("module1").child(strings.spec("lamp")).child(motors);
+        let mut node = TestNode::start(builder.intensity(2, PERIOD)).await;
+
+        for _ in 0..3 {
+            strike(&node, "motors").await;
+        }
+        node.advance(Duration::from_secs(2)).await;
+
+        if essential {
+            let NodeState::AtRest { reason } = node.state() else { panic!("{:?}", node.state()) };
+            assert!(reason.contains("motors"), "{reason}");
+            continue;
+        }
+        assert_eq!(node.state(), NodeState::Running);
+        let reason = node.await_given_up(FaultKind::Panic, "motors").await;
+        assert!(reason.contains("safe stop"), "{reason}");
+        assert_eq!(life(&node, "lamp").await, 1);
+        strike(&node, "lamp").await;
+        node.await_recovered(FaultKind::Panic, "lamp").await;
+        node.restart_child("motors").await.expect("a person brings it back");
+        assert_eq!(life(&node, "motors").await, 4);
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_supervisor_that_escalates_too_often_is_stopped_alone() {
+    let strings = Strings::default();
+    let builder = robot(&strings).intensity(1, PERIOD);
+    let mut node = TestNode::start(builder).await;
+
+    // The second storm of the drive is one too many for the root.
+    for _ in 0..4 {
+        strike(&node, "motors").await;
+        node.advance(Duration::from_millis(500)).await;
+    }
+    node.await_given_up(FaultKind::UnexpectedExit, "drive").await;
+
+    assert_eq!(node.state(), NodeState::Running);
+    assert_eq!(life(&node, "lamp").await, 1);
+    assert!(ask(&node, "motors", Deed::Nothing).await.is_err());
+    node.restart_child("drive").await.expect("a person brings it back");
+    assert_eq!(life(&node, "motors").await, 5);
+}
+
+#[blastema_testkit::test]
+async fn a_thousand_components_that_fail_at_once_are_all_treated() {
+    const COUNT: u64 = 1000;
+    // Some are begun anew by their guards, the others by the whole chain.
+    for kind in [FaultKind::Panic, FaultKind::Fatal] {
+        let strings = Strings::default();
+        let names: Vec<&'static str> =
+            (0..COUNT).map(|n| &*Box::leak(format!("c{n}").into_boxed_str())).collect();
+        let builder = names.iter().fold(Node::builder("module1"), |builder, name| {
+            builder.child(strings.spec(name).queue(1, WhenFull::Refuse))
+        });
+        let node = TestNode::start(builder).await;
+
+        for name in &names {
+            let deed = match kind {
+                FaultKind::Panic => Deed::Panic("struck".into()),
+                _ => Deed::FailFatally("broken".into()),
+            };
+            node.sender::<Do>(name).unwrap().tell(Do(deed)).unwrap();
+        }
+        node.advance(Duration::from_secs(60)).await;
+
+        let tree = node.tree().await.expect("it runs");
+        for leaf in &tree.children {
+            let (life, state) = (leaf.incarnation.0, leaf.state);
+            assert_eq!((life, state), (2, ChildState::Running), "{kind}: {leaf:?}");
+        }
+        let record = node.faults().await;
+        let told = record.entries.len() as u64 + record.dropped;
+        assert_eq!(told, COUNT, "{kind}");
+        assert!(record.entries.iter().all(|entry| entry.ended.is_some()), "{kind}");
+    }
 }

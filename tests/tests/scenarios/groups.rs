@@ -185,3 +185,27 @@ async fn a_member_that_needs_another_and_fails_while_that_one_returns_holds_up_n
     assert_eq!((life(&node, "b").await, life(&node, "c").await), (3, 2));
     node.expect_no_faults().await;
 }
+
+#[blastema_testkit::test]
+async fn a_temporary_member_is_stopped_with_its_group_and_does_not_return() {
+    for strategy in [Strategy::OneForAll, Strategy::RestForOne] {
+        let strings = Strings::default();
+        let group = SupervisorSpec::new("group", strategy)
+            .child(strings.spec("a"))
+            .child_with(strings.spec("guest"), Restart::Temporary)
+            .child(strings.spec("c"));
+        let mut node = TestNode::start(Node::builder("module1").supervisor(group)).await;
+        strings.diary();
+
+        strike(&node, "a").await;
+        node.await_recovered(FaultKind::Panic, "a").await;
+
+        let order = ["-c#1", "-guest#1", "+a#2", "+c#2"];
+        assert_eq!(begins_and_ends(&strings), order, "{strategy:?}");
+        let refused = ask(&node, "guest", Deed::Nothing).await.expect_err("it is not missed");
+        assert_eq!(refused.why, Why::Stopped);
+        let tree = node.tree().await.unwrap();
+        let group = tree.children[0].below.as_ref().expect("the group answers");
+        assert_eq!(group.children[1].state, ChildState::Finished, "{group:?}");
+    }
+}

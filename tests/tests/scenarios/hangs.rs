@@ -2,7 +2,7 @@
 //!
 //! Nothing here measures time, and nobody sleeps: each test waits for what it says.
 
-use crate::puppet::{Deed, Do, Note, Strings, life};
+use crate::puppet::{Deed, Do, Note, Pull, Strings, life};
 use blastema::core::detection::Opinion;
 use blastema::prelude::*;
 use blastema::{Incarnation, NodeBuilder, RestartError, ThreadKind, ThreadRow, ThreadState};
@@ -170,5 +170,51 @@ fn a_node_that_has_given_up_four_threads_comes_to_safe_rest() {
         }
         node.shutdown().await;
         assert_eq!(node.state(), NodeState::Stopped);
+    });
+}
+
+/// Where this line of the diary stands.
+fn at(diary: &[String], line: &str) -> usize {
+    diary.iter().position(|l| l == line).unwrap_or_else(|| panic!("no {line:?} in {diary:?}"))
+}
+
+#[test]
+fn a_hang_in_a_group_is_over_with_the_grace_and_moves_each_outsider_once() {
+    blastema::run(async {
+        let strings = Strings::default();
+        // They share one thread: nobody can stop in order, and nobody's deadline is waited for.
+        let patient = |name| strings.spec(name).shutdown_within(Duration::from_secs(3600));
+        let group = SupervisorSpec::new("group", Strategy::RestForOne)
+            .child(strings.spec("a").max_block(Duration::from_millis(150)))
+            .child(patient("b"))
+            .child(patient("c"));
+        let builder = Node::builder("module1")
+            .work_threads(1)
+            .supervisor(group)
+            .child(patient("outsider"))
+            .child(strings.spec("ear").on_own_thread());
+        let mut node = start(builder).await;
+        strings.diary();
+        strings.pull("c", "on_initialize", Pull::Wait(Duration::from_millis(700)));
+
+        node.sender("a").unwrap().tell(Do(Deed::Block("ear".into()))).unwrap();
+        let recovered = async {
+            node.await_recovered(FaultKind::Hang, "a").await;
+            node.await_recovered(FaultKind::Hang, "outsider").await;
+        };
+        tokio::time::timeout(LONG, recovered).await.expect("no deadline of an hour is waited for");
+
+        for name in ["a", "b", "c", "outsider"] {
+            assert_eq!(patiently(&node, name).await, 2, "{name}");
+        }
+        assert_eq!(life(&node, "ear").await, 1);
+        let diary = strings.diary();
+        let order = ["a#2 on_activated", "b#2 on_initialize", "b#2 on_activated"];
+        let order = order.map(|line| at(&diary, line));
+        assert!(order.is_sorted() && order[2] < at(&diary, "c#2 on_initialize"), "{diary:?}");
+        let moved = at(&diary, "outsider#2 on_activated");
+        assert!(moved < at(&diary, "c#2 on_activated"), "it waits for no group: {diary:?}");
+        strings.release();
+        node.shutdown().await;
     });
 }

@@ -1,6 +1,6 @@
 //! A component does not come up.
 
-use crate::puppet::{Pull, Strings, life, strike};
+use crate::puppet::{Deed, Pull, Strings, ask, life, strike};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema::{Fault, Incarnation, NodeBuilder};
@@ -102,7 +102,8 @@ async fn a_node_that_may_not_try_again_does_not_start_and_comes_to_safe_rest() {
     let strings = Strings::default();
     let (builder, rested) = hopeless(&strings);
 
-    let started = TestNode::try_start(builder.intensity(2, Duration::from_secs(10))).await;
+    let builder = builder.intensity(2, Duration::from_secs(10));
+    let started = TestNode::try_start(builder.when_exceeded(WhenExceeded::Escalate)).await;
 
     let Err(StartError::GaveUp { reason }) = started else { panic!("it started") };
     assert!(reason.contains("camera needed more than 2 restarts"), "{reason}");
@@ -126,4 +127,158 @@ async fn a_new_life_that_fails_to_come_up_is_tried_again_as_one_and_the_same_fau
     assert_eq!(life(&node, "camera").await, 4);
     assert_eq!(node.faults().await.entries[1].fault.count, 2);
     node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn one_broken_part_and_a_panic_elsewhere_leave_the_node_running() {
+    let strings = Strings::default();
+    let (builder, rested) = hopeless(&strings);
+    let mut node = TestNode::start(builder).await;
+    node.await_given_up(FaultKind::InitializationFailed, "camera").await;
+
+    strike(&node, "wheels").await;
+    let panic = node.await_fault(FaultKind::Panic, "wheels").await;
+    node.await_recovered(FaultKind::Panic, "wheels").await;
+
+    assert_eq!(node.state(), NodeState::Running);
+    assert_eq!(life(&node, "wheels").await, 2);
+    assert_eq!(panic.symptom_of, None, "each is blamed for its own");
+    let kinds: Vec<_> = rested.lock().unwrap().iter().map(|fault| fault.kind.clone()).collect();
+    assert_eq!(kinds, [FaultKind::InitializationFailed], "safe rest is the camera's alone");
+    let record = node.faults().await;
+    assert_eq!(record.entries.len(), 2, "{record:?}");
+}
+
+/// What stands against the camera.
+async fn standing(node: &TestNode) -> Vec<FaultKind> {
+    let record = node.faults().await;
+    let standing = record.entries.into_iter().filter(|entry| entry.ended.is_none());
+    standing.map(|entry| entry.fault.kind).collect()
+}
+
+#[blastema_testkit::test]
+async fn a_device_that_comes_late_is_waited_for_and_nobody_pays() {
+    for hook in ["on_initialize", "on_startup", "on_activated"] {
+        let strings = Strings::default();
+        (0..40).for_each(|_| strings.pull("camera", hook, Pull::Unavailable("no camera")));
+        let builder = Node::builder("module1").intensity(0, Duration::from_secs(10));
+        let builder = builder.child(strings.spec("camera")).child(strings.spec("eye"));
+
+        let node = TestNode::start(builder).await;
+
+        assert_eq!(node.state(), NodeState::Running, "{hook}");
+        assert_eq!(life(&node, "eye").await, 1, "nobody waits for a camera");
+        node.advance(Duration::from_secs(60)).await;
+        assert_eq!(standing(&node).await, [FaultKind::Unavailable], "{hook}");
+        let tree = node.tree().await.unwrap();
+        assert_eq!(tree.children[0].state, ChildState::Unavailable, "{hook}");
+        assert_eq!(node.row("camera").await.note.as_deref(), Some("no camera"), "{hook}");
+        let tries = strings.lines(&format!("camera#1 {hook}")).len();
+        assert!((12..20).contains(&tries), "ever later, up to five seconds: {tries} for {hook}");
+
+        node.advance(Duration::from_secs(200)).await;
+        assert_eq!(standing(&node).await, [], "{hook}: it is plugged in");
+        assert_eq!(life(&node, "camera").await, 1, "{hook}");
+        let tree = node.tree().await.unwrap();
+        let leaf = &tree.children[0];
+        assert_eq!((leaf.state, leaf.restarts), (ChildState::Running, 0), "{hook}");
+        assert_eq!(node.faults().await.entries.len(), 1, "{hook}");
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_device_that_goes_and_comes_is_one_error_and_one_wait() {
+    let strings = Strings::default();
+    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("camera"))).await;
+    (0..10).for_each(|_| strings.pull("camera", "on_reset", Pull::Unavailable("unplugged")));
+
+    ask(&node, "camera", Deed::Fail("unplugged".into())).await.unwrap();
+    node.await_fault(FaultKind::ErrorState, "camera").await;
+    node.await_fault(FaultKind::Unavailable, "camera").await;
+    node.advance(Duration::from_secs(60)).await;
+
+    assert_eq!(standing(&node).await, []);
+    assert_eq!(life(&node, "camera").await, 1, "its life went on");
+    node.await_recovered(FaultKind::Unavailable, "camera").await;
+    assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Running);
+}
+
+#[blastema_testkit::test]
+async fn those_who_depend_on_a_missing_device_wait_for_it_and_the_node_runs() {
+    let strings = Strings::default();
+    (0..8).for_each(|_| strings.pull("camera", "on_initialize", Pull::Unavailable("no camera")));
+    let vision = SupervisorSpec::new("vision", Strategy::RestForOne)
+        .child(strings.spec("camera"))
+        .child(strings.spec("eye"));
+    let builder = Node::builder("module1").supervisor(vision).child(strings.spec("wheels"));
+
+    let node = TestNode::start(builder).await;
+
+    assert_eq!(life(&node, "wheels").await, 1);
+    assert_eq!(strings.lines("eye").len(), 0);
+    assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Unavailable);
+    node.advance(Duration::from_secs(60)).await;
+    assert_eq!((life(&node, "camera").await, life(&node, "eye").await), (1, 1));
+    assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Running);
+    node.shutdown().await;
+}
+
+#[blastema_testkit::test]
+async fn one_that_waits_for_its_device_can_panic_be_restarted_and_stopped() {
+    let strings = Strings::default();
+    (0..3).for_each(|_| strings.pull("camera", "on_initialize", Pull::Unavailable("no camera")));
+    strings.pull("camera", "on_initialize", Pull::Panic("struck"));
+    (0..99).for_each(|_| strings.pull("camera", "on_initialize", Pull::Unavailable("no camera")));
+    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("camera"))).await;
+
+    node.await_fault(FaultKind::Panic, "camera").await;
+    node.await_recovered(FaultKind::Panic, "camera").await;
+    node.advance(Duration::from_secs(5)).await;
+    assert_eq!(node.tree().await.unwrap().children[0].incarnation, Incarnation(2));
+    strings.cut_all();
+    node.restart_child("camera").await.expect("it is stopped, and begins anew");
+    assert_eq!(life(&node, "camera").await, 3);
+    strings.pull("camera", "on_initialize", Pull::Unavailable("no camera"));
+    node.shutdown().await;
+    assert_eq!(node.state(), NodeState::Stopped);
+}
+
+#[blastema_testkit::test]
+async fn a_supervisor_has_the_time_that_its_children_have_together() {
+    let strings = Strings::default();
+    let minute = Duration::from_secs(60);
+    let slow = |name| {
+        strings.pull(name, "on_initialize", Pull::Wait(minute));
+        strings.pull(name, "on_finalize", Pull::Wait(minute));
+        strings.spec(name).ready_within(2 * minute).shutdown_within(2 * minute).max_wait(3 * minute)
+    };
+    let maps = SupervisorSpec::new("maps", Strategy::OneForOne).child(slow("a")).child(slow("b"));
+
+    let node = TestNode::start(Node::builder("module1").supervisor(maps)).await;
+    assert_eq!((life(&node, "a").await, life(&node, "b").await), (1, 1));
+    strings.diary();
+    node.expect_no_faults().await;
+    node.shutdown().await;
+
+    assert_eq!(strings.lines("on_finalize"), ["b#1 on_finalize", "a#1 on_finalize"]);
+}
+
+#[blastema_testkit::test]
+async fn a_supervisor_that_cannot_start_escalates_and_is_recovered_when_it_works() {
+    let strings = Strings::default();
+    (0..5).for_each(|_| strings.pull("wheel", "on_initialize", Pull::Fail("jammed")));
+    let drive = SupervisorSpec::new("drive", Strategy::RestForOne)
+        .intensity(1, Duration::from_secs(10))
+        .child(strings.spec("wheel"))
+        .child(strings.spec("odometry"));
+    let builder = Node::builder("module1").supervisor(drive).child(strings.spec("lamp"));
+
+    let mut node = TestNode::start(builder).await;
+    node.await_fault(FaultKind::RestartStorm, "drive").await;
+    node.await_recovered(FaultKind::RestartStorm, "drive").await;
+
+    assert_eq!(node.state(), NodeState::Running);
+    assert_eq!((life(&node, "wheel").await, life(&node, "odometry").await), (6, 1));
+    node.advance(Duration::from_secs(1)).await;
+    assert_eq!(standing(&node).await, []);
 }

@@ -11,6 +11,8 @@ use std::time::Duration;
 pub(crate) enum Pull {
     Fail(&'static str),
     Fatal(&'static str),
+    /// What it needs is not there yet.
+    Unavailable(&'static str),
     Panic(&'static str),
     /// It does not return for so long.
     Wait(Duration),
@@ -161,6 +163,7 @@ impl Puppet {
             None => Ok(()),
             Some(Pull::Fail(why)) => Err(why.into()),
             Some(Pull::Fatal(why)) => Err(Failure::fatal(why)),
+            Some(Pull::Unavailable(why)) => Err(Failure::unavailable(why)),
             Some(Pull::Panic(text)) => panic!("{text}"),
             Some(Pull::Wait(span)) => {
                 tokio::time::sleep(span).await;

@@ -18,6 +18,7 @@ fn robot(strings: &Strings) -> (NodeBuilder, Arc<Mutex<Vec<Fault>>>) {
         .child(strings.spec("lamp"))
         .child(strings.spec("motors"))
         .intensity(1, Duration::from_secs(10))
+        .when_exceeded(WhenExceeded::Escalate)
         .safe_outputs(move |fault| outputs.lock().unwrap().push(fault.clone()));
     (builder, applied)
 }

@@ -69,7 +69,9 @@ fn node(own: &str, medium: &MemoryMedium) -> NodeBuilder {
     for far in ["module0"].iter().chain(&MEMBERS).filter(|far| **far != own) {
         network = network.link(Link::in_memory(far, far).hello_every(10 * MS));
     }
-    Node::builder(own).network(network.with_faults(7))
+    // A member whose replica fails too often comes to rest as a whole.
+    let builder = Node::builder(own).when_exceeded(WhenExceeded::Escalate);
+    builder.network(network.with_faults(7))
 }
 
 struct Robot {

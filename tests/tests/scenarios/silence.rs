@@ -50,7 +50,10 @@ async fn a_silent_object_is_found_within_its_tolerance_and_replaced() {
 async fn an_object_that_stays_silent_ends_where_the_budget_says() {
     let strings = Strings::default();
     let spec = strings.spec("laser").rate_hz(10.0).watch(Watch::push(100 * MS, 3));
-    let builder = Node::builder("module1").intensity(3, 60 * 1000 * MS).child(spec);
+    let builder = Node::builder("module1")
+        .intensity(3, 60 * 1000 * MS)
+        .when_exceeded(WhenExceeded::Escalate)
+        .child(spec);
     let node = TestNode::start(builder).await;
     (0..99).for_each(|_| strings.pull("laser", "on_execute", Pull::Wait(HOUR)));
 

@@ -1,7 +1,8 @@
 use super::*;
 use crate::chain::scripted::{Answer, Bench, fault, object};
-use blastema_core::recovery::{ChildState, Strategy};
+use blastema_core::recovery::{ChildState, Strategy, WhenExceeded};
 use blastema_doubles::{advance, paused, settle};
+use std::time::Duration;
 
 fn rules(strategy: Strategy) -> SupervisorRules {
     SupervisorRules { strategy, ..SupervisorRules::default() }
@@ -90,7 +91,13 @@ fn a_child_that_does_not_stop_is_given_up_in_time() {
 fn the_root_gives_up_when_restarts_are_not_worth_it_any_more() {
     paused(async {
         let bench = Bench::new();
-        let rules = SupervisorRules { intensity: 1, root: true, ..SupervisorRules::default() };
+        let when_exceeded = WhenExceeded::Escalate;
+        let rules = SupervisorRules {
+            intensity: 1,
+            root: true,
+            when_exceeded,
+            ..rules(Strategy::OneForOne)
+        };
         let root = bench.serving(rules, &["a", "b"]).await;
         let first = root.address.send(restart(&bench, "a", FaultKind::Panic, 1)).await;
         assert_eq!(first.expect("it lives"), recovered("a", 2));
@@ -112,7 +119,7 @@ fn the_root_gives_up_when_restarts_are_not_worth_it_any_more() {
 fn a_supervisor_below_escalates_and_its_next_life_answers_what_was_asked_of_the_old() {
     paused(async {
         let bench = Bench::new();
-        let inner_rules = SupervisorRules { intensity: 0, ..SupervisorRules::default() };
+        let inner_rules = SupervisorRules { intensity: 0, ..rules(Strategy::OneForAll) };
         let wheels = vec![(bench.script.child("wheel"), ChildRules::default())];
         let inner = bench.supervisor("drive", inner_rules, wheels);
         let drive = inner.address.clone();

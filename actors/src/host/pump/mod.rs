@@ -31,8 +31,8 @@ use crate::panics::Guarded;
 use crate::platform;
 use actix::Recipient;
 use blastema_contract::child::{ChildEvent, ChildReport};
-use blastema_contract::reports::{Alive, StateReported};
-use blastema_core::{Incarnation, Instant, Lifecycle, Why};
+use blastema_contract::reports::{Alive, FaultDeclared, StateReported};
+use blastema_core::{FaultKind, Incarnation, Instant, Lifecycle, Why};
 use std::any::TypeId;
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -169,17 +169,17 @@ impl<C: Component> Pump<C> {
 
     fn begin_life(&mut self) {
         let record = &self.anchor.record;
-        record.set_incarnation(self.life.incarnation);
         self.slot.stamp.begin_life(self.life.incarnation.0);
         self.life.token.mute(record.is_isolated());
         let (seat, token) = (self.seat.clone(), self.life.token.clone());
-        record.set_seat(Some(Seated { seat, slot: self.place(), token }));
+        let seated = Seated { seat, slot: self.place(), token };
+        let is_newest = record.enter(self.life.incarnation, seated);
         self.chores.begin(record.limits.interval);
         if self.course.is_starting() {
             self.chores.limit(Chore::ReadyLimit, record.limits.ready_within);
         }
         // Whoever gave this life up before its place was known could not tell it so.
-        if self.anchor.lane.owner() != Some(self.life.incarnation) {
+        if !is_newest || self.anchor.lane.owner() != Some(self.life.incarnation) {
             self.life.token.end();
         }
     }
@@ -459,6 +459,13 @@ impl<C: Component> Pump<C> {
         for news in self.course.poll_news() {
             match news {
                 News::State(state, reason) => self.enter(state, reason),
+                News::Unavailable { reason, retry_in } => {
+                    self.chores.limit(Chore::Retry, retry_in);
+                    let object = self.anchor.record.name.clone();
+                    let (incarnation, kind) = (self.life.incarnation, FaultKind::Unavailable);
+                    let declared = FaultDeclared { object, incarnation, kind, detail: reason };
+                    self.outbox.push(Notice::Declared(declared));
+                }
                 News::Child(event) => {
                     self.chores.cancel_limit(Chore::ReadyLimit);
                     self.start_failed = matches!(event, ChildEvent::StartFailed { .. });
@@ -537,11 +544,14 @@ impl<C: Component> Pump<C> {
                 }
                 Progress::More
             }
-            Chore::ReadyLimit | Chore::StopLimit => Progress::More,
+            Chore::ReadyLimit | Chore::StopLimit | Chore::Retry => Progress::More,
         }
     }
 
     fn handle_limits(&mut self) {
+        if self.chores.take_limit(Chore::Retry) && self.course.handle_retry() {
+            self.chores.limit(Chore::ReadyLimit, self.anchor.record.limits.ready_within);
+        }
         if self.chores.take_limit(Chore::ReadyLimit) && self.course.is_starting() {
             self.drop_service();
             let within = self.anchor.record.limits.ready_within;

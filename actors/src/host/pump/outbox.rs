@@ -4,13 +4,14 @@ use super::Pump;
 use crate::component::Component;
 use actix::Recipient;
 use blastema_contract::child::{ChildEvent, ChildReport};
-use blastema_contract::reports::{Exited, StateReported};
+use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 use blastema_core::Incarnation;
 
 /// Told when the poll is over, so that the replacement's first message does not wait for it.
 pub(super) enum Notice {
     Exited(Exited),
     State(StateReported),
+    Declared(FaultDeclared),
     Child(ChildEvent, Incarnation),
 }
 
@@ -25,6 +26,7 @@ impl<C: Component> Pump<C> {
             match notice {
                 Notice::Exited(exited) => tell(reports.exits.as_ref(), exited),
                 Notice::State(state) => tell(reports.states.as_ref(), state),
+                Notice::Declared(declared) => tell(reports.faults.as_ref(), declared),
                 Notice::Child(event, incarnation) => {
                     let object = record.name.clone();
                     self.supervisor.do_send(ChildReport { object, incarnation, event });
@@ -39,6 +41,7 @@ impl Notice {
         match self {
             Notice::Exited(exited) => exited.incarnation > incarnation,
             Notice::State(state) => state.incarnation > incarnation,
+            Notice::Declared(declared) => declared.incarnation > incarnation,
             Notice::Child(_, of) => *of > incarnation,
         }
     }

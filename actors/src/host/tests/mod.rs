@@ -7,6 +7,7 @@ mod death;
 mod doorway;
 mod fencing;
 mod hang;
+mod incarnations;
 mod lifecycle;
 mod plain_actors;
 mod reporting;

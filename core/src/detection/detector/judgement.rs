@@ -185,8 +185,11 @@ impl Detector {
             }
             Lifecycle::Active => {
                 let life = scene.incarnation;
-                let is_over =
-                    |fault: &Fault| fault.incarnation < life || fault.kind == FaultKind::ErrorState;
+                let is_over = |fault: &Fault| {
+                    let ended =
+                        matches!(fault.kind, FaultKind::ErrorState | FaultKind::Unavailable);
+                    fault.incarnation < life || ended
+                };
                 self.end_all_at(scene, is_over, &End::Recovered);
             }
             Lifecycle::Created | Lifecycle::Initialized | Lifecycle::Finalized => {}

@@ -251,6 +251,19 @@ fn a_symptom_that_stays_is_treated_itself() {
 }
 
 #[test]
+fn who_stands_on_the_lost_thread_of_another_is_treated_at_once() {
+    let mut rig = Rig::new();
+    rig.find(fault(1, FaultKind::Hang, at("planner"), 1));
+
+    let behind = Fault { kind: FaultKind::Hang, ..symptom(2, "laser", 1) };
+    assert_eq!(rig.find(behind), ["#2 restart here:laser against hang, 1"]);
+
+    // What waits for something else than a hang waits with it.
+    rig.find(panic_of(3, "arm", 1));
+    assert_eq!(rig.find(Fault { kind: FaultKind::Hang, ..symptom(4, "hand", 3) }), [""; 0]);
+}
+
+#[test]
 fn a_fault_that_passes_while_it_waits_is_let_go_and_one_under_way_is_finished() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));

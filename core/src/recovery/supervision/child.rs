@@ -46,6 +46,8 @@ pub enum ChildState {
     Starting,
     /// It is at work.
     Running,
+    /// Something that it needs, such as its device, is not there yet: it tries again by itself.
+    Unavailable,
     /// It was told to reset itself.
     Resetting,
     /// It was told to stop.
@@ -79,10 +81,19 @@ pub(super) type Key = u64;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum State {
     Down,
-    Starting { due: Instant },
+    Starting {
+        due: Instant,
+    },
     Running,
-    Resetting { due: Instant, ticket: Ticket },
-    Stopping { due: Instant },
+    /// It waits for something that is not there yet, for as long as that takes.
+    Unavailable,
+    Resetting {
+        due: Instant,
+        ticket: Ticket,
+    },
+    Stopping {
+        due: Instant,
+    },
 }
 
 /// What a child is to come to.
@@ -137,7 +148,7 @@ impl Kept {
             State::Starting { due } | State::Resetting { due, .. } | State::Stopping { due } => {
                 Some(due)
             }
-            State::Down | State::Running => None,
+            State::Down | State::Running | State::Unavailable => None,
         }
     }
 
@@ -154,6 +165,7 @@ impl Kept {
         let state = match self.state {
             State::Starting { .. } => ChildState::Starting,
             State::Running => ChildState::Running,
+            State::Unavailable => ChildState::Unavailable,
             State::Resetting { .. } => ChildState::Resetting,
             State::Stopping { .. } => ChildState::Stopping,
             State::Down => match self.goal {

@@ -6,6 +6,10 @@
 //!                          └──intensity exceeded──► Ending ─► Escalated (the parent decides)
 //! ```
 //!
+//! Restarts are counted per child, and a child that exceeds the intensity is refused its restart: its
+//! recoverer then takes the next measure, at last safe stop. Where the rules say so, the strategy makes
+//! children depend on each other, or the child is essential, the supervisor escalates instead.
+//!
 //! Two sets carry all order. `going` holds the children whose present life must end: only the last
 //! of them in start order is stopped at a time. `coming` holds those that are to start: only the first
 //! of them is started at a time, and only when nobody is going any more. A group restart puts children
@@ -16,179 +20,26 @@
 //! to be done: restart it, or put it to rest. The supervisor never restarts a component on its own
 //! account; only a supervisor below that has escalated is its own to decide about.
 
+mod budget;
 mod child;
 mod moves;
 #[cfg(test)]
 mod tests;
+mod vocabulary;
 
 pub use child::{Cause, ChildState, ChildStatus};
+pub use vocabulary::{GiveUpReason, SupervisorAction, Ticket};
 
-use super::{ChildRules, RestartWindow, StandingOrder, SupervisorRules};
+use super::{ChildRules, Strategy, SupervisorRules};
 use crate::{Incarnation, Instant, Machine, ObjectName};
+use budget::Budget;
 use child::{Goal, Kept, Key, State};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::time::Duration;
 
 /// No supervisor keeps more: its table is read as a whole.
 const CHILDREN_LIMIT: usize = 65_536;
 /// More requests than this wait for no supervisor: the recoverer holds fewer cases open.
 const PENDING_LIMIT: usize = 16_384;
-
-/// A request that waits for its outcome; the number is chosen by whoever asks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Ticket(pub u64);
-
-/// Why a supervisor did not do what it was asked.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum GiveUpReason {
-    /// It keeps no child of this name.
-    #[error("no such child")]
-    Unknown,
-    /// The supervisor itself was stopped or has not begun.
-    #[error("its supervisor is not at work")]
-    NotAtWork,
-    /// The next life could not be built, initialised or activated.
-    #[error("its next life did not start: {reason}")]
-    StartFailed {
-        /// Why, as the component said it.
-        reason: String,
-    },
-    /// The component could not recover by itself.
-    #[error("it could not reset itself: {reason}")]
-    ResetFailed {
-        /// Why, as the component said it.
-        reason: String,
-    },
-    /// A reset needs a life at work, and there is none.
-    #[error("it has no life that could be reset")]
-    NoLife,
-    /// It did not answer in time.
-    #[error("it did not answer within {limit:?}")]
-    Overdue {
-        /// The deadline of its rules.
-        limit: Duration,
-    },
-    /// It is in safe rest; a person, not a fault, brings it back.
-    #[error("it is in safe rest")]
-    Resting,
-    /// Its end was final.
-    #[error("its end was final, as its rules say")]
-    Finished,
-    /// More restarts than the intensity allows, up to the root.
-    #[error("given up: {reason}")]
-    Escalated {
-        /// Which limit was exceeded, by whom.
-        reason: String,
-    },
-    /// There already is a child of this name.
-    #[error("there already is a child of this name")]
-    NameTaken,
-    /// The supervisor can take no more children or requests.
-    #[error("its supervisor is full: it takes no more than {limit}")]
-    Full {
-        /// The bound.
-        limit: usize,
-    },
-    /// The supervisor lost this request when it began anew.
-    #[error("its supervisor began anew")]
-    Forgotten,
-}
-
-/// What a supervisor wants done.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum SupervisorAction {
-    /// Begin the child's next life.
-    Start {
-        /// The child.
-        child: ObjectName,
-        /// Which life it is.
-        incarnation: Incarnation,
-    },
-    /// Ask the child's life to end.
-    Stop {
-        /// The child.
-        child: ObjectName,
-        /// Another life is to follow, so that what waits for the child goes on waiting.
-        again: bool,
-    },
-    /// Give the child's life up without asking it.
-    Abandon {
-        /// The child.
-        child: ObjectName,
-    },
-    /// Ask a child in error to recover by itself.
-    Reset {
-        /// The child.
-        child: ObjectName,
-    },
-    /// Forbid the child to send and receive, or allow it again.
-    Isolate {
-        /// The child.
-        child: ObjectName,
-        /// Forbidden, or allowed.
-        isolated: bool,
-    },
-    /// Leave a decision with the child's guard, or withdraw it.
-    StandingOrder {
-        /// The child.
-        child: ObjectName,
-        /// The decision.
-        order: Option<StandingOrder>,
-    },
-    /// The request is fulfilled.
-    Recovered {
-        /// Whose.
-        ticket: Ticket,
-        /// The child.
-        child: ObjectName,
-        /// The life at work; `None` where no life is wanted.
-        incarnation: Option<Incarnation>,
-    },
-    /// The request is not going to be fulfilled.
-    GaveUp {
-        /// Whose.
-        ticket: Ticket,
-        /// The child.
-        child: ObjectName,
-        /// Why.
-        why: GiveUpReason,
-    },
-    /// A start took too long; nobody else can know it.
-    Overdue {
-        /// The child.
-        child: ObjectName,
-        /// The life that did not come to be.
-        incarnation: Incarnation,
-        /// The deadline.
-        limit: Duration,
-    },
-    /// The child's end was final: what waits for it is to be given back.
-    Retire {
-        /// The child.
-        child: ObjectName,
-    },
-    /// The child has ended and is forgotten.
-    Left {
-        /// The child.
-        child: ObjectName,
-    },
-    /// The root's restarts are not worth it any more: what must be safe is made safe now. All children are
-    /// ended next, which takes its time.
-    GiveUp {
-        /// Which limit was exceeded, by whom.
-        reason: String,
-    },
-    /// Restarts are not worth it any more; all children have ended. The next authority decides.
-    Escalate {
-        /// Which limit was exceeded, by whom.
-        reason: String,
-    },
-    /// All children are at work for the first time in this life.
-    AllStarted,
-    /// All children have ended, as it was told.
-    AllStopped,
-}
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Phase {
@@ -228,9 +79,7 @@ pub struct Supervision {
     /// Those that have a deadline at present.
     timed: BTreeSet<Key>,
     pending: Vec<Pending>,
-    window: RestartWindow,
-    /// The budget is spent, and every guard's standing order is withdrawn until the window moves.
-    withdrawn: bool,
+    budget: Budget,
     outputs: VecDeque<SupervisorAction>,
 }
 
@@ -248,8 +97,7 @@ impl Supervision {
             coming: BTreeSet::new(),
             timed: BTreeSet::new(),
             pending: Vec::new(),
-            window: RestartWindow::new(rules.intensity, rules.period),
-            withdrawn: false,
+            budget: Budget::new(&rules),
             outputs: VecDeque::new(),
         }
     }
@@ -264,9 +112,9 @@ impl Supervision {
         self.incarnation
     }
 
-    /// How many more restarts it would allow at `now`.
+    /// How many more restarts it would allow at `now`, whichever child they strike.
     pub fn restarts_left(&self, now: Instant) -> u32 {
-        self.window.left(now)
+        self.budget.least(now)
     }
 
     /// Its children in their start order.
@@ -313,8 +161,7 @@ impl Supervision {
         self.handle_forsake(now);
         self.incarnation = incarnation;
         self.phase = Phase::Starting;
-        self.window.clear();
-        self.withdrawn = false;
+        self.budget.clear();
         let keys: Vec<Key> = self.children.keys().copied().collect();
         for key in keys {
             let child = self.kept(key);
@@ -330,6 +177,18 @@ impl Supervision {
     pub fn handle_end(&mut self, now: Instant) {
         self.end(None);
         self.advance(now);
+    }
+
+    /// No life follows the one that has ended: whoever waits for a child to work is told so.
+    pub fn handle_retired(&mut self) {
+        let (work, others) = std::mem::take(&mut self.pending)
+            .into_iter()
+            .partition(|pending: &Pending| pending.wish == Wish::Work);
+        self.pending = others;
+        let work: Vec<Pending> = work;
+        for Pending { ticket, child, .. } in work {
+            self.answer_gave_up(ticket, child, GiveUpReason::NotAtWork);
+        }
     }
 
     /// Gives all children up at once.
@@ -391,8 +250,10 @@ impl Supervision {
             }
             Some(_) => {}
         }
-        if self.kept(key).goal == Goal::Run {
-            self.replace(key, cause, now);
+        if self.kept(key).goal == Goal::Run
+            && let Err(why) = self.replace(key, cause, now)
+        {
+            self.refuse(ticket, why);
         }
         self.advance(now);
     }
@@ -442,19 +303,71 @@ impl Supervision {
         let Some(key) = self.admit(name, ticket, Wish::Rest) else { return };
         self.set_isolated(key, true);
         self.dismiss(key, Goal::Rest, cause, now);
+        let essential = self.children.get(&key).is_some_and(|child| child.rules.essential);
+        let group = self.rules.strategy != Strategy::OneForOne;
+        if self.at_work() && cause != Cause::Asked {
+            if essential {
+                self.end(Some(format!("{name} is essential, and was put to safe rest")));
+            } else if group && self.phase == Phase::Starting {
+                self.end(Some(format!("{name} could not be started, and others depend on it")));
+            }
+        }
         self.advance(now);
     }
 
     /// The child's new life is at work.
     pub fn handle_started(&mut self, name: &ObjectName, incarnation: Incarnation, now: Instant) {
         let Some(key) = self.present(name, incarnation) else { return };
-        if !matches!(self.kept(key).state, State::Starting { .. }) || self.going.contains(&key) {
+        let state = self.kept(key).state;
+        if !matches!(state, State::Starting { .. } | State::Unavailable)
+            || self.going.contains(&key)
+        {
             return;
         }
         self.set_state(key, State::Running);
         self.coming.remove(&key);
         self.grant(key, now);
         self.advance(now);
+    }
+
+    /// The child's life waits for something that is not there yet, and tries again by itself. Where others
+    /// depend on it, those behind it wait too; else they are started.
+    pub fn handle_unavailable(
+        &mut self,
+        name: &ObjectName,
+        incarnation: Incarnation,
+        reason: String,
+        now: Instant,
+    ) {
+        let Some(key) = self.present(name, incarnation) else { return };
+        let child = self.kept(key);
+        let name = child.name.clone();
+        match child.state {
+            State::Down | State::Stopping { .. } => return,
+            State::Resetting { ticket, .. } => {
+                // It has taken its recovery into its own hands.
+                self.set_state(key, State::Running);
+                self.outputs.push_back(SupervisorAction::Recovered {
+                    ticket,
+                    child: name,
+                    incarnation: Some(incarnation),
+                });
+            }
+            State::Starting { .. } | State::Running | State::Unavailable => {}
+        }
+        self.set_state(key, State::Unavailable);
+        if self.rules.strategy == Strategy::OneForOne {
+            self.coming.remove(&key);
+        } else if self.phase == Phase::Starting {
+            self.outputs.push_back(SupervisorAction::Unavailable { reason });
+        }
+        self.advance(now);
+    }
+
+    /// The child that was told to start has begun this life: not the one that it was told, if its guard had
+    /// begun that one on the spot meanwhile.
+    pub fn handle_begun(&mut self, name: &ObjectName, incarnation: Incarnation) {
+        self.present(name, incarnation);
     }
 
     /// The child's new life did not come to be.
@@ -534,8 +447,12 @@ impl Supervision {
         self.life_ended(key, false, reason, now);
         // It may have been about to leave, and is gone now.
         let failed = self.children.get(&key).is_some_and(|child| child.failed.is_some());
-        if failed && self.at_work() {
-            self.replace(key, Cause::Died, now);
+        if failed
+            && self.at_work()
+            && let Err(why) = self.replace(key, Cause::Died, now)
+        {
+            let (child, reason) = (name.clone(), why.to_string());
+            self.outputs.push_back(SupervisorAction::Refused { child, incarnation, reason });
         }
         self.advance(now);
     }
@@ -554,7 +471,8 @@ impl Supervision {
                     self.coming.remove(&key);
                 }
                 State::Resetting { .. } => self.set_state(key, State::Running),
-                _ => {
+                State::Unavailable => {}
+                State::Starting { .. } | State::Stopping { .. } | State::Down => {
                     self.abandon(key);
                     if self.at_work() && self.kept(key).goal == Goal::Run {
                         self.coming.insert(key);
@@ -579,8 +497,7 @@ impl Machine for Supervision {
 
     fn poll_timeout(&self) -> Option<Instant> {
         let dues = self.timed.iter().filter_map(|key| self.children[key].due());
-        let release = self.withdrawn.then(|| self.window.next_release()).flatten();
-        dues.chain(release).min()
+        dues.chain(self.budget.next_release()).min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
@@ -589,10 +506,11 @@ impl Machine for Supervision {
         for key in overdue {
             self.handle_overdue(key, now);
         }
-        self.window.forget(now);
-        if self.withdrawn && self.window.left(now) > 0 {
-            self.withdrawn = false;
+        let released = self.budget.release(now);
+        if self.budget.is_shared() && !released.is_empty() {
             self.grant_all(now);
+        } else {
+            released.into_iter().for_each(|key| self.grant(key, now));
         }
         self.advance(now);
     }

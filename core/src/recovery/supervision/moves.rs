@@ -38,12 +38,21 @@ impl Supervision {
                     self.start(first, now);
                 }
             }
-            None if self.phase == Phase::Starting => {
+            None if self.phase == Phase::Starting && self.is_up() => {
                 self.phase = Phase::Serving;
                 self.outputs.push_back(SupervisorAction::AllStarted);
             }
             None => {}
         }
+    }
+
+    /// Every child that is to have a life has one at work, or one that waits for what is not there yet.
+    fn is_up(&self) -> bool {
+        let up = |child: &Kept| match child.state {
+            State::Running | State::Resetting { .. } | State::Unavailable => true,
+            State::Down | State::Starting { .. } | State::Stopping { .. } => false,
+        };
+        self.children.values().all(|child| child.goal != Goal::Run || up(child))
     }
 
     /// Answers every waiting request whose outcome is now known.
@@ -95,22 +104,31 @@ impl Supervision {
                         self.going.is_empty() && (self.coming.is_empty() || self.is_held_up())
                     }
                 };
-                (child.state == State::Running && whole).then_some(Ok(Some(child.incarnation)))
+                let up = matches!(child.state, State::Running | State::Unavailable);
+                (up && whole).then_some(Ok(Some(child.incarnation)))
             }
         }
     }
 
     /// Somebody whose life has ended in the meantime holds up those behind it, until its own fault has
-    /// been decided upon. That may wait in turn for what is being answered here.
+    /// been decided upon. That may wait in turn for what is being answered here. So does one that waits
+    /// for what is not there yet.
     fn is_held_up(&self) -> bool {
         let first = self.coming.first().and_then(|key| self.children.get(key));
-        first.is_some_and(|child| child.failed.is_some())
+        first.is_some_and(|child| child.failed.is_some() || child.state == State::Unavailable)
     }
 
-    /// Replaces a child's life, and those of its siblings as the strategy says.
-    pub(super) fn replace(&mut self, key: Key, cause: Cause, now: Instant) {
+    /// Replaces a child's life, and those of its siblings as the strategy says; or says why that is not
+    /// worth it any more.
+    pub(super) fn replace(
+        &mut self,
+        key: Key,
+        cause: Cause,
+        now: Instant,
+    ) -> Result<(), GiveUpReason> {
         if self.kept(key).rules.restart == Restart::Temporary {
-            return self.dismiss(key, Goal::Finished, cause, now);
+            self.dismiss(key, Goal::Finished, cause, now);
+            return Ok(());
         }
         let child = self.kept(key);
         let waits = child.state == State::Down && child.failed.is_none();
@@ -121,12 +139,12 @@ impl Supervision {
             self.after_end(key, now);
         }
         if stops || (waits && self.coming.contains(&key)) {
-            return;
+            return Ok(());
         }
         self.end_now(key, cause);
         let held_against = !matches!(cause, Cause::Behind | Cause::Asked);
         if held_against && !self.count_restart(key, now) {
-            return;
+            return self.leave_failed(key);
         }
         let child = self.kept(key);
         child.failed = None;
@@ -137,19 +155,47 @@ impl Supervision {
             Strategy::OneForAll => self.renew_from(0),
             Strategy::RestForOne => self.renew_from(key),
         }
+        Ok(())
     }
 
-    /// Everybody from `first` on, in start order, is to end and to start again.
+    /// The restart of a child was one too many. Unless the whole supervisor ends, it is left to the
+    /// recoverer's next measure.
+    fn leave_failed(&mut self, key: Key) -> Result<(), GiveUpReason> {
+        if !self.at_work() {
+            return Ok(());
+        }
+        let reason = self.excess_of(key);
+        let child = self.kept(key);
+        if !child.lives() {
+            child.failed = Some(reason.clone());
+        }
+        Err(GiveUpReason::IntensityExceeded { reason })
+    }
+
+    /// Everybody from `first` on, in start order, is to end and to start again; but for temporary
+    /// children, which only end.
     fn renew_from(&mut self, first: Key) {
+        let mut finished = Vec::new();
         for (&key, child) in self.children.range_mut(first..) {
-            if child.goal == Goal::Run {
-                child.failed = None;
-                self.coming.insert(key);
-                if child.lives() {
-                    self.going.insert(key);
+            if child.goal != Goal::Run {
+                continue;
+            }
+            child.failed = None;
+            if child.lives() {
+                self.going.insert(key);
+            }
+            if child.rules.restart == Restart::Temporary {
+                child.goal = Goal::Finished;
+                self.coming.remove(&key);
+                if !child.lives() {
+                    finished.push(child.name.clone());
                 }
+            } else {
+                self.coming.insert(key);
             }
         }
+        let retire = |child| SupervisorAction::Retire { child };
+        self.outputs.extend(finished.into_iter().map(retire));
     }
 
     /// Ends a child's life for good, or until somebody asks for it again.
@@ -211,6 +257,7 @@ impl Supervision {
                 let child = self.children.remove(&key).expect("this child was just looked at");
                 self.index.remove(&child.name);
                 self.coming.remove(&key);
+                self.budget.forget(key);
                 self.outputs.push_back(SupervisorAction::Left { child: child.name });
             }
             Goal::Run if alone && child.failed.is_none() => match self.rules.strategy {
@@ -239,6 +286,11 @@ impl Supervision {
             }
             State::Stopping { .. } => {
                 self.abandon(key);
+                let is_awaited = self.pending.iter().any(|pending| pending.key == key);
+                if self.kept(key).goal == Goal::Finished && !is_awaited {
+                    // A life that is given up cannot give back what waits for it.
+                    self.outputs.push_back(SupervisorAction::Retire { child: name });
+                }
                 self.after_end(key, now);
             }
             State::Resetting { ticket, .. } => {
@@ -246,7 +298,7 @@ impl Supervision {
                 self.set_state(key, State::Running);
                 self.answer_gave_up(ticket, name, GiveUpReason::Overdue { limit });
             }
-            State::Down | State::Running => {}
+            State::Down | State::Running | State::Unavailable => {}
         }
     }
 
@@ -305,18 +357,27 @@ impl Supervision {
         }
     }
 
-    /// Counts a restart; where it is one too many, everything ends.
+    /// Counts a restart and says whether it is within the intensity. One that is not ends everything where
+    /// no child can go on without this one.
     fn count_restart(&mut self, key: Key, now: Instant) -> bool {
-        let within = self.window.add(now);
-        if !within {
-            let (intensity, period) = (self.rules.intensity, self.rules.period);
-            let name = &self.kept(key).name;
-            let reason = format!("{name} needed more than {intensity} restarts in {period:?}");
+        let within = self.budget.add(key, now);
+        if !within && (self.budget.is_shared() || self.kept(key).rules.essential) {
+            let reason = self.excess_of(key);
             self.end(Some(reason));
-        } else if self.window.left(now) == 0 {
-            self.withdraw_all();
+        } else if self.budget.left(key, now) == 0 {
+            if self.budget.is_shared() {
+                self.withdraw_all();
+            } else {
+                self.withdraw(key);
+            }
         }
         within
+    }
+
+    fn excess_of(&self, key: Key) -> String {
+        let (intensity, period) = (self.rules.intensity, self.rules.period);
+        let name = &self.children[&key].name;
+        format!("{name} needed more than {intensity} restarts in {period:?}")
     }
 
     pub(super) fn restarted_on_the_spot(&mut self, key: Key, next: Incarnation, now: Instant) {
@@ -339,7 +400,7 @@ impl Supervision {
     pub(super) fn end(&mut self, escalation: Option<String>) {
         self.coming.clear();
         self.withdraw_all();
-        self.withdrawn = false;
+        self.budget.settle();
         self.going = self.living().collect();
         for child in self.children.values_mut() {
             child.failed = None;
@@ -364,7 +425,7 @@ impl Supervision {
 
     /// Leaves what remains of the budget with a child's guard, where the rules allow it.
     pub(super) fn grant(&mut self, key: Key, now: Instant) {
-        let (left, period) = (self.window.left(now), self.rules.period);
+        let (left, period) = (self.budget.left(key, now), self.rules.period);
         let allowed = self.at_work() && self.rules.strategy == Strategy::OneForOne && left > 0;
         let going = self.going.contains(&key);
         let child = self.kept(key);
@@ -399,7 +460,6 @@ impl Supervision {
     }
 
     fn withdraw_all(&mut self) {
-        self.withdrawn = true;
         let keys: Vec<Key> = self.children.keys().copied().collect();
         for key in keys {
             self.withdraw(key);

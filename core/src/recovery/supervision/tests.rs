@@ -1,13 +1,16 @@
 //! Every state with every input, in words: outputs are compared as lines such as `start laser #2`.
 
 mod budget;
+mod exceeded;
 mod lives;
 mod rest;
 mod states;
 mod strategies;
+mod unavailable;
 
 use super::*;
-use crate::recovery::{Restart, Strategy};
+use crate::recovery::{Restart, Strategy, WhenExceeded};
+use std::time::Duration;
 
 const MINUTE: Duration = Duration::from_secs(60);
 
@@ -33,9 +36,18 @@ fn kept(restart: Restart) -> ChildRules {
     ChildRules { restart, ..ChildRules::default() }
 }
 
+/// All restarts are one count, as in Erlang/OTP.
+fn together() -> SupervisorRules {
+    let when_exceeded = WhenExceeded::Escalate;
+    SupervisorRules { when_exceeded, period: MINUTE, ..SupervisorRules::default() }
+}
+
 impl Rig {
     fn with(strategy: Strategy, intensity: u32, children: &[(&str, ChildRules)]) -> Self {
-        let rules = SupervisorRules { strategy, intensity, period: MINUTE, root: false };
+        Rig::of(SupervisorRules { strategy, intensity, ..together() }, children)
+    }
+
+    fn of(rules: SupervisorRules, children: &[(&str, ChildRules)]) -> Self {
         let mut machine = Supervision::new(rules);
         let now = Instant::from_millis(1000);
         for (child, rules) in children {
@@ -82,6 +94,10 @@ impl Rig {
                 SupervisorAction::GaveUp { ticket, child, why } => {
                     format!("{} gave {child} up: {why}", ticket.0)
                 }
+                SupervisorAction::Refused { child, incarnation, reason } => {
+                    format!("refused {child} {incarnation}: {reason}")
+                }
+                SupervisorAction::Unavailable { reason } => format!("waits: {reason}"),
                 SupervisorAction::Overdue { child, .. } => format!("overdue {child}"),
                 SupervisorAction::Retire { child } => format!("retire {child}"),
                 SupervisorAction::Left { child } => format!("left {child}"),
@@ -154,6 +170,12 @@ impl Rig {
 
     fn started(&mut self, child: &str, life: u64) -> Vec<String> {
         self.machine.handle_started(&name(child), Incarnation(life), self.now);
+        self.said()
+    }
+
+    fn unavailable(&mut self, child: &str, life: u64) -> Vec<String> {
+        let reason = "no device".into();
+        self.machine.handle_unavailable(&name(child), Incarnation(life), reason, self.now);
         self.said()
     }
 

@@ -161,3 +161,24 @@ fn who_is_at_work_does_not_wait_for_a_sibling_that_failed_in_turn() {
         assert_eq!(rig.restart("b", Cause::Died, 2), [next]);
     }
 }
+
+#[test]
+fn a_temporary_member_ends_with_its_group_and_does_not_return() {
+    for strategy in [Strategy::OneForAll, Strategy::RestForOne] {
+        let guest = kept(Restart::Temporary);
+        let children = [("a", permanent()), ("guest", guest), ("c", permanent())];
+        let mut rig = Rig::with(strategy, 3, &children);
+        rig.begin();
+        for child in ["a", "guest", "c"] {
+            rig.started(child, 1);
+        }
+
+        assert_eq!(rig.restart("a", Cause::Died, 1), ["stop c"]);
+        assert_eq!(rig.stopped("c", 1), ["stop guest"]);
+        // What waits for one that does not even stop is given back.
+        assert_eq!(rig.pass(5), ["abandon guest", "retire guest", "start a #2"]);
+        assert_eq!(rig.started("a", 2), ["start c #2"]);
+        assert_eq!(rig.started("c", 2), ["1 recovered a #2"]);
+        assert_eq!(rig.state("guest"), ChildState::Finished);
+    }
+}

@@ -1,0 +1,96 @@
+//! No two lives of one component have one number, whoever begins them.
+
+use super::{Add, Boom, Slow, Stage, acc, boom, order};
+use crate::host::arbiters::Arbiters;
+use crate::{ChildSpec, Component, Context, Failure, Handle, Incarnation, Ports, Why};
+use blastema_contract::child::ChildEvent;
+use blastema_doubles::paused;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+#[test]
+fn a_life_that_is_ordered_while_the_guard_begins_one_has_a_number_of_its_own() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, _) = acc("acc");
+        let (mut child, acc) = stage.start(spec).await;
+        child.standing_order(order(5));
+        acc.tell(boom("one")).unwrap();
+        assert_eq!(acc.ask(Slow(0)).await, Ok(2000), "the second life, and nobody has heard of it");
+
+        // The supervisor still knows the first one, and wants it replaced.
+        child.abandon();
+        let begun = child.start(Incarnation(2), stage.reports.recipient());
+
+        assert_eq!(begun, Incarnation(3));
+        assert_eq!(acc.ask(Slow(0)).await, Ok(3000));
+        let started = stage.reports.wait(|report| report.incarnation == begun).await;
+        assert_eq!(started.event, ChildEvent::Started);
+        assert_eq!(acc.ask(Add(0)).await, Ok(3000), "one life serves");
+    });
+}
+
+type Lives = Arc<Mutex<Vec<Incarnation>>>;
+
+/// Notes each of its lives.
+struct Census(Lives);
+
+impl Component for Census {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Boom>().serve::<Add>();
+    }
+
+    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.0.lock().unwrap().push(cx.incarnation());
+        Ok(())
+    }
+}
+
+impl Handle<Boom> for Census {
+    async fn handle(&mut self, Boom(text): Boom, _: &mut Context<Self>) {
+        panic!("{text}")
+    }
+}
+
+impl Handle<Add> for Census {
+    async fn handle(&mut self, Add(_): Add, cx: &mut Context<Self>) -> u64 {
+        cx.incarnation().0
+    }
+}
+
+#[test]
+fn a_panic_and_an_order_at_the_same_time_never_make_two_lives_of_one_number() {
+    actix_rt::System::new().block_on(async {
+        let stage = Stage::on(Arbiters::pool(2));
+        let lives = Lives::default();
+        let kept = lives.clone();
+        let spec = ChildSpec::new("census", move || Census(kept.clone()))
+            .queue(64, crate::WhenFull::Refuse);
+        let (mut child, census) = stage.start(spec).await;
+        for round in 0..200_u64 {
+            child.standing_order(order(u32::MAX));
+            let _ = census.tell(boom("struck"));
+            // Sooner or later than the panic, from round to round.
+            (0..20 * (round % 50)).for_each(|_| std::hint::spin_loop());
+            child.abandon();
+            let known = Incarnation(1 + round);
+            let begun = child.start(known, stage.reports.recipient());
+            let answered = loop {
+                match census.ask_within(Add(0), Duration::from_secs(30)).await {
+                    Ok(life) => break Incarnation(life),
+                    Err(error) if matches!(error.why, Why::PeerDied { .. } | Why::Restarting) => {}
+                    Err(error) => panic!("{error}"),
+                }
+            };
+            assert!(answered >= begun, "{answered} answers, and {begun} was begun");
+        }
+        drop(child);
+        stage.environment.arbiters.stop();
+
+        let mut begun = lives.lock().unwrap().clone();
+        let count = begun.len();
+        begun.sort_unstable();
+        begun.dedup();
+        assert_eq!(begun.len(), count, "each life has a number of its own");
+    });
+}

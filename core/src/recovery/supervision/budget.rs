@@ -1,0 +1,97 @@
+//! How many restarts a supervisor still allows: one count for each child, or one for all of them.
+
+use super::child::Key;
+use crate::Instant;
+use crate::recovery::{RestartWindow, SupervisorRules};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// The restarts that are counted at present. See the [module](self).
+#[derive(Clone, Debug)]
+pub(super) struct Budget {
+    intensity: u32,
+    period: Duration,
+    shared: bool,
+    /// By child; under a shared count, all under one key. A child that was never restarted has none.
+    windows: BTreeMap<Key, RestartWindow>,
+    /// The counts that are exhausted until their windows move.
+    spent: BTreeSet<Key>,
+}
+
+impl Budget {
+    pub(super) fn new(rules: &SupervisorRules) -> Self {
+        let (intensity, period) = (rules.intensity, rules.period);
+        let shared = rules.counts_together();
+        Budget { intensity, period, shared, windows: BTreeMap::new(), spent: BTreeSet::new() }
+    }
+
+    /// Where a child's restarts are counted.
+    fn of(&self, child: Key) -> Key {
+        if self.shared { Key::MAX } else { child }
+    }
+
+    /// All children draw from one count.
+    pub(super) fn is_shared(&self) -> bool {
+        self.shared
+    }
+
+    /// Counts one restart of a child. False: the intensity is exceeded, and nothing is counted.
+    pub(super) fn add(&mut self, child: Key, now: Instant) -> bool {
+        if self.left(child, now) == 0 {
+            return false;
+        }
+        let of = self.of(child);
+        let window = self.windows.entry(of);
+        let window = window.or_insert_with(|| RestartWindow::new(self.intensity, self.period));
+        window.add(now);
+        if window.left(now) == 0 {
+            self.spent.insert(of);
+        }
+        true
+    }
+
+    /// How many more restarts of a child are within the intensity.
+    pub(super) fn left(&self, child: Key, now: Instant) -> u32 {
+        self.windows.get(&self.of(child)).map_or(self.intensity, |window| window.left(now))
+    }
+
+    /// How many more restarts are within the intensity, whichever child they strike.
+    pub(super) fn least(&self, now: Instant) -> u32 {
+        let left = self.windows.values().map(|window| window.left(now));
+        left.min().unwrap_or(self.intensity)
+    }
+
+    /// When the next exhausted count allows a restart again.
+    pub(super) fn next_release(&self) -> Option<Instant> {
+        let spent = self.spent.iter().filter_map(|of| self.windows.get(of));
+        spent.filter_map(RestartWindow::next_release).min()
+    }
+
+    /// Moves the windows; says which of the exhausted counts allow restarts again.
+    pub(super) fn release(&mut self, now: Instant) -> BTreeSet<Key> {
+        let moved = |of: &Key| self.windows.get(of).is_none_or(|window| window.left(now) > 0);
+        let (released, spent) = std::mem::take(&mut self.spent).into_iter().partition(moved);
+        self.spent = spent;
+        for window in self.windows.values_mut() {
+            window.forget(now);
+        }
+        released
+    }
+
+    /// The child is no more.
+    pub(super) fn forget(&mut self, child: Key) {
+        self.windows.remove(&child);
+        self.spent.remove(&child);
+    }
+
+    /// Nothing is waited for: a life of the supervisor ends.
+    pub(super) fn settle(&mut self) {
+        self.spent.clear();
+    }
+
+    /// A life of the supervisor begins, with everything allowed.
+    pub(super) fn clear(&mut self) {
+        self.windows.clear();
+        self.spent.clear();
+    }
+}

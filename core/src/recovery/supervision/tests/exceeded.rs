@@ -1,0 +1,171 @@
+//! A child that needs more restarts than are allowed, where its siblings go on.
+
+use super::*;
+
+/// Restarts are counted per child.
+fn apart(intensity: u32, children: &[(&str, ChildRules)]) -> Rig {
+    let rules = SupervisorRules { intensity, period: MINUTE, ..SupervisorRules::default() };
+    let mut rig = Rig::of(rules, children);
+    rig.begin();
+    for (child, _) in children {
+        rig.started(child, 1);
+    }
+    rig
+}
+
+fn essential() -> ChildRules {
+    ChildRules { essential: true, ..ChildRules::default() }
+}
+
+#[test]
+fn each_child_has_a_count_of_its_own() {
+    let mut rig = apart(1, &[("a", permanent()), ("b", permanent())]);
+    assert_eq!(rig.restart("a", Cause::Died, 1), ["start a #2"]);
+    rig.started("a", 2);
+
+    assert_eq!(rig.restart("b", Cause::Died, 1), ["start b #2"]);
+    rig.started("b", 2);
+    let refused = "3 gave a up: it is not restarted any more: \
+                   a needed more than 1 restarts in 60s";
+    assert_eq!(rig.restart("a", Cause::Died, 2), [refused]);
+
+    assert_eq!((rig.state("a"), rig.state("b")), (ChildState::Failed, ChildState::Running));
+    assert_eq!(rig.rest("a", Cause::Faulty), ["isolate a", "4 let a go"]);
+    assert_eq!(rig.state("a"), ChildState::Resting);
+}
+
+#[test]
+fn one_that_could_still_be_asked_is_left_to_the_next_measure() {
+    let mut rig = apart(0, &[("a", permanent())]);
+
+    let refused = rig.restart("a", Cause::Faulty, 1);
+
+    assert_eq!(refused.len(), 1, "it is not stopped: {refused:?}");
+    assert_eq!(rig.state("a"), ChildState::Running);
+}
+
+#[test]
+fn a_child_is_worth_a_restart_again_as_its_window_moves() {
+    let mut rig = apart(1, &[("a", permanent())]);
+    rig.restart("a", Cause::Died, 1);
+    rig.started("a", 2);
+    for _ in 0..5 {
+        let refused = rig.restart("a", Cause::Died, 2);
+        assert!(refused[0].contains("not restarted any more"), "{refused:?}");
+    }
+
+    rig.pass(61);
+
+    assert_eq!(rig.restart("a", Cause::Died, 2), ["start a #3"]);
+}
+
+#[test]
+fn a_standing_order_draws_from_the_childs_own_count() {
+    let mut rig = apart(1, &[("a", on_the_spot()), ("b", on_the_spot())]);
+
+    assert_eq!(rig.died_on_the_spot("a", 1), ["withdraw a"]);
+    // One more than was granted, by a hair of the clocks: it lives, and it stays.
+    assert_eq!(rig.died_on_the_spot("a", 2), [""; 0]);
+    assert_eq!(rig.state("a"), ChildState::Running);
+    assert_eq!(rig.machine.restarts_left(rig.now), 0);
+
+    rig.now = rig.machine.poll_timeout().expect("it waits for the window to move");
+    assert_eq!(rig.pass(0), ["order a x1"]);
+    assert_eq!(rig.machine.poll_timeout(), None);
+}
+
+#[test]
+fn an_essential_child_takes_its_supervisor_along() {
+    let mut rig = apart(0, &[("a", essential()), ("b", permanent())]);
+    assert_eq!(rig.restart("a", Cause::Died, 1), ["stop b"]);
+    let escalates = ["escalate: a needed more than 0 restarts in 60s"];
+    assert_eq!(rig.stopped("b", 1), escalates);
+
+    let mut rig = apart(3, &[("a", essential()), ("b", permanent())]);
+    assert_eq!(rig.rest("a", Cause::Faulty), ["isolate a", "stop a", "stop b"], "for a fault");
+    assert_eq!(rig.stopped("a", 1), ["1 let a go"]);
+    let escalates = ["escalate: a is essential, and was put to safe rest"];
+    assert_eq!(rig.stopped("b", 1), escalates);
+
+    let mut rig = apart(3, &[("a", essential()), ("b", permanent())]);
+    rig.rest("a", Cause::Asked);
+    assert_eq!(rig.stopped("a", 1), ["1 let a go"], "as a person wished");
+    assert_eq!(rig.state("b"), ChildState::Running);
+}
+
+#[test]
+fn who_depend_on_each_other_escalate_together() {
+    for strategy in [Strategy::OneForAll, Strategy::RestForOne] {
+        let rules = SupervisorRules { strategy, intensity: 0, ..SupervisorRules::default() };
+        let mut rig = Rig::of(rules, &[("a", permanent()), ("b", permanent())]);
+        rig.begin();
+        rig.started("a", 1);
+        rig.started("b", 1);
+
+        assert_eq!(rig.restart("a", Cause::Died, 1), ["stop b"]);
+        let escalates = rig.stopped("b", 1);
+        assert!(escalates[0].starts_with("escalate: a needed"), "{escalates:?}");
+    }
+}
+
+#[test]
+fn a_group_of_which_a_member_cannot_be_started_escalates() {
+    let children = ["a", "b"].map(|child| (child, permanent()));
+    let rules = SupervisorRules { strategy: Strategy::RestForOne, ..SupervisorRules::default() };
+    let mut rig = Rig::of(rules, &children);
+    rig.begin();
+    rig.start_failed("a", 1);
+    let escalates = ["isolate a", "escalate: a could not be started, and others depend on it"];
+    assert_eq!(rig.rest("a", Cause::Faulty)[..2], escalates);
+
+    let mut rig = Rig::serving(Strategy::RestForOne);
+    assert_eq!(rig.rest("a", Cause::Faulty), ["isolate a", "stop a"], "at work, as the plan says");
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &children);
+    rig.begin();
+    rig.start_failed("a", 1);
+    let without = ["isolate a", "start b #1", "1 let a go"];
+    assert_eq!(rig.rest("a", Cause::Faulty), without, "they do without each other");
+}
+
+#[test]
+fn a_supervisor_below_that_is_not_worth_it_any_more_is_left_to_the_recoverer() {
+    let mut rig = apart(1, &[("drive", permanent()), ("b", permanent())]);
+    assert_eq!(rig.escalated("drive", 1), ["start drive #2"]);
+    rig.started("drive", 2);
+
+    let refused = rig.escalated("drive", 2);
+
+    assert_eq!(refused.len(), 1, "{refused:?}");
+    assert!(refused[0].starts_with("refused drive #2: "), "{refused:?}");
+    assert_eq!((rig.state("drive"), rig.state("b")), (ChildState::Failed, ChildState::Running));
+}
+
+#[test]
+fn who_waits_for_a_supervisor_that_does_not_return_is_told() {
+    let mut rig = Rig::with(Strategy::OneForAll, 0, &[("a", permanent())]);
+    rig.begin();
+    rig.started("a", 1);
+    let escalated = rig.restart("a", Cause::Died, 1);
+    assert_eq!(escalated, ["escalate: a needed more than 0 restarts in 60s"], "its next life says");
+
+    assert_eq!(rig.end(), ["all stopped"]);
+    rig.machine.handle_retired();
+
+    assert_eq!(rig.said(), ["1 gave a up: its supervisor is not at work"]);
+    assert_eq!(rig.restart("a", Cause::Died, 1), ["2 gave a up: its supervisor is not at work"]);
+}
+
+#[test]
+fn a_thousand_children_that_fail_at_once_are_all_replaced() {
+    let names: Vec<String> = (0..1000).map(|n| format!("c{n}")).collect();
+    let children: Vec<_> = names.iter().map(|name| (name.as_str(), permanent())).collect();
+    let mut rig = apart(3, &children);
+
+    for name in &names {
+        assert_eq!(rig.restart(name, Cause::Died, 1), [format!("start {name} #2")]);
+    }
+    for (at, name) in names.iter().enumerate() {
+        assert_eq!(rig.started(name, 2), [format!("{} recovered {name} #2", at + 1)]);
+    }
+    assert_eq!(rig.machine.poll_timeout(), None);
+}

@@ -1,0 +1,183 @@
+//! What a supervisor is asked, what it wants done, and why it did not do something.
+
+use crate::recovery::StandingOrder;
+use crate::{Incarnation, ObjectName};
+use std::time::Duration;
+
+/// A request that waits for its outcome; the number is chosen by whoever asks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Ticket(pub u64);
+
+/// Why a supervisor did not do what it was asked.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum GiveUpReason {
+    /// It keeps no child of this name.
+    #[error("no such child")]
+    Unknown,
+    /// The supervisor itself was stopped or has not begun.
+    #[error("its supervisor is not at work")]
+    NotAtWork,
+    /// The next life could not be built, initialised or activated.
+    #[error("its next life did not start: {reason}")]
+    StartFailed {
+        /// Why, as the component said it.
+        reason: String,
+    },
+    /// The component could not recover by itself.
+    #[error("it could not reset itself: {reason}")]
+    ResetFailed {
+        /// Why, as the component said it.
+        reason: String,
+    },
+    /// A reset needs a life at work, and there is none.
+    #[error("it has no life that could be reset")]
+    NoLife,
+    /// It did not answer in time.
+    #[error("it did not answer within {limit:?}")]
+    Overdue {
+        /// The deadline of its rules.
+        limit: Duration,
+    },
+    /// It is in safe rest; a person, not a fault, brings it back.
+    #[error("it is in safe rest")]
+    Resting,
+    /// Its end was final.
+    #[error("its end was final, as its rules say")]
+    Finished,
+    /// It needs more restarts than the intensity allows; its siblings go on.
+    #[error("it is not restarted any more: {reason}")]
+    IntensityExceeded {
+        /// Which limit was exceeded.
+        reason: String,
+    },
+    /// More restarts than the intensity allows, up to the root.
+    #[error("given up: {reason}")]
+    Escalated {
+        /// Which limit was exceeded, by whom.
+        reason: String,
+    },
+    /// There already is a child of this name.
+    #[error("there already is a child of this name")]
+    NameTaken,
+    /// The supervisor can take no more children or requests.
+    #[error("its supervisor is full: it takes no more than {limit}")]
+    Full {
+        /// The bound.
+        limit: usize,
+    },
+    /// The supervisor lost this request when it began anew.
+    #[error("its supervisor began anew")]
+    Forgotten,
+}
+
+/// What a supervisor wants done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SupervisorAction {
+    /// Begin the child's next life.
+    Start {
+        /// The child.
+        child: ObjectName,
+        /// Which life it is.
+        incarnation: Incarnation,
+    },
+    /// Ask the child's life to end.
+    Stop {
+        /// The child.
+        child: ObjectName,
+        /// Another life is to follow, so that what waits for the child goes on waiting.
+        again: bool,
+    },
+    /// Give the child's life up without asking it.
+    Abandon {
+        /// The child.
+        child: ObjectName,
+    },
+    /// Ask a child in error to recover by itself.
+    Reset {
+        /// The child.
+        child: ObjectName,
+    },
+    /// Forbid the child to send and receive, or allow it again.
+    Isolate {
+        /// The child.
+        child: ObjectName,
+        /// Forbidden, or allowed.
+        isolated: bool,
+    },
+    /// Leave a decision with the child's guard, or withdraw it.
+    StandingOrder {
+        /// The child.
+        child: ObjectName,
+        /// The decision.
+        order: Option<StandingOrder>,
+    },
+    /// The request is fulfilled.
+    Recovered {
+        /// Whose.
+        ticket: Ticket,
+        /// The child.
+        child: ObjectName,
+        /// The life at work; `None` where no life is wanted.
+        incarnation: Option<Incarnation>,
+    },
+    /// The request is not going to be fulfilled.
+    GaveUp {
+        /// Whose.
+        ticket: Ticket,
+        /// The child.
+        child: ObjectName,
+        /// Why.
+        why: GiveUpReason,
+    },
+    /// A child that is a supervisor has escalated, and is not worth restarting any more; it has ended.
+    /// The recoverer decides about it.
+    Refused {
+        /// The child.
+        child: ObjectName,
+        /// The life that escalated.
+        incarnation: Incarnation,
+        /// Which limit was exceeded, by whom.
+        reason: String,
+    },
+    /// The supervisor has come as far as it can: a child waits for something that is not there yet, and
+    /// those behind it depend on it.
+    Unavailable {
+        /// What it waits for, as the component said it.
+        reason: String,
+    },
+    /// A start took too long; nobody else can know it.
+    Overdue {
+        /// The child.
+        child: ObjectName,
+        /// The life that did not come to be.
+        incarnation: Incarnation,
+        /// The deadline.
+        limit: Duration,
+    },
+    /// The child's end was final: what waits for it is to be given back.
+    Retire {
+        /// The child.
+        child: ObjectName,
+    },
+    /// The child has ended and is forgotten.
+    Left {
+        /// The child.
+        child: ObjectName,
+    },
+    /// The root's restarts are not worth it any more: what must be safe is made safe now. All children are
+    /// ended next, which takes its time.
+    GiveUp {
+        /// Which limit was exceeded, by whom.
+        reason: String,
+    },
+    /// Restarts are not worth it any more; all children have ended. The next authority decides.
+    Escalate {
+        /// Which limit was exceeded, by whom.
+        reason: String,
+    },
+    /// All children are at work for the first time in this life.
+    AllStarted,
+    /// All children have ended, as it was told.
+    AllStopped,
+}
