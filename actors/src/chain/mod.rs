@@ -4,10 +4,12 @@
 //! its machine anew from the plain facts of the old one, in `restarting`; the input that struck it is
 //! lost, and everything that was under way is sent again.
 
+pub(crate) mod callbacks;
 pub(crate) mod detector;
 pub(crate) mod directory;
 pub(crate) mod monitor;
 pub(crate) mod notifier;
+pub(crate) mod outside;
 pub(crate) mod recoverer;
 #[cfg(test)]
 pub(crate) mod scripted;

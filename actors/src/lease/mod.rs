@@ -56,8 +56,11 @@ impl<M: Contract> ActuatorSpec<M> {
         self
     }
 
-    /// Also called when a lease ends, before the component is told, on the fault chain's thread: what
-    /// brings the outputs to rest although the component hangs. It must not block.
+    /// Also called when a lease ends, as the component is told: what brings the outputs to rest although the
+    /// component hangs. The cut-offs and [safe outputs](crate::NodeBuilder::safe_outputs) of a node are called one
+    /// after the other on a thread of their own. One that blocks it for longer than
+    /// [`callback_limit`](crate::NodeBuilder::callback_limit) is a fault of the component, and the others go on on
+    /// a fresh thread.
     #[must_use]
     pub fn cut_off(mut self, cut_off: impl Fn() + Send + Sync + 'static) -> Self {
         self.cut_off = Some(Arc::new(cut_off));
