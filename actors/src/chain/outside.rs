@@ -199,7 +199,7 @@ impl Watching {
         }
         let (name, _) = &self.setup.inquiries[self.asked.load(Relaxed)];
         let reason =
-            format!("the fault chain stands: {name} has not answered for {ANSWER_WITHIN:?}");
+            format!("the fault chain has not answered for {ANSWER_WITHIN:?} (asked was {name})");
         self.setup.stands.send_replace(true);
         // Before it is logged: the log may be what the chain waits for.
         (self.setup.last_resort)(reason.clone());

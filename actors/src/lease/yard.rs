@@ -215,6 +215,8 @@ impl Yard {
             return answer.give(Ordered::refused(&Why::Stopped));
         }
         let done = match wish {
+            // Its first command would wait, perhaps for longer than the lease.
+            Wish::Claim { .. } if !actuator.doorway.is_at_work() => Err(Why::Restarting),
             Wish::Claim { commander, life } => {
                 let commander = CommanderId { name: commander, life: Incarnation(life) };
                 lease.handle_claim(commander, now).map(|grant| {
