@@ -1,15 +1,9 @@
-//! The fault chain, and the process that it lives in, as they are watched from outside: code of the application that
-//! blocks, watchdogs that are stroked, programs that end otherwise than in order. On real threads; where a process
-//! is to end, this test starts itself again with a role.
+//! Code of the application that the fault chain calls and that blocks or fails, on real threads.
 
 use blastema::core::recovery::{Done, Failed, Order};
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, NodeBuilder, RecoveryStrategy, Tools};
-use std::collections::BTreeSet;
-use std::io::{BufRead, BufReader, Read};
-use std::os::unix::net::UnixDatagram;
-use std::process::{Child, ChildStdout, Command, Stdio};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
+use blastema::{ActuatorSpec, NodeBuilder, RecoveryStrategy, Tools, Turn};
+use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
 use std::sync::mpsc::{Receiver, Sender as Hold, channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -34,11 +28,22 @@ struct Ask;
 #[contract(name = "outside/leak", reply = ())]
 struct Leak;
 
+/// Declares the fault `GREASE`.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "outside/grind", reply = ())]
+struct Grind;
+
 struct Joint;
 
 impl Component for Joint {
     fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<Ask>().serve::<Leak>();
+        ports.serve::<Ask>().serve::<Leak>().serve::<Grind>();
+    }
+}
+
+impl Handle<Grind> for Joint {
+    async fn handle(&mut self, _: Grind, cx: &mut Context<Self>) {
+        cx.declare_fault(FaultKind::Custom("GREASE".into()), "it grinds");
     }
 }
 
@@ -58,22 +63,6 @@ impl Handle<Leak> for Joint {
 #[derive(Clone, Debug, Request)]
 #[contract(name = "outside/drive", reply = f32)]
 struct Drive(f32);
-
-/// Says on standard output how fast they turn.
-struct Wheels;
-
-impl Component for Wheels {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(Duration::from_secs(10)));
-    }
-}
-
-impl Handle<Drive> for Wheels {
-    async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) -> f32 {
-        println!("drive {}", drive.0);
-        drive.0
-    }
-}
 
 fn joint(name: &str) -> ChildSpec<Joint> {
     ChildSpec::new(name, || Joint)
@@ -174,6 +163,63 @@ fn a_strategy_that_blocks_is_named_and_the_fault_chain_goes_on_without_it() {
         assert_eq!(node.abandoned_threads(), 0);
         leak(&node, "joint1").await;
         until(async || (life(&node, "joint1").await == Some(3)).then_some(())).await;
+        node.shutdown().await;
+    });
+}
+
+/// Does not help, each time in another way.
+struct Useless(AtomicUsize);
+
+impl RecoveryStrategy for Useless {
+    async fn carry_out(&self, _: &Order, _: &Tools) -> Result<Done, Failed> {
+        match self.0.fetch_add(1, SeqCst) {
+            0 => panic!("the can explodes"),
+            1 => std::future::pending().await,
+            _ => Err("the can is empty".into()),
+        }
+    }
+}
+
+#[test]
+fn strategies_that_block_or_fail_hold_up_no_other_strategy() {
+    blastema::run(async {
+        let (hold, block) = Block::new();
+        let grease = FaultKind::Custom("GREASE".into());
+        let useless = Measure::Custom("useless".into());
+        let ladder = Ladder::first(useless).times(3).within(LIMIT).then(Measure::Restart);
+        let plan = Plan::default()
+            .on(oil(), Ladder::first(Measure::Custom("oil".into())).then(Measure::SafeStop))
+            .on(grease, ladder);
+        let builder = Node::builder("module1")
+            .callback_limit(Duration::from_secs(60))
+            .fault_kind("OIL")
+            .fault_kind("GREASE")
+            .plan(plan)
+            .recovery("oil", move || Oil(block.clone()))
+            .recovery("useless", || Useless(AtomicUsize::new(0)))
+            .child(joint("joint1"))
+            .child(joint("joint2"));
+        let mut builder = builder;
+        let mut events = builder.fault_events();
+        let node = builder.start().await.unwrap();
+        leak(&node, "joint1").await;
+        node.sender::<Grind>("joint2").unwrap().ask(Grind).await.unwrap();
+
+        until(async || (life(&node, "joint2").await == Some(2)).then_some(())).await;
+
+        let mut decided = Vec::new();
+        while decided.len() < 5 {
+            let event = events.next().await.expect("it runs");
+            if let Turn::Decided { measure } = event.turn {
+                decided.push(measure);
+            }
+        }
+        decided.sort();
+        let expected = ["oil", "restart", "useless", "useless, attempt 2", "useless, attempt 3"];
+        assert_eq!(decided, expected);
+        assert_eq!(life(&node, "joint1").await, Some(1), "its strategy still blocks");
+        drop(hold);
+        until(async || (life(&node, "joint1").await == Some(2)).then_some(())).await;
         node.shutdown().await;
     });
 }
@@ -301,286 +347,4 @@ fn a_watchdog_that_cannot_be_used_is_refused_with_what_to_do() {
         let here = Node::builder("n").service_manager().on_this_thread().start().await;
         assert!(here.unwrap_err().to_string().contains("on_this_thread"));
     });
-}
-
-/// The role of a process that was started by a test.
-const ROLE: &str = "BLASTEMA_TEST_ROLE";
-/// Where it has its watchdog.
-const DEVICE: &str = "BLASTEMA_TEST_DEVICE";
-
-/// A process that plays a role, and is killed at the latest when the test ends.
-struct Process {
-    child: Child,
-    lines: std::io::Lines<BufReader<ChildStdout>>,
-}
-
-impl Process {
-    fn start(role: &str, environment: &[(&str, String)]) -> Self {
-        let program = std::env::current_exe().expect("a running program has a path");
-        let mut child = Command::new(program)
-            .args(["--exact", "a_process_plays_its_role", "--nocapture"])
-            .env(ROLE, role)
-            .envs(environment.iter().map(|(name, value)| (name, value)))
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("the test can be started again");
-        let lines = BufReader::new(child.stdout.take().expect("it was asked for")).lines();
-        Process { child, lines }
-    }
-
-    /// Reads until this line.
-    fn await_line(&mut self, wanted: &str) {
-        let mut before = Vec::new();
-        for line in &mut self.lines {
-            let line = line.unwrap();
-            if line == wanted {
-                return;
-            }
-            before.push(line);
-        }
-        panic!("{wanted:?} is missing after {before:?}");
-    }
-
-    fn signal(&self, signal: &str) {
-        let pid = self.child.id().to_string();
-        let status = Command::new("kill").args([signal, &pid]).status().expect("there is kill");
-        assert!(status.success());
-    }
-
-    /// How it ends, what else it has printed, and what is on its standard error.
-    fn end(mut self) -> (Option<i32>, Vec<String>, String) {
-        let lines = (&mut self.lines).map(Result::unwrap).collect();
-        let mut errors = String::new();
-        let stderr = self.child.stderr.as_mut().expect("it was asked for");
-        stderr.read_to_string(&mut errors).unwrap();
-        (self.child.wait().unwrap().code(), lines, errors)
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        // It may have ended already.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-#[test]
-fn a_process_plays_its_role() {
-    let Ok(role) = std::env::var(ROLE) else { return };
-    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
-    // The test harness does not end its line.
-    println!();
-    let played: Result<(), Box<dyn std::error::Error>> = blastema::run(async {
-        match role.as_str() {
-            "watched" => stay_until_signal().await,
-            "stuck" => get_stuck().await,
-            role => drive_and(role).await,
-        }
-    });
-    played.expect("main returned an error");
-}
-
-/// Wheels turn when a program ends in this way.
-async fn drive_and(role: &str) -> Result<(), Box<dyn std::error::Error>> {
-    let node = Node::builder("module1")
-        .child(ChildSpec::new("wheels", || Wheels))
-        .safe_outputs(|_| println!("safe outputs"))
-        .start()
-        .await?;
-    let wheels = node.commander::<Drive>("wheels", "console")?;
-    wheels.claim().await?;
-    wheels.command(Drive(1.0)).await?;
-    match role {
-        "drop" => drop(node),
-        "error" => Err("the map is missing")?,
-        "panic" => panic!("the map is upside down"),
-        "signal" => std::future::pending().await,
-        "blocked" => loop {
-            std::thread::park();
-        },
-        "shutdown" => node.shutdown().await,
-        other => panic!("there is no role {other}"),
-    }
-    Ok(())
-}
-
-#[test]
-fn a_program_that_ends_in_whichever_way_leaves_safe_outputs_and_says_so_once() {
-    let cases = [
-        ("drop", None, Some(0), "was dropped while it ran"),
-        ("error", None, Some(101), "was dropped while it ran"),
-        ("panic", None, Some(101), "was dropped while it ran"),
-        ("signal", Some("-TERM"), Some(143), "SIGTERM"),
-        ("signal", Some("-INT"), Some(130), "SIGINT"),
-        ("blocked", Some("-TERM"), Some(143), "SIGTERM"),
-    ];
-    for (role, signal, status, cause) in cases {
-        let mut process = Process::start(role, &[]);
-        process.await_line("drive 1");
-        if let Some(signal) = signal {
-            process.signal(signal);
-        }
-        let (code, lines, errors) = process.end();
-
-        assert_eq!(code, status, "{role}: {errors}");
-        let done: BTreeSet<&str> = lines.iter().map(String::as_str).collect();
-        assert!(done.contains("safe outputs") && done.contains("drive 0"), "{role}: {lines:?}");
-        let said: Vec<_> = errors.lines().filter(|line| line.contains("safe outputs")).collect();
-        assert!(said.len() == 1 && said[0].contains(cause), "{role}: {errors}");
-        assert!(said[0].contains("module1"), "{said:?}");
-    }
-}
-
-#[test]
-fn a_program_that_shuts_its_node_down_has_nothing_more_to_make_safe() {
-    let mut process = Process::start("shutdown", &[]);
-    process.await_line("drive 1");
-    let (code, lines, errors) = process.end();
-
-    assert_eq!(code, Some(0), "{errors}");
-    assert!(!lines.iter().any(|line| line == "safe outputs"), "{lines:?}");
-    assert!(!errors.contains("safe outputs"), "{errors}");
-}
-
-fn watched() -> NodeBuilder {
-    Node::builder("module1")
-        .fault_kind("OIL")
-        .plan(Plan::default().on(oil(), Ladder::first(Measure::Observe)))
-        .child(joint("joint1"))
-        .service_manager()
-        .safe_outputs(|_| println!("safe outputs"))
-}
-
-async fn stay_until_signal() -> Result<(), Box<dyn std::error::Error>> {
-    let device = std::env::var(DEVICE)?;
-    let node = watched().watchdog_device(device).start().await?;
-    println!("started");
-    node.run_until_signal().await?;
-    println!("ended in order");
-    Ok(())
-}
-
-/// What a service manager hears.
-struct Manager {
-    socket: UnixDatagram,
-    folder: tempfile::TempDir,
-}
-
-impl Manager {
-    fn new() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let socket = UnixDatagram::bind(folder.path().join("notify")).unwrap();
-        Manager { socket, folder }
-    }
-
-    fn environment(&self, watchdog: Duration) -> Vec<(&'static str, String)> {
-        let path = self.folder.path().join("notify").display().to_string();
-        vec![("NOTIFY_SOCKET", path), ("WATCHDOG_USEC", watchdog.as_micros().to_string())]
-    }
-
-    /// The next that comes within this time.
-    fn hear(&self, within: Duration) -> Option<String> {
-        let mut bytes = [0; 256];
-        self.socket.set_read_timeout(Some(within)).unwrap();
-        let read = self.socket.recv(&mut bytes).ok()?;
-        Some(String::from_utf8(bytes[..read].to_vec()).unwrap())
-    }
-
-    fn await_state(&self, wanted: &str) {
-        while self.hear(PATIENCE).expect("it is told") != wanted {}
-    }
-}
-
-#[test]
-fn a_watched_process_tells_its_service_manager_and_strokes_the_device_until_it_ends_in_order() {
-    let manager = Manager::new();
-    let device = manager.folder.path().join("watchdog");
-    std::fs::write(&device, "").unwrap();
-    let mut environment = manager.environment(200 * MS);
-    environment.push((DEVICE, device.display().to_string()));
-    let mut process = Process::start("watched", &environment);
-
-    process.await_line("started");
-    manager.await_state("READY=1");
-    for _ in 0..10 {
-        manager.await_state("WATCHDOG=1");
-    }
-    let stroked = std::fs::read(&device).unwrap();
-    assert!(!stroked.is_empty() && !stroked.contains(&b'V'), "{stroked:?}");
-    process.signal("-TERM");
-    manager.await_state("STOPPING=1");
-
-    process.await_line("ended in order");
-    let (code, lines, errors) = process.end();
-    assert_eq!(code, Some(0), "{errors}");
-    assert!(!lines.iter().any(|line| line == "safe outputs"), "it stopped in order");
-    let stroked = std::fs::read(&device).unwrap();
-    assert_eq!(stroked.iter().position(|byte| *byte == b'V'), Some(stroked.len() - 1));
-}
-
-/// A log that blocks the thread of the fault chain, as one to a pipe does that nobody reads.
-#[derive(Default)]
-struct StuckLog {
-    spans: AtomicUsize,
-}
-
-static STUCK: AtomicBool = AtomicBool::new(false);
-
-impl tracing::Subscriber for StuckLog {
-    fn enabled(&self, _: &tracing::Metadata<'_>) -> bool {
-        true
-    }
-
-    fn new_span(&self, _: &tracing::span::Attributes<'_>) -> tracing::span::Id {
-        tracing::span::Id::from_u64(1 + self.spans.fetch_add(1, SeqCst) as u64)
-    }
-
-    fn record(&self, _: &tracing::span::Id, _: &tracing::span::Record<'_>) {}
-
-    fn record_follows_from(&self, _: &tracing::span::Id, _: &tracing::span::Id) {}
-
-    fn event(&self, event: &tracing::Event<'_>) {
-        while STUCK.load(SeqCst) && event.metadata().target().ends_with("chain::detector") {
-            std::thread::park();
-        }
-    }
-
-    fn enter(&self, _: &tracing::span::Id) {}
-
-    fn exit(&self, _: &tracing::span::Id) {}
-}
-
-async fn get_stuck() -> Result<(), Box<dyn std::error::Error>> {
-    tracing::subscriber::set_global_default(StuckLog::default())?;
-    let node = watched().start().await?;
-    println!("started");
-    blastema::sleep(300 * MS).await;
-    STUCK.store(true, SeqCst);
-    leak(&node, "joint1").await;
-    println!("stuck");
-    node.run_until_signal().await?;
-    Ok(())
-}
-
-#[test]
-fn a_process_whose_fault_chain_stands_is_stroked_no_more_and_its_outputs_are_safe() {
-    let manager = Manager::new();
-    let mut process = Process::start("stuck", &manager.environment(200 * MS));
-    process.await_line("started");
-    manager.await_state("WATCHDOG=1");
-    process.await_line("stuck");
-    // What it had sent before.
-    while manager.hear(MS).is_some() {}
-
-    assert_eq!(manager.hear(Duration::from_secs(1)), None, "the chain does not answer");
-    process.await_line("safe outputs");
-
-    process.signal("-TERM");
-    manager.await_state("STOPPING=1");
-    let (code, _, errors) = process.end();
-    assert_eq!(code, Some(0), "it ends all the same: {errors}");
-    assert!(errors.contains("the fault chain has not answered"), "{errors}");
 }

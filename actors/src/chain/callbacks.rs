@@ -11,7 +11,7 @@ use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
 use crate::host::environment::Reports;
 use crate::panics;
 use crate::platform;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
@@ -54,10 +54,11 @@ struct Threads {
 #[derive(Default)]
 struct Running {
     next: u64,
-    calls: BTreeMap<u64, Call>,
+    calls: Vec<Call>,
 }
 
 struct Call {
+    id: u64,
     /// For how long it was seen to run.
     seen: Duration,
     late: Late,
@@ -92,7 +93,9 @@ pub(crate) struct RunningCall {
 impl RunningCall {
     /// It has returned. Says whether that was in time.
     pub(crate) fn end(self) -> bool {
-        lock(&self.threads.running).calls.remove(&self.id).is_some()
+        let calls = &mut lock(&self.threads.running).calls;
+        let at = calls.iter().position(|call| call.id == self.id);
+        at.map(|at| calls.swap_remove(at)).is_some()
     }
 }
 
@@ -135,7 +138,7 @@ impl Callbacks {
         let mut running = lock(&threads.running);
         let id = running.next;
         running.next += 1;
-        running.calls.insert(id, Call { seen: Duration::ZERO, late: Box::new(late) });
+        running.calls.push(Call { id, seen: Duration::ZERO, late: Box::new(late) });
         drop(running);
         Some(RunningCall { threads, id })
     }
@@ -145,9 +148,8 @@ impl Callbacks {
         let Some(threads) = &self.0 else { return };
         let late: Vec<Call> = {
             let mut running = lock(&threads.running);
-            running.calls.values_mut().for_each(|call| call.seen += since);
-            let over = running.calls.extract_if(.., |_, call| call.seen > threads.limit);
-            over.map(|(_, call)| call).collect()
+            running.calls.iter_mut().for_each(|call| call.seen += since);
+            running.calls.extract_if(.., |call| call.seen > threads.limit).collect()
         };
         // Without the lock: what is told may make the next call.
         late.into_iter().for_each(|call| (call.late)(threads.limit));
@@ -277,9 +279,12 @@ mod tests {
     /// For threads of a busy computer.
     const PATIENCE: Duration = Duration::from_secs(30);
 
+    /// The number of a call, and what became of it.
+    type Told = (u32, CallOutcome);
+
     struct Rig {
         callbacks: Callbacks,
-        told: (Sender<(u32, CallOutcome)>, Receiver<(u32, CallOutcome)>),
+        told: (Sender<Told>, Receiver<Told>),
     }
 
     impl Rig {

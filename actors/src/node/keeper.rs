@@ -220,14 +220,14 @@ impl Keeper {
     /// The safe outputs are applied, or take longer than they may.
     fn handle_safe(&mut self, reason: String) {
         self.comes_to_rest = false;
-        self.tell_started(&Err(reason.clone()));
-        if self.state() == NodeState::Stopped {
-            return; // It was told to stop in between.
+        // It may have been told to stop in between.
+        if self.state() != NodeState::Stopped {
+            self.tell_rest(Some(&reason));
+            // Listeners see the reason before the last component has stopped.
+            self.setup.state.send_replace(NodeState::AtRest { reason: reason.clone() });
+            self.end();
         }
-        self.tell_rest(Some(&reason));
-        // Listeners see the reason before the last component has stopped.
-        self.setup.state.send_replace(NodeState::AtRest { reason });
-        self.end();
+        self.tell_started(&Err(reason));
     }
 }
 

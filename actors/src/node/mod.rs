@@ -8,7 +8,7 @@
 //! ```
 //!
 //! The fault chain lives on an arbiter of its own under the guardian; the watch has a thread of its
-//! own; components share as many arbiters as the computer has cores, or have threads of their own.
+//! own, and so has what watches the chain from outside; the application's recovery strategies have one each; components share as many arbiters as the computer has cores, or have threads of their own.
 
 mod assembly;
 mod builder;

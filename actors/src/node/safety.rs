@@ -35,7 +35,8 @@ impl Shared {
         let outputs = &self.chain.safe_outputs;
         let actuators = &self.environment.actuators;
         let works = matches!(*self.state.borrow(), NodeState::Starting | NodeState::Running);
-        if !works || !(outputs.are_declared() || !actuators.is_empty()) {
+        let has_none = !outputs.are_declared() && actuators.is_empty();
+        if !works || has_none {
             return;
         }
         if self.safe.swap(true, SeqCst) {
@@ -61,7 +62,10 @@ impl Shared {
             true => "safe outputs applied",
             false => "the safe outputs were called, and have not returned in time",
         };
-        platform::tell_person(&format!("blastema: node {}: {cause}: {said}", self.name));
+        // A node that runs on one thread belongs to a test, which has its own output.
+        if self.chain.callbacks.have_threads() {
+            platform::tell_person(&format!("blastema: node {}: {cause}: {said}", self.name));
+        }
         warn!(node = %self.name, cause, "{said}");
     }
 }
