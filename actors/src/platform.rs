@@ -1,8 +1,8 @@
 //! What the operating system gives: the one place that reads a clock, starts threads and knows
 //! processes.
 
-pub(crate) mod service_manager;
 pub(crate) mod signals;
+pub(crate) mod systemd;
 pub(crate) mod watchdog_device;
 
 use blastema_core::{Incarnation, Instant};

@@ -344,7 +344,7 @@ fn a_watchdog_that_cannot_be_used_is_refused_with_what_to_do() {
         );
         let refused = Node::builder("n").watchdog_device("watchdog").start().await.unwrap_err();
         assert!(refused.to_string().contains("absolute"), "{refused}");
-        let here = Node::builder("n").service_manager().on_this_thread().start().await;
+        let here = Node::builder("n").notify_systemd().on_this_thread().start().await;
         assert!(here.unwrap_err().to_string().contains("on_this_thread"));
     });
 }

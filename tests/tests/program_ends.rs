@@ -206,7 +206,7 @@ fn watched() -> NodeBuilder {
         .fault_kind("OIL")
         .plan(Plan::default().on(oil(), Ladder::first(Measure::Observe)))
         .child(ChildSpec::new("joint", || Joint))
-        .service_manager()
+        .notify_systemd()
         .safe_outputs(|_| println!("safe outputs"))
 }
 
@@ -220,16 +220,16 @@ async fn stay_until_signal() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 /// What a service manager hears.
-struct Manager {
+struct Listener {
     socket: UnixDatagram,
     folder: tempfile::TempDir,
 }
 
-impl Manager {
+impl Listener {
     fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let socket = UnixDatagram::bind(folder.path().join("notify")).unwrap();
-        Manager { socket, folder }
+        Listener { socket, folder }
     }
 
     fn environment(&self, watchdog: Duration) -> Vec<(&'static str, String)> {
@@ -252,7 +252,7 @@ impl Manager {
 
 #[test]
 fn a_watched_process_tells_its_service_manager_and_strokes_the_device_until_it_ends_in_order() {
-    let manager = Manager::new();
+    let manager = Listener::new();
     let device = manager.folder.path().join("watchdog");
     std::fs::write(&device, "").unwrap();
     let mut environment = manager.environment(200 * MS);
@@ -323,7 +323,7 @@ async fn get_stuck() -> Result<(), Box<dyn std::error::Error>> {
 
 #[test]
 fn a_process_whose_fault_chain_stands_is_stroked_no_more_and_its_outputs_are_safe() {
-    let manager = Manager::new();
+    let manager = Listener::new();
     let mut process = Process::start("stuck", &manager.environment(200 * MS));
     process.await_line("started");
     manager.await_state("WATCHDOG=1");

@@ -64,7 +64,7 @@ impl ChainWatch {
     pub(crate) fn start(setup: OutsideSetup) -> io::Result<Self> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build()?;
         let (end, told) = oneshot::channel();
-        let (tell, ended) = mpsc::channel();
+        let (tell, ended) = mpsc::sync_channel(1);
         platform::start_thread("chain-watch", move || {
             runtime.block_on(Watching::new(setup).run(told));
             // Who started it may not wait.

@@ -25,7 +25,7 @@ use crate::host::environment::{HostEnvironment, KEPT_VARIABLES};
 use crate::host::spec::SpecError;
 use crate::host::watch as lookout;
 use crate::net::claims::ClaimsBody;
-use crate::platform::service_manager::ServiceManager;
+use crate::platform::systemd::Systemd;
 use crate::service::{Carried, ReplicaBody};
 use crate::{panics, platform};
 use actix::prelude::*;
@@ -265,7 +265,7 @@ impl Assembly {
     }
 
     /// Watches the chain from outside, and lets the watchdogs of the process depend on it.
-    fn watch_chain(&self, wanted: ProcessWatchdogs) -> Result<Option<ServiceManager>, StartError> {
+    fn watch_chain(&self, wanted: ProcessWatchdogs) -> Result<Option<Systemd>, StartError> {
         let (manager, watchdogs) = wanted.open().map_err(StartError::ProcessWatchdog)?;
         if self.placement != Placement::Here {
             self.parts.watch_chain(&self.node, watchdogs)?;
@@ -279,7 +279,7 @@ impl Assembly {
         root: Root,
         dependencies: Dependencies,
         actors: Actors,
-        service_manager: Option<ServiceManager>,
+        systemd: Option<Systemd>,
     ) -> Beginning {
         self.undone.kept = true;
         let Parts { chain, keeper, state, directory, .. } = self.parts;
@@ -298,7 +298,7 @@ impl Assembly {
             actors: Mutex::new(actors),
             dependencies: Mutex::new(dependencies),
             plan: self.plan,
-            service_manager,
+            systemd,
             safe: AtomicBool::new(false),
         };
         Beginning { node: Node(Arc::new(shared)), keeper }
@@ -322,7 +322,7 @@ impl Beginning {
     async fn start_root(self, root: SupervisorChild) -> Result<Node, StartError> {
         match self.keeper.send(StartRoot(Box::new(root))).await {
             Ok(Ok(())) => {
-                self.node.0.tell_service_manager("READY=1");
+                self.node.0.tell_systemd("READY=1");
                 Ok(self.node)
             }
             Ok(Err(reason)) => Err(StartError::GaveUp { reason }),

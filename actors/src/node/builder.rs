@@ -308,8 +308,8 @@ impl NodeBuilder {
     /// WatchdogSec=10
     /// Restart=always
     /// ```
-    pub fn service_manager(mut self) -> Self {
-        self.process_watchdogs.service_manager = true;
+    pub fn notify_systemd(mut self) -> Self {
+        self.process_watchdogs.systemd = true;
         self
     }
 

@@ -42,7 +42,7 @@ use crate::host::office::DeadLetterOffice;
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::host::threads::{self, ThreadRow};
 use crate::lease::{self, ActuatorRow, Commander};
-use crate::platform::service_manager::ServiceManager;
+use crate::platform::systemd::Systemd;
 use crate::reference::ActorRef;
 use crate::sender::Sender;
 use crate::service::{Role, ServiceRef, ServiceRow};
@@ -113,7 +113,7 @@ struct Shared {
     actors: Mutex<BTreeMap<ObjectName, Box<dyn Any + Send>>>,
     dependencies: Mutex<Dependencies>,
     plan: Arc<blastema_core::recovery::Plan>,
-    service_manager: Option<ServiceManager>,
+    systemd: Option<Systemd>,
     /// The safe outputs were applied without the fault chain.
     safe: AtomicBool,
 }
@@ -456,7 +456,7 @@ impl Node {
     /// for other nodes until the last component has ended is delivered; from then on senders say
     /// [`Why::Stopped`] at once, also to those who wait in `deliver`.
     pub async fn shutdown(&self) {
-        self.0.tell_service_manager("STOPPING=1");
+        self.0.tell_systemd("STOPPING=1");
         let stopped = self.0.chain.answer(self.0.shutdown.send(Shutdown)).await;
         if stopped.is_none() && self.state() != NodeState::Stopped {
             // The fault chain stands, and no component can be stopped.
@@ -475,9 +475,8 @@ impl Shared {
     }
 
     /// Tells the service manager of the process this, if the node is described with one.
-    fn tell_service_manager(&self, state: &str) {
-        if let Some(Err(reason)) = self.service_manager.as_ref().map(|manager| manager.tell(state))
-        {
+    fn tell_systemd(&self, state: &str) {
+        if let Some(Err(reason)) = self.systemd.as_ref().map(|manager| manager.tell(state)) {
             warn!(state, reason, "the service manager was not told");
         }
     }

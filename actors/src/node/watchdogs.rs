@@ -1,7 +1,7 @@
 //! The watchdogs of the process that a node is described with.
 
 use crate::platform::ProcessWatchdog;
-use crate::platform::service_manager::ServiceManager;
+use crate::platform::systemd::Systemd;
 use crate::platform::watchdog_device::WatchdogDevice;
 use std::path::PathBuf;
 
@@ -9,13 +9,13 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct ProcessWatchdogs {
     /// The service manager that has started the process, if one has.
-    pub(super) service_manager: bool,
+    pub(super) systemd: bool,
     /// The computer's own.
     pub(super) device: Option<PathBuf>,
 }
 
 /// What was opened.
-type Opened = (Option<ServiceManager>, Vec<Box<dyn ProcessWatchdog>>);
+type Opened = (Option<Systemd>, Vec<Box<dyn ProcessWatchdog>>);
 
 impl ProcessWatchdogs {
     /// Whether there are any.
@@ -28,8 +28,8 @@ impl ProcessWatchdogs {
     /// # Errors
     /// What stands in the way, and what to do.
     pub(super) fn open(&self) -> Result<Opened, String> {
-        let manager = match self.service_manager {
-            true => ServiceManager::of_this_process()?,
+        let manager = match self.systemd {
+            true => Systemd::of_this_process()?,
             false => None,
         };
         let mut watchdogs: Vec<Box<dyn ProcessWatchdog>> = Vec::new();

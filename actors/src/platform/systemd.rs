@@ -19,7 +19,7 @@ const PROCESS: &str = "WATCHDOG_PID";
 
 /// A way to tell the service manager how the process is. Clones share it.
 #[derive(Clone)]
-pub(crate) struct ServiceManager(Arc<Socket>);
+pub(crate) struct Systemd(Arc<Socket>);
 
 struct Socket {
     socket: UnixDatagram,
@@ -27,7 +27,7 @@ struct Socket {
     path: OsString,
 }
 
-impl ServiceManager {
+impl Systemd {
     /// The service manager of this process; `None` where it was not started by one.
     ///
     /// # Errors
@@ -47,7 +47,7 @@ impl ServiceManager {
             io::Result::Ok(Socket { socket, address, path: path.clone() })
         };
         let socket = address.and_then(open).map_err(|error| explain(&path, &error))?;
-        Ok(Some(ServiceManager(Arc::new(socket))))
+        Ok(Some(Systemd(Arc::new(socket))))
     }
 
     /// Tells it this, such as `READY=1`.
@@ -75,7 +75,7 @@ impl ServiceManager {
         match timeout.parse() {
             Ok(micros) if micros > 0 => {
                 let timeout = Duration::from_micros(micros);
-                Ok(Some(Box::new(ServiceWatchdog { manager: self.clone(), timeout })))
+                Ok(Some(Box::new(SystemdWatchdog { manager: self.clone(), timeout })))
             }
             _ => Err(format!(
                 "{TIMEOUT} is {timeout:?}, which is no number of microseconds: unset it"
@@ -92,12 +92,12 @@ fn explain(path: &OsString, error: &io::Error) -> String {
     )
 }
 
-struct ServiceWatchdog {
-    manager: ServiceManager,
+struct SystemdWatchdog {
+    manager: Systemd,
     timeout: Duration,
 }
 
-impl ProcessWatchdog for ServiceWatchdog {
+impl ProcessWatchdog for SystemdWatchdog {
     fn name(&self) -> String {
         format!("{SOCKET}={}", self.manager.0.path.display())
     }
