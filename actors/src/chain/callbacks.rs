@@ -1,11 +1,15 @@
 //! Calls of the application's code by the fault chain: recovery strategies and safe outputs.
 //!
-//! None of it runs on the fault chain's thread. A strategy has an arbiter of its own; safe outputs are called one
-//! after the other on a thread that is started for them. Each call is entered here while it runs, and the thread that
-//! [watches the chain](super::outside) finds those that take longer than the limit: the call is reported under its
+//! None of it runs on the fault chain's thread. A strategy has an arbiter of its own; safe outputs
+//! are called one
+//! after the other on a thread that is started for them. Each call is entered here while it runs,
+//! and the thread that
+//! [watches the chain](super::outside) finds those that take longer than the limit: the call is
+//! reported under its
 //! name, its thread is abandoned, and what waits behind it goes on on a fresh one.
 //!
-//! In a node that runs on one thread, as tests under a paused clock do, calls are made where they are asked for.
+//! In a node that runs on one thread, as tests under a paused clock do, calls are made where they
+//! are asked for.
 
 use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
 use crate::host::environment::Reports;
@@ -16,7 +20,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
-/// How long one call may keep its thread, unless the node is told otherwise: as long as a handler of a component.
+/// How long one call may keep its thread, unless the node is told otherwise: as long as a handler
+/// of a component.
 pub(crate) const CALLBACK_LIMIT: Duration = Duration::from_millis(500);
 
 /// What became of one call.
@@ -26,13 +31,15 @@ pub(crate) enum CallOutcome {
     Done,
     /// It panicked, with this text.
     Panicked(String),
-    /// It has taken longer than this limit and still runs, or so many calls before it do that it was not made.
+    /// It has taken longer than this limit and still runs, or so many calls before it do that it
+    /// was not made.
     Blocked(Duration),
     /// It blocked, and has returned after all.
     ReturnedLate,
 }
 
-/// Is told what became of a call: once, and once more where that was [`CallOutcome::Blocked`] and it returns.
+/// Is told what became of a call: once, and once more where that was [`CallOutcome::Blocked`] and
+/// it returns.
 type Outcome = Box<dyn Fn(CallOutcome) + Send>;
 type Late = Box<dyn FnOnce(Duration) + Send>;
 
@@ -129,7 +136,8 @@ impl Callbacks {
         self.0.as_ref().map(|threads| threads.limit)
     }
 
-    /// A call begins on this thread. Where it takes longer than the limit, `late` is called on another one.
+    /// A call begins on this thread. Where it takes longer than the limit, `late` is called on
+    /// another one.
     pub(crate) fn enter(
         &self,
         late: impl FnOnce(Duration) + Send + 'static,
@@ -183,7 +191,8 @@ impl Callbacks {
         }
     }
 
-    /// Has this function called, behind those that wait already. `outcome` is told what became of it.
+    /// Has this function called, behind those that wait already. `outcome` is told what became of
+    /// it.
     pub(crate) fn call(
         &self,
         run: impl FnOnce() + Send + 'static,

@@ -2,13 +2,16 @@
 //!
 //! ```text
 //!  chain-watch ─ every 10 ms ─► callbacks: which take longer than they may?
-//!       │      ─ are you alive ─► notifier, detector, monitor, recoverer, keeper, one after the other
+//!       │      ─ are you alive ─► notifier, detector, monitor, recoverer, keeper, one after the
+//! other
 //!       │      ◄─ all answered ─┘
 //!       └─ stroke ─► systemd, /dev/watchdog
 //! ```
 //!
-//! No code of the application runs on the fault chain's thread. Should it not answer all the same, as where a write
-//! to the log blocks, what can still be done is done from here: the safe outputs are applied, and the watchdogs of
+//! No code of the application runs on the fault chain's thread. Should it not answer all the same,
+//! as where a write
+//! to the log blocks, what can still be done is done from here: the safe outputs are applied, and
+//! the watchdogs of
 //! the process are stroked no more. There is no such thread in a node that runs on one thread.
 
 use super::callbacks::Callbacks;
@@ -29,11 +32,13 @@ use tracing::{error, info, warn};
 
 /// A fiftieth of what a call may take by default.
 const TICK: Duration = Duration::from_millis(10);
-/// More than this between two ticks, and the whole process stood still: that is not held against what it watches.
+/// More than this between two ticks, and the whole process stood still: that is not held against
+/// what it watches.
 const STALL: Duration = Duration::from_millis(50);
 /// How often the chain is asked, unless a watchdog wants to be stroked more often.
 const ASK: Duration = Duration::from_millis(250);
-/// A chain that has not answered for so long stands. It answers in microseconds: this is no matter of load.
+/// A chain that has not answered for so long stands. It answers in microseconds: this is no matter
+/// of load.
 const ANSWER_WITHIN: Duration = Duration::from_secs(5);
 /// The thread ends after the present tick, unless a watchdog's driver blocks it.
 const END_WITHIN: Duration = Duration::from_secs(1);

@@ -1,7 +1,9 @@
 //! What is done for the robot's safety when a program ends otherwise than by [`Node::shutdown`].
 //!
-//! Nothing can be awaited then. The safe outputs and cut-offs are called on their own thread, and safe commands are
-//! put into the queues of actuators; for as long as a call may take, the thread that ends the program waits for them.
+//! Nothing can be awaited then. The safe outputs and cut-offs are called on their own thread, and
+//! safe commands are
+//! put into the queues of actuators; for as long as a call may take, the thread that ends the
+//! program waits for them.
 
 use super::{Node, NodeState, Shared};
 use crate::host::pulse::Pulse;
@@ -18,7 +20,8 @@ use tracing::{info, warn};
 /// How often it is looked whether the outputs are safe.
 const LOOK: Duration = Duration::from_millis(1);
 
-/// The nodes of this process whose safe outputs signals apply: those that have any, and have not ended.
+/// The nodes of this process whose safe outputs signals apply: those that have any, and have not
+/// ended.
 static NODES: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 /// Who waits in [`Node::run_until_signal`] for the first signal.
 static WAITING: AtomicUsize = AtomicUsize::new(0);
@@ -29,7 +32,8 @@ fn nodes() -> MutexGuard<'static, Vec<Weak<Shared>>> {
 }
 
 impl Shared {
-    /// Applies the safe outputs and cuts the actuators off, from whichever thread this is, and says so; once. Nothing
+    /// Applies the safe outputs and cuts the actuators off, from whichever thread this is, and says
+    /// so; once. Nothing
     /// is done for a node that has none, has stopped, or is at rest.
     pub(super) fn become_safe(&self, cause: &str) {
         let outputs = &self.chain.safe_outputs;
@@ -111,8 +115,10 @@ impl Node {
         handle_signals()
     }
 
-    /// Waits for SIGTERM or SIGINT (Ctrl-C), and [shuts down](Node::shutdown) in order. A second signal during that
-    /// applies the safe outputs and ends the process at once. Returns too when the node was shut down otherwise; a
+    /// Waits for SIGTERM or SIGINT (Ctrl-C), and [shuts down](Node::shutdown) in order. A second
+    /// signal during that
+    /// applies the safe outputs and ends the process at once. Returns too when the node was shut
+    /// down otherwise; a
     /// node at safe rest waits on, so that a person can look at it.
     ///
     /// ```no_run
@@ -122,7 +128,8 @@ impl Node {
     ///
     /// #[blastema::main]
     /// async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", || Lamp)).start().await?;
+    ///     let node = Node::builder("module1").child(ChildSpec::new("lamp", ||
+    /// Lamp)).start().await?;
     ///     node.run_until_signal().await?;
     ///     Ok(())
     /// }

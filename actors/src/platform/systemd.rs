@@ -1,4 +1,5 @@
-//! The service manager that has started this process, as systemd is: sd_notify(3), without its library.
+//! The service manager that has started this process, as systemd is: sd_notify(3), without its
+//! library.
 
 use super::ProcessWatchdog;
 use std::env;

@@ -64,7 +64,8 @@ impl ProcessWatchdog for WatchdogDevice {
     }
 
     fn close(&mut self) {
-        // Where it is refused, it fires: the computer restarts rather than to stay without a watchdog.
+        // Where it is refused, it fires: the computer restarts rather than to stay without a
+        // watchdog.
         let _ = self.file.write_all(MAGIC);
     }
 }
