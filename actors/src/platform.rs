@@ -1,11 +1,34 @@
 //! What the operating system gives: the one place that reads a clock, starts threads and knows
 //! processes.
 
+pub(crate) mod signals;
+pub(crate) mod systemd;
+pub(crate) mod watchdog_device;
+
 use blastema_core::{Incarnation, Instant};
 use std::hash::{BuildHasher, RandomState};
+use std::io::Write;
 use std::sync::OnceLock;
 use std::time::{Duration, SystemTime};
-use std::{hint, io, thread};
+use std::{hint, io, process, thread};
+
+/// A watchdog of the process: it fires when it has not been stroked for a while.
+pub(crate) trait ProcessWatchdog: Send {
+    /// What it is called in the log.
+    fn name(&self) -> String;
+
+    /// How often it wants to be stroked.
+    fn interval(&self) -> Duration;
+
+    /// Says that the process lives.
+    ///
+    /// # Errors
+    /// The system refuses it.
+    fn stroke(&mut self) -> io::Result<()>;
+
+    /// The process ends in order: it is not to fire.
+    fn close(&mut self) {}
+}
 
 /// The point at which both clocks were read together.
 struct Origin {
@@ -110,6 +133,22 @@ pub(crate) fn start_thread(
     body: impl FnOnce() + Send + 'static,
 ) -> io::Result<thread::JoinHandle<()>> {
     thread::Builder::new().name(name.into()).spawn(body)
+}
+
+/// Tells a person, on standard error, what must be known although nobody reads the log.
+pub(crate) fn tell_person(text: &str) {
+    // Standard error may be closed: then the log has it alone.
+    let _ = writeln!(io::stderr(), "{text}");
+}
+
+/// Ends the process at once.
+pub(crate) fn end_process(code: i32) -> ! {
+    process::exit(code)
+}
+
+/// Lets this thread, which is nobody's arbiter, wait.
+pub(crate) fn wait(span: Duration) {
+    thread::sleep(span);
 }
 
 /// Asks the kernel to end this process when its parent ends, however that happens.

@@ -8,6 +8,7 @@ use crate::component::Handle;
 use crate::death_watch::{Deaths, Down, Ending, Mortal, Mourner};
 use crate::desk::Desk;
 use crate::host::anchor::Anchor;
+use crate::host::watch::Glimpsed;
 use crate::letter::arrived_posting_time;
 use crate::panics;
 use crate::reply::{Answer, Reply};
@@ -15,8 +16,8 @@ use crate::sender::{Inlet, RequestError, SendError, Sender};
 use blastema_contract::reports::FaultMended;
 use blastema_core::net::NodeId;
 use blastema_core::{
-    Contract, ContractIdentity, FaultKind, Former, Incarnation, Instant, MessageId, NodeName,
-    ObjectAddress, ObjectName, Parcel, PeerIdentity, Why, codec,
+    Contract, ContractIdentity, FaultKind, Former, Incarnation, Instant, Lifecycle, MessageId,
+    NodeName, ObjectAddress, ObjectName, Parcel, PeerIdentity, Why, codec,
 };
 use bytes::Bytes;
 use std::any::{Any, type_name};
@@ -87,6 +88,11 @@ pub(crate) trait Doorway: Send + Sync {
 
     /// What was declared of the object is over.
     fn mend(&self, _kind: FaultKind) {}
+
+    /// Whether the object is at work, so that what is delivered is served at once.
+    fn is_at_work(&self) -> bool {
+        true
+    }
 }
 
 /// The ways to objects of other nodes, provided by the network.
@@ -267,6 +273,10 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
         let former = former.find(|former| former.identity().check(theirs).is_ok())?;
         let (anchor, former) = (self.anchor.clone(), Some(Arc::new(former)));
         Some(Arc::new(LocalDoor::<C, M> { anchor, former }))
+    }
+
+    fn is_at_work(&self) -> bool {
+        self.anchor.glimpse().state == Lifecycle::Active
     }
 
     fn declare(&self, kind: FaultKind, detail: String) {

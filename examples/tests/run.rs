@@ -250,6 +250,14 @@ fn commander_leaves_the_wheels_at_rest_when_its_cable_is_cut() {
 }
 
 #[test]
+fn either_order_waits_for_motors_that_start_later_and_that_restart() {
+    check(
+        "either_order",
+        &["the planner is active", "motors #1: 1 m/s", "-- the motors fail", "motors #2: 1 m/s"],
+    );
+}
+
+#[test]
 fn standby_goes_on_counting_when_the_node_that_serves_is_cut_off() {
     check(
         "standby",

@@ -1,6 +1,7 @@
 //! The recoverer's body: it has its machine's orders carried out by strategies.
 
-use super::strategy::{StrategyTable, Tools};
+use super::callbacks::Callbacks;
+use super::strategy::{EngagedStrategy, StrategyTable, Tools};
 use crate::drive::{Body, Wake};
 use crate::guardian::{Guardian, answers_the_monitor};
 use crate::platform;
@@ -10,9 +11,11 @@ use blastema_contract::Confirmed;
 use blastema_contract::detector::FaultOutcome;
 use blastema_contract::recoverer::{NodeRests, Recover, StandDown};
 use blastema_contract::strategy::CarryOut;
+use blastema_core::Instant;
 use blastema_core::detection::Outcome;
 use blastema_core::recovery::{self, Done, Failed, Measure, Order, RecovererAction, Settled};
 use std::collections::BTreeMap;
+use tokio::sync::watch;
 use tracing::{error, info};
 
 /// What a recoverer is made of.
@@ -27,6 +30,8 @@ pub(crate) struct RecovererSetup {
     pub(crate) detector: Recipient<FaultOutcome>,
     /// Keeps the strategies alive.
     pub(crate) guardian: Guardian,
+    /// Finds those that block.
+    pub(crate) callbacks: Callbacks,
 }
 
 /// Decides what is done about a fault.
@@ -37,40 +42,98 @@ pub(crate) struct Recoverer {
     tools: Tools,
     detector: Recipient<FaultOutcome>,
     guardian: Guardian,
-    /// The strategies that live at present; a released one ends with its last address.
-    engaged: BTreeMap<Measure, Recipient<CarryOut>>,
+    /// The strategies that live at present.
+    engaged: BTreeMap<Measure, EngagedStrategy>,
+    callbacks: Callbacks,
+}
+
+/// What came back for one order.
+enum Answer {
+    Outcome(Result<Done, Failed>),
+    /// The thread of the strategy is blocked, by this order.
+    Blocked(u64),
 }
 
 impl Recoverer {
     pub(crate) fn new(setup: RecovererSetup) -> Self {
-        let RecovererSetup { machine, strategies, tools, detector, guardian } = setup;
+        let RecovererSetup { machine, strategies, tools, detector, guardian, callbacks } = setup;
         let engaged = BTreeMap::new();
-        Recoverer { machine, wake: Wake::default(), strategies, tools, detector, guardian, engaged }
+        let wake = Wake::default();
+        Recoverer { machine, wake, strategies, tools, detector, guardian, engaged, callbacks }
     }
 
-    fn strategy(&mut self, measure: &Measure) -> Result<Recipient<CarryOut>, Failed> {
-        if let Some(strategy) = self.engaged.get(measure).filter(|strategy| strategy.connected()) {
-            return Ok(strategy.clone());
+    fn strategy(&mut self, measure: &Measure) -> Result<&EngagedStrategy, Failed> {
+        if !self.engaged.get(measure).is_some_and(EngagedStrategy::is_usable) {
+            let (guardian, tools) = (&self.guardian, self.tools.clone());
+            let strategy = self.strategies.make(measure, guardian, tools, &self.callbacks)?;
+            self.engaged.insert(measure.clone(), strategy);
         }
-        let strategy = self.strategies.make(measure, &self.guardian, self.tools.clone())?;
-        self.engaged.insert(measure.clone(), strategy.clone());
-        Ok(strategy)
+        Ok(self.engaged.get(measure).expect("it was just put in"))
     }
 
     fn have_carried_out(&mut self, order: Order, context: &mut Context<Self>) {
-        let (number, place) = (order.number, order.fault.place.clone());
-        info!(%place, measure = %order.measure, attempt = order.attempt, "recovering");
+        let due = platform::now() + order.within;
+        info!(place = %order.fault.place, measure = %order.measure, attempt = order.attempt, "recovering");
         let strategy = self.strategy(&order.measure);
+        let strategy = strategy.map(|strategy| (strategy.orders.clone(), strategy.blocked_by()));
+        let given = order.clone();
         let carried_out = async move {
-            let answer = strategy?.send(CarryOut(order)).await;
-            answer.unwrap_or_else(|_| Err("the strategy ended without an answer".into()))
+            let (orders, blocked_by) = match strategy {
+                Ok(strategy) => strategy,
+                Err(failed) => return Answer::Outcome(Err(failed)),
+            };
+            tokio::select! {
+                biased;
+                order = blocked(blocked_by) => Answer::Blocked(order),
+                answer = orders.send(CarryOut(given)) => Answer::Outcome(
+                    answer.unwrap_or_else(|_| Err("the strategy ended without an answer".into())),
+                ),
+            }
         };
-        let settle = move |outcome: Result<Done, Failed>, recoverer: &mut Self, context: &mut _| {
-            recoverer.machine.handle_outcome(number, outcome, platform::now());
-            recoverer.drive(context);
+        let settle = move |answer: Answer, recoverer: &mut Self, context: &mut _| {
+            recoverer.handle_answer(order, due, answer, context);
         };
         context.spawn(wrap_future::<_, Self>(carried_out).map(settle));
     }
+
+    fn handle_answer(
+        &mut self,
+        mut order: Order,
+        due: Instant,
+        answer: Answer,
+        context: &mut Context<Self>,
+    ) {
+        let outcome = match answer {
+            Answer::Outcome(outcome) => outcome,
+            Answer::Blocked(culprit) if culprit == order.number => {
+                let limit = self.callbacks.limit().unwrap_or_default();
+                Err(format!("the strategy {} blocked its thread for {limit:?}", order.measure)
+                    .into())
+            }
+            // It waited behind another order, which failed.
+            Answer::Blocked(_) => {
+                order.within = due - platform::now();
+                if !order.within.is_zero() {
+                    return self.have_carried_out(order, context);
+                }
+                Err("its strategy was blocked by another order for all of its time".into())
+            }
+        };
+        self.machine.handle_outcome(order.number, outcome, platform::now());
+        self.drive(context);
+    }
+}
+
+/// Completes with the order that blocks the thread of a strategy.
+async fn blocked(blocked_by: Option<watch::Receiver<Option<u64>>>) -> u64 {
+    if let Some(mut blocked_by) = blocked_by
+        && let Ok(order) = blocked_by.wait_for(Option::is_some).await
+        && let Some(order) = *order
+    {
+        return order;
+    }
+    // Its thread has ended, or it has none for itself: then its mailbox says so.
+    std::future::pending().await
 }
 
 /// What the detector's record says about a fault; `None` where the detector has to find out itself.

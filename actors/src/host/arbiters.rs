@@ -199,11 +199,21 @@ impl Arbiters {
             return false;
         }
         self.pool_of().note_lost(pulse, culprit);
+        self.note_abandoned();
+        true
+    }
+
+    /// One more thread is abandoned that is none of these, because the fault chain called what blocks it.
+    pub(crate) fn note_abandoned(&self) {
         let count = self.0.abandoned.fetch_add(1, Relaxed) + 1;
         if let Some(tell) = &*self.0.on_abandoned.lock().unwrap_or_else(PoisonError::into_inner) {
             tell(count);
         }
-        true
+    }
+
+    /// Such a thread has come back.
+    pub(crate) fn note_returned(&self) {
+        let _ = self.0.abandoned.fetch_update(Relaxed, Relaxed, |count| count.checked_sub(1));
     }
 
     /// Everything lives on the arbiter that started it.

@@ -33,6 +33,10 @@ pub(crate) const SPANS: RangeInclusive<Duration> =
     Duration::from_millis(20)..=Duration::from_secs(60);
 /// How long a claim or a release may take.
 const CLAIM_WITHIN: Duration = Duration::from_secs(1);
+/// A claim that waits for its actuator asks again after this, and after twice as long each time: a component restarts
+/// in milliseconds, a node takes seconds to come.
+const CLAIM_AGAIN: RangeInclusive<Duration> =
+    Duration::from_millis(10)..=Duration::from_millis(160);
 
 /// How a component lets itself be commanded; given to [`Ports::actuator`](crate::Ports::actuator).
 pub struct ActuatorSpec<M: Contract> {
@@ -56,8 +60,11 @@ impl<M: Contract> ActuatorSpec<M> {
         self
     }
 
-    /// Also called when a lease ends, before the component is told, on the fault chain's thread: what
-    /// brings the outputs to rest although the component hangs. It must not block.
+    /// Also called when a lease ends, as the component is told: what brings the outputs to rest although the
+    /// component hangs. The cut-offs and [safe outputs](crate::NodeBuilder::safe_outputs) of a node are called one
+    /// after the other on a thread of their own. One that blocks it for longer than
+    /// [`callback_limit`](crate::NodeBuilder::callback_limit) is a fault of the component, and the others go on on
+    /// a fresh thread.
     #[must_use]
     pub fn cut_off(mut self, cut_off: impl Fn() + Send + Sync + 'static) -> Self {
         self.cut_off = Some(Arc::new(cut_off));
@@ -200,17 +207,49 @@ impl Drop for Helm {
 }
 
 impl<M: Contract> Commander<M> {
-    /// Asks for the lease, and says under which epoch it holds.
+    /// Asks for the lease, and says under which epoch it holds. While the actuator cannot be commanded yet, a second
+    /// is waited for it, as by [`claim_within`](Self::claim_within).
     ///
     /// # Errors
-    /// [`Why::Held`] while somebody else commands; [`Why::Restarting`] while the actuator is being
-    /// brought to rest; [`Why::Unknown`] and [`Why::ContractDiffers`] where it takes no such commands;
-    /// from other nodes, what any request may meet with.
+    /// As [`claim_within`](Self::claim_within).
     pub async fn claim(&self) -> Result<u64, Why> {
+        self.claim_within(CLAIM_WITHIN).await
+    }
+
+    /// Asks for the lease, and says under which epoch it holds. Waits for so long for an actuator that is not there
+    /// yet, that is being restarted or brought to rest, or whose node cannot be reached.
+    ///
+    /// A component that claims while it is being activated keeps those waiting that start after it: where the
+    /// actuator is one of them, [spawn](crate::Context::spawn) the claim.
+    ///
+    /// # Errors
+    /// [`Why::Held`] while somebody else commands, and [`Why::ContractDiffers`], at once. [`Why::Restarting`],
+    /// [`Why::Unknown`] and [`Why::Unreachable`] where the actuator did not come in time; from other nodes, what
+    /// any request may meet with.
+    pub async fn claim_within(&self, limit: Duration) -> Result<u64, Why> {
+        let due = platform::now() + limit;
+        let mut pause = *CLAIM_AGAIN.start();
+        loop {
+            let left = due - platform::now();
+            let refused = match self.try_claim(left.clamp(*CLAIM_AGAIN.start(), CLAIM_WITHIN)).await
+            {
+                Err(why) if comes_later(&why) => why,
+                result => return result,
+            };
+            let left = due - platform::now();
+            if left.is_zero() {
+                return Err(refused);
+            }
+            platform::sleep(pause.min(left)).await;
+            pause = (2 * pause).min(*CLAIM_AGAIN.end());
+        }
+    }
+
+    async fn try_claim(&self, within: Duration) -> Result<u64, Why> {
         let Helm { name, life, .. } = &*self.0;
         let asked = platform::now();
         let wish = Wish::Claim { commander: name.clone(), life: life.0 };
-        match self.0.order(wish, CLAIM_WITHIN).await? {
+        match self.0.order(wish, within).await? {
             Ordered::Granted { epoch, span_us } => {
                 let span = Duration::from_micros(span_us);
                 *self.0.lock() = Some(Held { epoch, span, until: asked + span });
@@ -262,6 +301,15 @@ impl<M: Contract> Commander<M> {
             None => Ok(()),
         }
     }
+}
+
+/// Whether an actuator that refuses so may be there a little later.
+fn comes_later(why: &Why) -> bool {
+    use Why::{DeadlinePassed, Full, PeerDied, Restarting, Unknown, Unreachable};
+    matches!(
+        why,
+        Restarting | Full | DeadlinePassed | PeerDied { .. } | Unknown { .. } | Unreachable { .. }
+    )
 }
 
 fn odd<M: Contract>(ordered: Ordered) -> Why {

@@ -4,9 +4,9 @@
 //! the time, on the fault chain's arbiter: a component that hangs keeps nobody from being safe.
 
 use super::order::{Order, Ordered, Wish};
+use crate::chain::callbacks::{CallOutcome, Callbacks};
 use crate::desk::Desk;
 use crate::guardian::{Guardian, answers_the_monitor};
-use crate::panics::{self, Guarded};
 use crate::platform;
 use crate::registry::{Doorway, Port, Postmark, ReplyTo};
 use crate::reply::Answer;
@@ -19,7 +19,6 @@ use blastema_core::{
 };
 use bytes::Bytes;
 use std::collections::BTreeMap;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::{Relaxed, SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -75,11 +74,18 @@ pub(crate) struct Yard {
     /// As many as its components declare.
     actuators: Arc<Mutex<Actuators>>,
     timekeeper: Arc<OnceLock<Recipient<Look>>>,
+    /// Calls cut-offs.
+    callbacks: Callbacks,
     /// The node is at safe rest: nobody commands.
     rests: Arc<AtomicBool>,
 }
 
 impl Yard {
+    /// A yard whose cut-offs are called so.
+    pub(crate) fn new(callbacks: Callbacks) -> Self {
+        Yard { callbacks, ..Yard::default() }
+    }
+
     /// Watches the time from now on. Says where the one who does can be asked whether it lives.
     pub(crate) fn start(
         &self,
@@ -148,6 +154,18 @@ impl Yard {
         self.look();
     }
 
+    /// Whether there are none.
+    pub(crate) fn is_empty(&self) -> bool {
+        lock(&self.actuators).is_empty()
+    }
+
+    /// Whether each that was commanded has carried out its safe command.
+    pub(crate) fn are_at_rest(&self) -> bool {
+        let now = platform::now();
+        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
+        all.iter().all(|actuator| lock(&actuator.lease).standing(now) == LeaseStanding::Free)
+    }
+
     /// The node goes to work again.
     pub(crate) fn resume(&self) {
         self.rests.store(false, SeqCst);
@@ -197,6 +215,8 @@ impl Yard {
             return answer.give(Ordered::refused(&Why::Stopped));
         }
         let done = match wish {
+            // Its first command would wait, perhaps for longer than the lease.
+            Wish::Claim { .. } if !actuator.doorway.is_at_work() => Err(Why::Restarting),
             Wish::Claim { commander, life } => {
                 let commander = CommanderId { name: commander, life: Incarnation(life) };
                 lease.handle_claim(commander, now).map(|grant| {
@@ -276,7 +296,7 @@ impl Yard {
                         actuator.lost.store(true, Relaxed);
                     }
                 }
-                actuator.cut_off();
+                actuator.cut_off(&self.callbacks);
             }
             let (yard, applied_at) = (self.clone(), actuator.clone());
             let applied: ReplyTo = Box::new(move |result: Result<Parcel, Why>| {
@@ -290,15 +310,26 @@ impl Yard {
 }
 
 impl Actuator {
-    fn cut_off(&self) {
-        let Some(cut_off) = &self.cut_off else { return };
-        let _guarded = Guarded::enter();
-        if let Err(payload) = catch_unwind(AssertUnwindSafe(|| cut_off())) {
-            let text = panics::text_of(payload);
-            error!(object = %self.object, text, "the cut-off panicked");
-            let detail = format!("the cut-off panicked: {text}");
-            self.doorway.declare(FaultKind::CheckFailed, detail);
-        }
+    fn cut_off(self: &Arc<Self>, callbacks: &Callbacks) {
+        let Some(cut_off) = self.cut_off.clone() else { return };
+        let actuator = self.clone();
+        callbacks.call(
+            move || cut_off(),
+            move |outcome| {
+                let detail = match outcome {
+                    CallOutcome::Done => return,
+                    CallOutcome::ReturnedLate => {
+                        return actuator.doorway.mend(FaultKind::CheckFailed);
+                    }
+                    CallOutcome::Panicked(text) => format!("the cut-off panicked: {text}"),
+                    CallOutcome::Blocked(limit) => {
+                        format!("the cut-off has blocked its thread for {limit:?}")
+                    }
+                };
+                error!(object = %actuator.object, "{detail}");
+                actuator.doorway.declare(FaultKind::CheckFailed, detail);
+            },
+        );
     }
 
     /// Hands a command over. One at a time: what waits behind a component that is stuck would be

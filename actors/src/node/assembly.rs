@@ -6,7 +6,7 @@ mod networks;
 pub(super) use self::chain::Chain;
 pub(super) use self::networks::Networks;
 
-use self::chain::{Parts, make_chain};
+use self::chain::{Parts, callbacks_of, make_chain, reports};
 use self::networks::{claims_setup, make_networks};
 use super::builder::{NodeBuilder, Placement, StartError};
 use super::checks::{
@@ -15,15 +15,17 @@ use super::checks::{
 use super::keeper::{Keeper, StartRoot};
 use super::network::Network;
 use super::tree::{Ground, Harvest, SupervisorSpec};
+use super::watchdogs::ProcessWatchdogs;
 use super::window::{Show, Window};
 use super::{Node, Root, Shared};
 use crate::chain::strategy::StrategyTable;
 use crate::chain::supervisor::SupervisorChild;
 use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
-use crate::host::environment::{HostEnvironment, KEPT_VARIABLES, Reports};
+use crate::host::environment::{HostEnvironment, KEPT_VARIABLES};
 use crate::host::spec::SpecError;
 use crate::host::watch as lookout;
 use crate::net::claims::ClaimsBody;
+use crate::platform::systemd::Systemd;
 use crate::service::{Carried, ReplicaBody};
 use crate::{panics, platform};
 use actix::prelude::*;
@@ -41,6 +43,7 @@ use blastema_core::{
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -56,8 +59,12 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     let window = assembly.make_window(builder.shown_at);
     let actors = assembly.enrol_all(planting.harvest).await?;
     assembly.look_out(builder.grace)?;
-    let node = assembly.into_node(Root::of(&planting.root), planting.dependencies, actors);
+    let manager = assembly.watch_chain(builder.process_watchdogs)?;
+    let node = assembly.into_node(Root::of(&planting.root), planting.dependencies, actors, manager);
     node.open(window).await?;
+    if builder.handles_signals {
+        node.node.apply_safe_outputs_on_signals()?;
+    }
     node.start_root(planting.root).await
 }
 
@@ -96,14 +103,14 @@ impl Assembly {
             .map_err(StartError::name_of("the name of a node that isolates others"))?;
         check_settings(builder)?;
         check_networks(&builder.networks, &node)?;
-        let parts = make_chain(builder, (&node, incarnation))?;
-        for listener in builder.listeners.drain(..) {
-            listener.listen(&parts.chain.subscribe);
-        }
         let arbiters = match builder.placement {
             Placement::Threads { shared } => Arbiters::pool(shared),
             Placement::ComponentsHere | Placement::Here => Arbiters::here(),
         };
+        let parts = make_chain(builder, (&node, incarnation), &arbiters)?;
+        for listener in builder.listeners.drain(..) {
+            listener.listen(&parts.chain.subscribe);
+        }
         let own = parts.chain.arbiter.iter().cloned().collect();
         let plan = Arc::new(std::mem::take(&mut builder.plan));
         Ok(Assembly {
@@ -111,7 +118,7 @@ impl Assembly {
             undone: Undone { arbiters, own, kept: false },
             placement: builder.placement,
             networks: None,
-            enrolments: Vec::new(),
+            enrolments: callbacks_of(builder),
             node,
             incarnation,
             judges,
@@ -257,8 +264,23 @@ impl Assembly {
         Ok(())
     }
 
+    /// Watches the chain from outside, and lets the watchdogs of the process depend on it.
+    fn watch_chain(&self, wanted: ProcessWatchdogs) -> Result<Option<Systemd>, StartError> {
+        let (manager, watchdogs) = wanted.open().map_err(StartError::ProcessWatchdog)?;
+        if self.placement != Placement::Here {
+            self.parts.watch_chain(&self.node, watchdogs)?;
+        }
+        Ok(manager)
+    }
+
     /// The node, which ends its threads itself from here on.
-    fn into_node(mut self, root: Root, dependencies: Dependencies, actors: Actors) -> Beginning {
+    fn into_node(
+        mut self,
+        root: Root,
+        dependencies: Dependencies,
+        actors: Actors,
+        systemd: Option<Systemd>,
+    ) -> Beginning {
         self.undone.kept = true;
         let Parts { chain, keeper, state, directory, .. } = self.parts;
         self.environment.declare_complaints();
@@ -276,6 +298,8 @@ impl Assembly {
             actors: Mutex::new(actors),
             dependencies: Mutex::new(dependencies),
             plan: self.plan,
+            systemd,
+            safe: AtomicBool::new(false),
         };
         Beginning { node: Node(Arc::new(shared)), keeper }
     }
@@ -297,7 +321,10 @@ impl Beginning {
 
     async fn start_root(self, root: SupervisorChild) -> Result<Node, StartError> {
         match self.keeper.send(StartRoot(Box::new(root))).await {
-            Ok(Ok(())) => Ok(self.node),
+            Ok(Ok(())) => {
+                self.node.0.tell_systemd("READY=1");
+                Ok(self.node)
+            }
             Ok(Err(reason)) => Err(StartError::GaveUp { reason }),
             Err(_) => Err(StartError::GaveUp { reason: "the fault chain ended".into() }),
         }
@@ -306,12 +333,7 @@ impl Beginning {
 
 /// What every component of the node is given.
 fn environment(parts: &Parts, node: &NodeName, plan: &Plan, arbiters: Arbiters) -> HostEnvironment {
-    let reports = Reports {
-        exits: Some(parts.monitor.clone().recipient()),
-        states: Some(parts.monitor.clone().recipient()),
-        faults: Some(parts.monitor.clone().recipient()),
-        mended: Some(parts.monitor.clone().recipient()),
-    };
+    let reports = reports(&parts.monitor);
     let (registry, actuators) = (parts.registry.clone(), parts.actuators.clone());
     // Its own objects may be named in full, with or without a network.
     registry.connect(node.clone(), None);
@@ -354,14 +376,6 @@ fn middleware(name: ObjectName, inquiries: Option<Recipient<AreYouAlive>>) -> En
 
 fn named(name: &str) -> ObjectName {
     ObjectName::new(name).expect("the middleware's own names are well formed")
-}
-
-/// An arbiter on a thread of its own, for the middleware.
-fn own_arbiter() -> std::io::Result<ArbiterHandle> {
-    let arbiter = Arbiter::try_with_tokio_rt(|| {
-        tokio::runtime::Builder::new_current_thread().enable_all().build()
-    })?;
-    Ok(arbiter.handle())
 }
 
 /// A thread that hangs cannot be ended. When several have been given up, only a new process helps.

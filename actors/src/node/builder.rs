@@ -5,6 +5,8 @@ use super::faults::{FaultEvents, Listener};
 use super::keeper::NodeState;
 use super::network::Network;
 use super::tree::SupervisorSpec;
+use super::watchdogs::ProcessWatchdogs;
+use crate::chain::callbacks::CALLBACK_LIMIT;
 use crate::chain::strategy::{Apply, RecoveryStrategy, StrategyTable};
 use crate::component::Component;
 use crate::host::spec::{ChildSpec, SpecError};
@@ -85,6 +87,9 @@ pub enum StartError {
     /// Nobody can look at the node where it was to be shown.
     #[error("the node cannot be shown: {0}")]
     Shown(String),
+    /// A watchdog of the process cannot be used.
+    #[error("the process cannot be watched: {0}")]
+    ProcessWatchdog(String),
     /// The operating system has no thread left.
     #[error("a thread could not be started: {0}")]
     Thread(#[from] io::Error),
@@ -118,6 +123,9 @@ pub struct NodeBuilder {
     pub(super) safe_outputs: Option<Apply>,
     pub(super) placement: Placement,
     pub(super) grace: Duration,
+    pub(super) callback_limit: Duration,
+    pub(super) process_watchdogs: ProcessWatchdogs,
+    pub(super) handles_signals: bool,
     pub(super) networks: Vec<Network>,
     pub(super) services: Vec<Result<Carried, StartError>>,
     pub(super) wardens: Vec<String>,
@@ -156,6 +164,9 @@ impl NodeBuilder {
             placement: Placement::Threads { shared: cores },
             // Twenty beats: a handler that was merely slow has come back by then.
             grace: Duration::from_millis(200),
+            callback_limit: CALLBACK_LIMIT,
+            process_watchdogs: ProcessWatchdogs::default(),
+            handles_signals: true,
             networks: Vec::new(),
             services: Vec::new(),
             wardens: Vec::new(),
@@ -272,10 +283,58 @@ impl NodeBuilder {
     }
 
     /// What is done with the robot's outputs when something comes to safe rest: brakes on, power off.
-    /// It is called on the fault chain's thread with the fault, for an object as for the whole node,
-    /// and must not block.
+    /// It is called with the fault, for an object as for the whole node, on a thread of its own, one call after the
+    /// other. A call that takes longer than [`callback_limit`](NodeBuilder::callback_limit) is a fault of
+    /// `safe-outputs`; the fault chain then goes on without it.
+    ///
+    /// It is called too when the node is dropped while it runs, and for SIGTERM and SIGINT unless
+    /// [`without_signal_handling`](NodeBuilder::without_signal_handling) is given.
     pub fn safe_outputs(mut self, apply: impl Fn(&Fault) + Send + Sync + 'static) -> Self {
         self.safe_outputs = Some(Arc::new(apply));
+        self
+    }
+
+    /// How long a [recovery strategy](RecoveryStrategy) may keep its thread without an await that waits, and how
+    /// long [safe outputs](NodeBuilder::safe_outputs) and [cut-offs](crate::ActuatorSpec::cut_off) may take: 500 ms
+    /// unless this says otherwise, from 10 ms to a minute. What takes longer is a fault under its own name, its
+    /// thread is [abandoned](crate::Node::abandoned_threads), and the fault chain goes on. Shorter goes on sooner,
+    /// and blames code that was merely slow.
+    pub fn callback_limit(mut self, limit: Duration) -> Self {
+        self.callback_limit = limit;
+        self
+    }
+
+    /// Tells the service manager that has started the process, as systemd is, that the node has started
+    /// (`READY=1`), that it lives (`WATCHDOG=1`), and that it stops (`STOPPING=1`). It is told that the node lives
+    /// for as long as each actor of the fault chain answers, four times in the `WatchdogSec=` of the service. Where
+    /// no service manager has started the process, nothing is told.
+    ///
+    /// ```ini
+    /// [Service]
+    /// Type=notify
+    /// WatchdogSec=10
+    /// Restart=always
+    /// ```
+    pub fn notify_systemd(mut self) -> Self {
+        self.process_watchdogs.systemd = true;
+        self
+    }
+
+    /// Strokes the computer's watchdog, such as `/dev/watchdog`, once a second for as long as each actor of the
+    /// fault chain answers. It is opened, and so armed, when the node starts. [`Node::shutdown`] disarms it; where
+    /// the process ends otherwise, or the fault chain stands, it restarts the computer.
+    ///
+    /// The path is absolute; any other is refused at start, as is a device that cannot be opened.
+    pub fn watchdog_device(mut self, path: impl Into<PathBuf>) -> Self {
+        self.process_watchdogs.device = Some(path.into());
+        self
+    }
+
+    /// Leaves SIGTERM and SIGINT to the program. Otherwise a node with safe outputs or actuators handles them: the
+    /// safe outputs are applied, and the process ends with the status 128 and the signal's number. Where
+    /// [`Node::run_until_signal`] waits, it shuts the node down instead.
+    pub fn without_signal_handling(mut self) -> Self {
+        self.handles_signals = false;
         self
     }
 

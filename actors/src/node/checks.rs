@@ -54,6 +54,10 @@ const THREADS: RangeInclusive<usize> = 1..=1024;
 /// The neighbours of a handler that hangs stand still for so long at most.
 const GRACE_MAX: Duration = Duration::from_secs(60 * 60);
 
+/// A call that takes no longer than a beat blocks nobody; who waits for safety waits no longer than a minute.
+const CALLBACK_LIMITS: RangeInclusive<Duration> =
+    Duration::from_millis(10)..=Duration::from_secs(60);
+
 /// Every number and name that is the node's own makes sense.
 pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
     let wrong = |setting, value, cure| Err(StartError::Setting { setting, value, cure });
@@ -67,12 +71,36 @@ pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
         let cure = "the neighbours of what hangs stand still for so long: an hour at most";
         return wrong("grace", format!("{:?}", builder.grace), cure);
     }
+    if !CALLBACK_LIMITS.contains(&builder.callback_limit) {
+        let cure = "write 10 ms to a minute, or leave it out for 500 ms";
+        return wrong("callback_limit", format!("{:?}", builder.callback_limit), cure);
+    }
+    check_watchdogs(builder)?;
     if let Some(name) = &builder.strategy_twice {
         let cure = "hand over one strategy of a name";
         return wrong("recovery", format!("{name:?} twice"), cure);
     }
     builder.kept_in.as_deref().map_or(Ok(()), check_kept_file)?;
     builder.shown_at.as_deref().map_or(Ok(()), check_window)
+}
+
+/// The watchdogs of the process can depend on the fault chain, and lie where they are said to lie.
+fn check_watchdogs(builder: &NodeBuilder) -> Result<(), StartError> {
+    let wrong = |reason: String| Err(StartError::ProcessWatchdog(reason));
+    let watchdogs = &builder.process_watchdogs;
+    if watchdogs.are_described() && builder.placement == Placement::Here {
+        return wrong(
+            "a node all of which runs on one thread cannot be watched: leave \
+             on_this_thread() or the watchdogs out"
+                .into(),
+        );
+    }
+    match watchdogs.device.as_deref().filter(|path| !path.is_absolute()) {
+        Some(path) => wrong(format!(
+            "where {path:?} lies depends on where the program is started: give an absolute path, such as /dev/watchdog"
+        )),
+        None => Ok(()),
+    }
 }
 
 /// The file lies where it is said to lie, and what lies there can be one.

@@ -89,6 +89,8 @@ pub(super) struct Keeper {
     phase: Phase,
     /// The node is at rest, and is to begin anew as soon as all have ended.
     again: bool,
+    /// It comes to rest: the safe outputs are being applied.
+    comes_to_rest: bool,
     /// It was told to stop for good.
     closed: bool,
     /// Who waits for the start; as many as have asked for it.
@@ -117,6 +119,7 @@ impl Keeper {
             life: Incarnation::default(),
             phase: Phase::Down,
             again: false,
+            comes_to_rest: false,
             closed: false,
             started: Vec::new(),
             ended: Vec::new(),
@@ -161,7 +164,7 @@ impl Keeper {
     /// All children have ended.
     fn handle_down(&mut self, context: &mut Context<Self>) {
         self.phase = Phase::Down;
-        if self.closed || !self.rests() {
+        if self.closed || !(self.rests() || self.comes_to_rest) {
             self.setup.state.send_replace(NodeState::Stopped);
         }
         // Who waited may have gone.
@@ -198,18 +201,33 @@ impl Keeper {
         nodes.do_send(NodeReported { node, incarnation, condition });
     }
 
-    fn rest(&mut self, fault: &Fault, reason: String) {
-        if self.rests() || self.state() == NodeState::Stopped {
+    fn rest(&mut self, fault: &Fault, reason: String, context: &mut Context<Self>) {
+        if self.comes_to_rest || self.rests() || self.state() == NodeState::Stopped {
             return;
         }
         error!(reason, "the node comes to safe rest");
-        self.setup.safe_outputs.rest(fault);
+        self.comes_to_rest = true;
+        let mut applied = self.setup.safe_outputs.rest(fault);
         self.setup.actuators.rest();
-        self.tell_started(&Err(reason.clone()));
-        self.tell_rest(Some(&reason));
-        // Listeners see the reason before the last component has stopped.
-        self.setup.state.send_replace(NodeState::AtRest { reason });
-        self.end();
+        if !matches!(applied.try_recv(), Err(oneshot::error::TryRecvError::Empty)) {
+            return self.handle_safe(reason);
+        }
+        // For as long as they may take at most.
+        let applied = actix::fut::wrap_future::<_, Self>(applied);
+        context.spawn(applied.map(|_, keeper: &mut Self, _| keeper.handle_safe(reason)));
+    }
+
+    /// The safe outputs are applied, or take longer than they may.
+    fn handle_safe(&mut self, reason: String) {
+        self.comes_to_rest = false;
+        // It may have been told to stop in between.
+        if self.state() != NodeState::Stopped {
+            self.tell_rest(Some(&reason));
+            // Listeners see the reason before the last component has stopped.
+            self.setup.state.send_replace(NodeState::AtRest { reason: reason.clone() });
+            self.end();
+        }
+        self.tell_started(&Err(reason));
     }
 }
 
@@ -219,7 +237,12 @@ impl Actor for Keeper {
     type Context = Context<Self>;
 }
 
-impl Supervised for Keeper {}
+impl Supervised for Keeper {
+    fn restarting(&mut self, _: &mut Context<Self>) {
+        // What waited for the safe outputs went with the panic.
+        self.comes_to_rest = false;
+    }
+}
 
 impl Handler<TellRest> for Keeper {
     type Result = ();
@@ -295,12 +318,12 @@ impl Handler<ChildReport> for Keeper {
             ChildEvent::GivesUp { reason } => {
                 // The root ends its children by itself.
                 self.phase = Phase::Ending;
-                self.rest(&self.storm(&reason), reason);
+                self.rest(&self.storm(&reason), reason, context);
             }
             ChildEvent::StartFailed { reason } | ChildEvent::Escalated { reason } => {
                 // It has ended them.
                 self.phase = Phase::Down;
-                self.rest(&self.storm(&reason), reason);
+                self.rest(&self.storm(&reason), reason, context);
                 self.handle_down(context);
             }
             ChildEvent::Stopped => self.handle_down(context),
@@ -312,10 +335,10 @@ impl Handler<ChildReport> for Keeper {
 impl Handler<RestNode> for Keeper {
     type Result = ();
 
-    fn handle(&mut self, message: RestNode, _: &mut Context<Self>) {
+    fn handle(&mut self, message: RestNode, context: &mut Context<Self>) {
         let RestNode { fault, reason } = message;
         let reason = format!("{} of {}: {reason}", fault.kind, fault.place);
-        self.rest(&fault, reason);
+        self.rest(&fault, reason, context);
     }
 }
 
@@ -362,7 +385,7 @@ mod tests {
                 node: NodeName::new("n").unwrap(),
                 incarnation: Incarnation(1),
                 state,
-                safe_outputs: SafeOutputs::new(None),
+                safe_outputs: SafeOutputs::default(),
                 actuators: Yard::default(),
                 nodes: nodes.recipient(),
             };

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! The fault chain lives on an arbiter of its own under the guardian; the watch has a thread of its
-//! own; components share as many arbiters as the computer has cores, or have threads of their own.
+//! own, and so has what watches the chain from outside; the application's recovery strategies have one each; components share as many arbiters as the computer has cores, or have threads of their own.
 
 mod assembly;
 mod builder;
@@ -19,7 +19,9 @@ mod keeper;
 mod network;
 mod picture;
 mod restart;
+mod safety;
 mod tree;
+mod watchdogs;
 mod window;
 
 pub use builder::{NodeBuilder, StartError};
@@ -40,6 +42,7 @@ use crate::host::office::DeadLetterOffice;
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::host::threads::{self, ThreadRow};
 use crate::lease::{self, ActuatorRow, Commander};
+use crate::platform::systemd::Systemd;
 use crate::reference::ActorRef;
 use crate::sender::Sender;
 use crate::service::{Role, ServiceRef, ServiceRow};
@@ -65,12 +68,18 @@ use keeper::{RestartRoot, Shutdown};
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::fmt;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
+use tracing::warn;
 
 /// A running node. Clones refer to the same one; it runs until [`shutdown`](Node::shutdown), or until
 /// it comes to safe rest, from where [`restart`](Node::restart) brings it back.
+///
+/// Where the last clone is dropped without a shutdown, as where `main` returns an error or panics, the
+/// [safe outputs](NodeBuilder::safe_outputs) are applied, actuators get their safe commands, and a line on standard
+/// error and in the log says so.
 ///
 /// ```
 /// use blastema::prelude::*;
@@ -87,6 +96,7 @@ use tokio::sync::watch;
 /// # Ok::<(), StartError>(())
 /// ```
 #[derive(Clone)]
+#[must_use = "a node that is dropped ends: keep it, and end it with `shutdown` or `run_until_signal`"]
 pub struct Node(Arc<Shared>);
 
 struct Shared {
@@ -103,6 +113,9 @@ struct Shared {
     actors: Mutex<BTreeMap<ObjectName, Box<dyn Any + Send>>>,
     dependencies: Mutex<Dependencies>,
     plan: Arc<blastema_core::recovery::Plan>,
+    systemd: Option<Systemd>,
+    /// The safe outputs were applied without the fault chain.
+    safe: AtomicBool,
 }
 
 /// What the node asks of its root supervisor.
@@ -286,7 +299,8 @@ impl Node {
     /// Everything that is watched, each row with its age and incarnation. It can be read at any time,
     /// also while components are stuck.
     pub async fn table(&self) -> Vec<Row> {
-        let mut rows = self.0.chain.table.send(ReadTable).await.unwrap_or_default();
+        let chain = &self.0.chain;
+        let mut rows = chain.answer(chain.table.send(ReadTable)).await.unwrap_or_default();
         // What a component is doing right now is read from outside, so that it need not answer.
         self.0.environment.watch_list.show_in(&self.0.name, &mut rows);
         rows
@@ -294,7 +308,8 @@ impl Node {
 
     /// The record of faults: roots in the order in which they were found, each followed by its symptoms.
     pub async fn faults(&self) -> Record {
-        self.0.chain.record.send(ReadRecord).await.unwrap_or_default()
+        let chain = &self.0.chain;
+        chain.answer(chain.record.send(ReadRecord)).await.unwrap_or_default()
     }
 
     /// Every step in the history of every fault, from now on.
@@ -304,7 +319,7 @@ impl Node {
 
     /// The supervision tree as it stands now; `None` once the node has ended.
     pub async fn tree(&self) -> Option<Branch> {
-        self.0.root.tree.send(ReadTree).await.ok()
+        self.0.chain.answer(self.0.root.tree.send(ReadTree)).await
     }
 
     /// Waits until messages can be sent to the node of this name and a path leads there, and says whether
@@ -441,12 +456,16 @@ impl Node {
     /// for other nodes until the last component has ended is delivered; from then on senders say
     /// [`Why::Stopped`] at once, also to those who wait in `deliver`.
     pub async fn shutdown(&self) {
-        // A keeper that does not answer has ended already.
-        let _ = self.0.shutdown.send(Shutdown).await;
+        self.0.tell_systemd("STOPPING=1");
+        let stopped = self.0.chain.answer(self.0.shutdown.send(Shutdown)).await;
+        if stopped.is_none() && self.state() != NodeState::Stopped {
+            // The fault chain stands, and no component can be stopped.
+            self.0.become_safe("the fault chain does not answer to the shutdown");
+        }
         if let Some(networks) = &self.0.networks {
             networks.leave().await;
         }
-        self.0.stop_threads();
+        self.0.stop_threads(stopped.is_some());
     }
 }
 
@@ -455,19 +474,28 @@ impl Shared {
         self.dependencies.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn stop_threads(&self) {
+    /// Tells the service manager of the process this, if the node is described with one.
+    fn tell_systemd(&self, state: &str) {
+        if let Some(Err(reason)) = self.systemd.as_ref().map(|manager| manager.tell(state)) {
+            warn!(state, reason, "the service manager was not told");
+        }
+    }
+
+    /// Ends all threads of the node. Where that is not in order, the watchdogs of the process may fire.
+    fn stop_threads(&self, in_order: bool) {
         self.environment.arbiters.stop();
         if let Some(networks) = &self.networks {
             networks.stop();
         }
-        self.chain.stop();
+        self.chain.stop(in_order);
     }
 }
 
 impl Drop for Shared {
     fn drop(&mut self) {
+        self.become_safe("the node was dropped while it ran");
         // Whoever lets go of the last reference without a shutdown still leaves no thread behind.
-        self.stop_threads();
+        self.stop_threads(false);
     }
 }
 

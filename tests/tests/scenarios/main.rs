@@ -7,6 +7,7 @@ mod chain;
 mod chaos;
 mod commanders;
 mod declared;
+mod either_order;
 mod errors;
 mod escalation;
 mod events;

@@ -2,6 +2,7 @@ use super::*;
 use crate::chain::scripted::{Answer, Bench, fault};
 use crate::chain::strategy::{Apply, RecoveryStrategy, SafeOutputs, ToolBox};
 use crate::chain::supervisor::SupervisorChild;
+use crate::host::environment::Reports;
 use crate::registry::Registry;
 use blastema_contract::strategy::{IsolateNode, Reroute, RestNode};
 use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
@@ -45,7 +46,7 @@ impl Chain {
             directory: bench.directory.clone(),
             registry: Registry::default(),
             router: Arc::new(std::sync::OnceLock::from((router.recipient(), network.recipient()))),
-            safe_outputs: SafeOutputs::new(Some(apply)),
+            safe_outputs: SafeOutputs::new(Some(apply), Callbacks::default(), Reports::default()),
             rest_node: node.recipient(),
         });
         let limits = RecovererLimits { idle: Duration::from_secs(5), ..RecovererLimits::default() };
@@ -55,6 +56,7 @@ impl Chain {
             tools,
             detector: outcomes.recipient(),
             guardian: bench.guardian.clone(),
+            callbacks: Callbacks::default(),
         };
         let name = "chain/recoverer".parse().expect("a good name");
         let make = move |_: &mut Context<Recoverer>| Recoverer::new(setup);

@@ -1,24 +1,85 @@
 //! The actor around a strategy.
 
 use super::{RecoveryStrategy, Tools};
+use crate::chain::callbacks::{Callbacks, RunningCall};
 use crate::panics;
 use actix::prelude::*;
 use blastema_contract::strategy::CarryOut;
+use blastema_core::ObjectName;
 use blastema_core::recovery::{Done, Failed};
 use std::future::{Future, poll_fn};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::pin;
 use std::rc::Rc;
+use std::sync::Arc;
+use std::task::Poll;
+use tokio::sync::watch;
 
-/// Hosts one strategy: a panic in it, or its silence, is a failure like any other.
+/// Hosts one strategy: a panic in it, its silence, and that it blocks are failures like any other.
 pub(super) struct StrategyHost<S> {
-    strategy: Rc<S>,
+    make: Arc<dyn Fn() -> S + Send + Sync>,
+    /// Made with its first order.
+    strategy: Option<Rc<S>>,
     tools: Tools,
+    thread: Option<StrategyThread>,
+}
+
+/// The thread that a strategy has for itself.
+#[derive(Clone)]
+pub(super) struct StrategyThread {
+    pub(super) object: ObjectName,
+    pub(super) callbacks: Callbacks,
+    /// The order that blocks it.
+    pub(super) blocked_by: Arc<watch::Sender<Option<u64>>>,
+}
+
+impl StrategyThread {
+    /// The strategy's code runs now, for this order.
+    fn enter(&self, order: u64) -> Option<RunningCall> {
+        let thread = self.clone();
+        self.callbacks.enter(move |limit| {
+            thread.blocked_by.send_replace(Some(order));
+            let detail = format!(
+                "the recovery strategy {} has blocked its thread for {limit:?}: the thread is abandoned",
+                thread.object.as_str().rsplit('/').next().unwrap_or_default()
+            );
+            thread.callbacks.abandon_thread(thread.object.as_str(), detail);
+        })
+    }
+
+    /// It has returned, long after another thread took its place.
+    fn end_late(&self) {
+        self.callbacks.take_back_thread(self.object.as_str());
+        Arbiter::current().stop();
+    }
 }
 
 impl<S: RecoveryStrategy> StrategyHost<S> {
-    pub(super) fn new(strategy: S, tools: Tools) -> Self {
-        StrategyHost { strategy: Rc::new(strategy), tools }
+    pub(super) fn new(
+        make: Arc<dyn Fn() -> S + Send + Sync>,
+        tools: Tools,
+        thread: Option<StrategyThread>,
+    ) -> Self {
+        StrategyHost { make, strategy: None, tools, thread }
+    }
+
+    fn strategy(&mut self, order: u64) -> Result<Rc<S>, Failed> {
+        if let Some(strategy) = &self.strategy {
+            return Ok(strategy.clone());
+        }
+        let call = self.thread.as_ref().and_then(|thread| thread.enter(order));
+        let made = {
+            let _guarded = panics::Guarded::enter();
+            catch_unwind(AssertUnwindSafe(|| (self.make)()))
+        };
+        if let (Some(thread), Some(false)) = (&self.thread, call.map(RunningCall::end)) {
+            thread.end_late();
+        }
+        let strategy = made.map(Rc::new).map_err(|payload| {
+            let (text, place) = (panics::text_of(payload), panics::take_place());
+            Failed::from(format!("making the strategy panicked at {place}: {text}"))
+        })?;
+        Ok(self.strategy.insert(strategy).clone())
     }
 }
 
@@ -33,9 +94,13 @@ impl<S: RecoveryStrategy> Handler<CarryOut> for StrategyHost<S> {
 
     fn handle(&mut self, message: CarryOut, _: &mut Context<Self>) -> Self::Result {
         let CarryOut(order) = message;
-        let (strategy, tools) = (self.strategy.clone(), self.tools.clone());
+        let strategy = match self.strategy(order.number) {
+            Ok(strategy) => strategy,
+            Err(failed) => return Box::pin(std::future::ready(Err(failed))),
+        };
+        let (tools, thread) = (self.tools.clone(), self.thread.clone());
         Box::pin(async move {
-            let work = guarded(strategy.carry_out(&order, &tools));
+            let work = guarded(strategy.carry_out(&order, &tools), order.number, thread);
             match tokio::time::timeout(order.within, work).await {
                 Ok(outcome) => outcome,
                 Err(_) => Err(format!("not done within {:?}", order.within).into()),
@@ -45,13 +110,23 @@ impl<S: RecoveryStrategy> Handler<CarryOut> for StrategyHost<S> {
 }
 
 /// Polls the strategy's future so that a panic in it becomes a failure with its text and place.
-async fn guarded(work: impl Future<Output = Result<Done, Failed>>) -> Result<Done, Failed> {
+async fn guarded(
+    work: impl Future<Output = Result<Done, Failed>>,
+    order: u64,
+    thread: Option<StrategyThread>,
+) -> Result<Done, Failed> {
     let mut work = pin!(work);
     poll_fn(move |cx| {
+        let call = thread.as_ref().and_then(|thread| thread.enter(order));
         let polled = {
             let _guarded = panics::Guarded::enter();
             catch_unwind(AssertUnwindSafe(|| work.as_mut().poll(cx)))
         };
+        if let (Some(thread), Some(false)) = (&thread, call.map(RunningCall::end)) {
+            // Its order was given to a successor, or has failed: nothing more is done about it here.
+            thread.end_late();
+            return Poll::Pending;
+        }
         polled.unwrap_or_else(|payload| {
             let (text, place) = (panics::text_of(payload), panics::take_place());
             Err(format!("the strategy panicked at {place}: {text}").into()).into()

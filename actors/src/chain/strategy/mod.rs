@@ -18,8 +18,8 @@ mod safe_stop;
 mod table;
 mod tools;
 
-pub(crate) use outputs::{Apply, SafeOutputs};
-pub(crate) use table::StrategyTable;
+pub(crate) use outputs::{Apply, SAFE_OUTPUTS, SafeOutputs};
+pub(crate) use table::{EngagedStrategy, StrategyTable, object_of};
 pub(crate) use tools::ToolBox;
 pub use tools::Tools;
 
@@ -32,7 +32,12 @@ use blastema_core::recovery::{Done, Failed, Order};
 ///
 /// Orders for different places are carried out at the same time: whatever must be remembered between
 /// them is kept in a cell. A strategy that panics, or takes longer than [`Order::within`], has failed, and
-/// the recoverer goes on up its ladder. It runs beside the rest of the fault chain and must not block.
+/// the recoverer goes on up its ladder.
+///
+/// Each strategy has a thread of its own. Where it blocks that thread for longer than
+/// [`callback_limit`](crate::NodeBuilder::callback_limit), the order that it blocks for has failed, the thread is
+/// abandoned, and a fault of `chain/strategy/<name>` says so; the other orders that it had are given to a new
+/// instance of it, on a fresh thread, from their beginning.
 ///
 /// ```
 /// use blastema::core::recovery::{Done, Failed, Order};

@@ -1,23 +1,68 @@
 //! How to make each strategy when it is needed.
 
-use super::host::StrategyHost;
+use super::host::{StrategyHost, StrategyThread};
 use super::isolate::Isolate;
 use super::reroute::Reroute;
 use super::reset::Reset;
 use super::restart::Restart;
 use super::safe_stop::SafeStop;
 use super::{RecoveryStrategy, Tools};
-use crate::guardian::Guardian;
-use crate::panics;
+use crate::chain::callbacks::Callbacks;
+use crate::guardian::{Guardian, own_arbiter};
 use actix::prelude::*;
 use blastema_contract::strategy::CarryOut;
 use blastema_core::ObjectName;
 use blastema_core::recovery::{Failed, Measure};
 use std::collections::BTreeMap;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use tokio::sync::watch;
 
-type Make = Arc<dyn Fn(&Guardian, ObjectName, Tools) -> Recipient<CarryOut> + Send + Sync>;
+type Make = Arc<
+    dyn Fn(
+            (&Guardian, Option<&ArbiterHandle>),
+            ObjectName,
+            Tools,
+            Option<StrategyThread>,
+        ) -> Recipient<CarryOut>
+        + Send
+        + Sync,
+>;
+
+/// A strategy that carries orders out at present. Dropped, it ends with its thread.
+pub(crate) struct EngagedStrategy {
+    pub(crate) orders: Recipient<CarryOut>,
+    own: Option<(ArbiterHandle, watch::Receiver<Option<u64>>)>,
+}
+
+impl EngagedStrategy {
+    /// Whether it can take orders.
+    pub(crate) fn is_usable(&self) -> bool {
+        let blocked = self.own.as_ref().is_some_and(|(_, blocked)| blocked.borrow().is_some());
+        self.orders.connected() && !blocked
+    }
+
+    /// Is told the order that blocks its thread, where it has one for itself.
+    pub(crate) fn blocked_by(&self) -> Option<watch::Receiver<Option<u64>>> {
+        self.own.as_ref().map(|(_, blocked)| blocked.clone())
+    }
+}
+
+impl Drop for EngagedStrategy {
+    fn drop(&mut self) {
+        if let Some((thread, _)) = &self.own {
+            thread.stop();
+        }
+    }
+}
+
+/// The name under which a strategy is watched.
+pub(crate) fn object_of(measure: &Measure) -> ObjectName {
+    let plain: String =
+        measure.name().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+    ObjectName::new(&format!("chain/strategy/{plain}"))
+        .or_else(|_| ObjectName::new("chain/strategy/custom"))
+        .expect("this name is well formed")
+}
 
 /// The strategies that this node has: the built-in ones and the application's own.
 #[derive(Clone)]
@@ -53,31 +98,32 @@ impl StrategyTable {
         })
     }
 
-    /// Makes the strategy that carries `measure` out, on this arbiter.
+    /// Makes the strategy that carries `measure` out: a built-in one on this arbiter, one of the application's own
+    /// on a thread that it has for itself, unless all of the node runs on one.
     ///
     /// # Errors
-    /// There is none, or making it panicked.
+    /// There is none, or no thread is left for it.
     pub(crate) fn make(
         &self,
         measure: &Measure,
         guardian: &Guardian,
         tools: Tools,
-    ) -> Result<Recipient<CarryOut>, Failed> {
+        callbacks: &Callbacks,
+    ) -> Result<EngagedStrategy, Failed> {
         let make =
             self.0.get(measure).ok_or_else(|| format!("there is no strategy {measure:?}"))?;
-        let plain: String = measure
-            .name()
-            .chars()
-            .map(|c| if c.is_ascii_alphanumeric() { c } else { '_' })
-            .collect();
-        let name = ObjectName::new(&format!("chain/strategy/{plain}"))
-            .or_else(|_| ObjectName::new("chain/strategy/custom"))
-            .expect("this name is well formed");
-        let _guarded = panics::Guarded::enter();
-        catch_unwind(AssertUnwindSafe(|| make(guardian, name, tools))).map_err(|payload| {
-            let (text, place) = (panics::text_of(payload), panics::take_place());
-            format!("making the strategy {measure} panicked at {place}: {text}").into()
-        })
+        let object = object_of(measure);
+        if !callbacks.have_threads() || !matches!(measure, Measure::Custom(_)) {
+            let orders = make((guardian, None), object, tools, None);
+            return Ok(EngagedStrategy { orders, own: None });
+        }
+        let arbiter = own_arbiter()
+            .map_err(|error| format!("there is no thread for the strategy {measure}: {error}"))?;
+        let (blocked_by, blocked) = watch::channel(None);
+        let (callbacks, blocked_by) = (callbacks.clone(), Arc::new(blocked_by));
+        let thread = StrategyThread { object: object.clone(), callbacks, blocked_by };
+        let orders = make((guardian, Some(&arbiter)), object, tools, Some(thread));
+        Ok(EngagedStrategy { orders, own: Some((arbiter, blocked)) })
     }
 
     fn insert<S: RecoveryStrategy>(
@@ -85,11 +131,15 @@ impl StrategyTable {
         measure: Measure,
         make: impl Fn() -> S + Send + Sync + 'static,
     ) {
-        let make = Arc::new(make);
-        let start = move |guardian: &Guardian, name: ObjectName, tools: Tools| {
+        let make: Arc<dyn Fn() -> S + Send + Sync> = Arc::new(make);
+        let start = move |(guardian, place): (&Guardian, Option<&ArbiterHandle>),
+                          name: ObjectName,
+                          tools: Tools,
+                          thread: Option<StrategyThread>| {
             let make = make.clone();
-            let host = move |_: &mut Context<StrategyHost<S>>| StrategyHost::new(make(), tools);
-            guardian.start(name, None, host).recipient()
+            let host =
+                move |_: &mut Context<StrategyHost<S>>| StrategyHost::new(make, tools, thread);
+            guardian.start(name, place, host).recipient()
         };
         self.0.insert(measure, Arc::new(start));
     }

@@ -109,7 +109,7 @@ impl Tools {
             self.rest_node(fault, "the plan says so");
             return Ok(Done::default());
         }
-        self.0.safe_outputs.apply(fault);
+        self.0.safe_outputs.apply(fault).await;
         let (object, keeper) = self.keeper(&fault.place)?;
         let fault = Some(fault.clone());
         judge(keeper.safe_stop.send(SafeStop { object, fault }).await)

@@ -1,19 +1,23 @@
 //! The fault chain of a node: how its actors are made, and what the rest of the node sees of them.
 
-use super::{enrolment, named, own_arbiter};
+use super::{enrolment, middleware, named};
+use crate::chain::callbacks::Callbacks;
 use crate::chain::detector::Detector;
 use crate::chain::directory::Directory;
 use crate::chain::monitor::Monitor;
 use crate::chain::notifier::Notifier;
+use crate::chain::outside::{ChainWatch, OutsideSetup};
 use crate::chain::recoverer::{Recoverer, RecovererSetup};
-use crate::chain::strategy::{SafeOutputs, ToolBox, Tools};
-use crate::guardian::Guardian;
+use crate::chain::strategy::{SAFE_OUTPUTS, SafeOutputs, ToolBox, Tools, object_of};
+use crate::guardian::{Guardian, own_arbiter};
+use crate::host::arbiters::Arbiters;
+use crate::host::environment::Reports;
 use crate::host::watch::WatchGuard;
 use crate::lease::Yard;
 use crate::node::builder::{NodeBuilder, Placement, StartError};
 use crate::node::keeper::{Keeper, KeeperSetup, NodeState, TellRest};
 use crate::node::tree::Planted;
-use crate::platform;
+use crate::platform::{self, ProcessWatchdog};
 use crate::registry::Registry;
 use actix::prelude::*;
 use blastema_contract::detector::{ReadRecord, Subscribe};
@@ -21,10 +25,11 @@ use blastema_contract::monitor::{Dismiss, Enrol, ReadTable};
 use blastema_contract::notifier::AddPort;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::strategy::{IsolateNode, Reroute};
+use blastema_contract::strategy::{IsolateNode, Reroute, RestNode};
 use blastema_core::detection::{DetectorLimits, EnrolError, MonitorLimits, NotifierLimits, Port};
-use blastema_core::recovery::{self, RecovererLimits};
-use blastema_core::{Incarnation, NodeName, ObjectName};
+use blastema_core::recovery::{self, Measure, RecovererLimits};
+use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use tokio::sync::watch;
 
@@ -42,6 +47,12 @@ pub(in crate::node) struct Chain {
     pub(super) recoverer: Recipient<Recover>,
     /// Looks at arbiters and components; it ends when it is dropped.
     lookout: Mutex<Option<WatchGuard>>,
+    /// Watches the chain itself; it ends when it is dropped.
+    outside: Mutex<Option<ChainWatch>>,
+    /// Whether the chain stands.
+    stands: watch::Receiver<bool>,
+    pub(in crate::node) safe_outputs: SafeOutputs,
+    pub(in crate::node) callbacks: Callbacks,
     pub(super) router: Arc<OnceLock<(Recipient<Reroute>, Recipient<IsolateNode>)>>,
 }
 
@@ -70,8 +81,26 @@ impl Chain {
         self.dismiss.do_send(Dismiss { object });
     }
 
-    pub(in crate::node) fn stop(&self) {
+    /// What an actor of the chain answers; `None` where it has ended, or the chain stands.
+    pub(in crate::node) async fn answer<T>(
+        &self,
+        asked: impl Future<Output = Result<T, MailboxError>>,
+    ) -> Option<T> {
+        let mut stands = self.stands.clone();
+        tokio::select! {
+            biased;
+            answer = asked => answer.ok(),
+            true = async { stands.wait_for(|stands| *stands).await.is_ok() } => None,
+        }
+    }
+
+    /// Ends its threads; in order, unless the process is not to be thought of as well.
+    pub(in crate::node) fn stop(&self, in_order: bool) {
         self.look_out(None);
+        let outside = self.outside.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(outside) = outside {
+            outside.end(in_order);
+        }
         if let Some(arbiter) = &self.arbiter {
             arbiter.stop();
         }
@@ -79,6 +108,10 @@ impl Chain {
 
     pub(super) fn look_out(&self, lookout: Option<WatchGuard>) {
         *self.lookout.lock().unwrap_or_else(PoisonError::into_inner) = lookout;
+    }
+
+    pub(super) fn watch_from_outside(&self, outside: ChainWatch) {
+        *self.outside.lock().unwrap_or_else(PoisonError::into_inner) = Some(outside);
     }
 }
 
@@ -92,12 +125,14 @@ pub(super) struct Parts {
     pub(super) directory: Directory,
     pub(super) registry: Registry,
     pub(super) actuators: Yard,
+    stands: watch::Sender<bool>,
 }
 
 /// Makes the fault chain; it has nothing to watch yet.
 pub(super) fn make_chain(
     builder: &NodeBuilder,
     (node, incarnation): (&NodeName, Incarnation),
+    arbiters: &Arbiters,
 ) -> Result<Parts, StartError> {
     let arbiter = match builder.placement {
         Placement::Here => None,
@@ -121,8 +156,16 @@ pub(super) fn make_chain(
     });
     guardian.report_to(monitor.clone().recipient());
 
-    let (state, actuators) = (builder.state.subscribe(), Yard::default());
-    let safe_outputs = SafeOutputs::new(builder.safe_outputs.clone());
+    let callbacks = match builder.placement {
+        Placement::Here => Callbacks::default(),
+        Placement::Threads { .. } | Placement::ComponentsHere => {
+            Callbacks::on_threads(builder.callback_limit, arbiters.clone())
+        }
+    };
+    let reports = reports(&monitor);
+    callbacks.report_to(reports.clone());
+    let (state, actuators) = (builder.state.subscribe(), Yard::new(callbacks.clone()));
+    let safe_outputs = SafeOutputs::new(builder.safe_outputs.clone(), callbacks.clone(), reports);
     let setup = KeeperSetup {
         node: node.clone(),
         incarnation,
@@ -142,7 +185,7 @@ pub(super) fn make_chain(
         directory: directory.clone(),
         registry: registry.clone(),
         router: router.clone(),
-        safe_outputs,
+        safe_outputs: safe_outputs.clone(),
         rest_node: keeper.clone().recipient(),
     });
     let seed = platform::random_seed();
@@ -153,6 +196,7 @@ pub(super) fn make_chain(
         tools,
         detector: detector.clone().recipient(),
         guardian: guardian.clone(),
+        callbacks: callbacks.clone(),
     };
     let recoverer =
         guardian.start(named("chain/recoverer"), place, move |_: &mut Context<Recoverer>| {
@@ -172,6 +216,7 @@ pub(super) fn make_chain(
         (named("chain/recoverer"), recoverer.clone().recipient()),
         (named("keeper"), keeper.clone().recipient()),
     ];
+    let (stands, seen) = watch::channel(false);
     let chain = Chain {
         table: monitor.clone().recipient(),
         record: detector.clone().recipient(),
@@ -181,9 +226,64 @@ pub(super) fn make_chain(
         arbiter,
         inquiries,
         lookout: Mutex::default(),
+        outside: Mutex::default(),
+        stands: seen,
+        safe_outputs,
+        callbacks,
         notifier: notifier.recipient(),
         recoverer: recoverer.recipient(),
         router,
     };
-    Ok(Parts { guardian, chain, monitor, keeper, state, directory, registry, actuators })
+    Ok(Parts { guardian, chain, monitor, keeper, state, directory, registry, actuators, stands })
+}
+
+/// Whom guards and components tell.
+pub(super) fn reports(monitor: &Addr<Monitor>) -> Reports {
+    Reports {
+        exits: Some(monitor.clone().recipient()),
+        states: Some(monitor.clone().recipient()),
+        faults: Some(monitor.clone().recipient()),
+        mended: Some(monitor.clone().recipient()),
+    }
+}
+
+/// The application's code that the chain calls: faults of it stand under these names.
+pub(super) fn callbacks_of(builder: &NodeBuilder) -> Vec<Enrol> {
+    let strategies = builder.strategies.names();
+    let strategies = strategies.map(|name| object_of(&Measure::Custom(name.into())));
+    let outputs = builder.safe_outputs.iter().map(|_| named(SAFE_OUTPUTS));
+    // Two names may differ by what no name of an object can hold.
+    let all: BTreeSet<ObjectName> = strategies.chain(outputs).collect();
+    all.into_iter().map(|name| middleware(name, None)).collect()
+}
+
+impl Parts {
+    /// Watches the chain from outside from now on, and strokes these as long as it answers.
+    pub(super) fn watch_chain(
+        &self,
+        node: &NodeName,
+        watchdogs: Vec<Box<dyn ProcessWatchdog>>,
+    ) -> Result<(), StartError> {
+        let node = node.clone();
+        let (safe_outputs, actuators) = (self.chain.safe_outputs.clone(), self.actuators.clone());
+        let rest: Recipient<RestNode> = self.keeper.clone().recipient();
+        let last_resort = move |reason: String| {
+            let now = platform::now();
+            let fault = Fault::of_node(node.clone(), FaultKind::Hang, reason.clone(), now);
+            // Nothing here waits for them.
+            drop(safe_outputs.rest(&fault));
+            actuators.rest();
+            // Should the chain answer again, the node comes to rest in order.
+            rest.do_send(RestNode { fault, reason });
+        };
+        let outside = ChainWatch::start(OutsideSetup {
+            callbacks: self.chain.callbacks.clone(),
+            inquiries: self.chain.inquiries.clone(),
+            watchdogs,
+            stands: self.stands.clone(),
+            last_resort: Box::new(last_resort),
+        })?;
+        self.chain.watch_from_outside(outside);
+        Ok(())
+    }
 }

@@ -1,7 +1,8 @@
 //! The networks of a node: what stands on its media, and how that is led to the fault chain.
 
 use super::chain::Parts;
-use super::{middleware, named, own_arbiter};
+use super::{middleware, named};
+use crate::guardian::own_arbiter;
 use crate::host::environment::HostEnvironment;
 use crate::net::claims::{ClaimsBody, ClaimsSetup};
 use crate::net::rest::{RestBody, RestSetup};

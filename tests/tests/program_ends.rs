@@ -1,0 +1,342 @@
+//! Programs that end otherwise than in order, and the watchdogs of their process. This test starts itself again for
+//! them: a process that finds a role in its environment plays it.
+#![allow(clippy::print_stdout, reason = "the processes tell the test what they do")]
+
+use blastema::prelude::*;
+use blastema::{ActuatorSpec, NodeBuilder};
+use std::collections::BTreeSet;
+use std::io::{BufRead, BufReader, Read};
+use std::os::unix::net::UnixDatagram;
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+/// For everything that takes time on a busy computer.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+fn oil() -> FaultKind {
+    FaultKind::Custom("OIL".into())
+}
+
+/// Declares the fault `OIL`.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "ends/leak", reply = ())]
+struct Leak;
+
+struct Joint;
+
+impl Component for Joint {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Leak>();
+    }
+}
+
+impl Handle<Leak> for Joint {
+    async fn handle(&mut self, _: Leak, cx: &mut Context<Self>) {
+        cx.declare_fault(oil(), "a leak");
+    }
+}
+
+/// Turns the wheels.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "ends/drive", reply = f32)]
+struct Drive(f32);
+
+/// Says on standard output how fast they turn.
+struct Wheels;
+
+impl Component for Wheels {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(Duration::from_secs(10)));
+    }
+}
+
+impl Handle<Drive> for Wheels {
+    async fn handle(&mut self, drive: Drive, _: &mut Context<Self>) -> f32 {
+        println!("drive {}", drive.0);
+        drive.0
+    }
+}
+
+/// The role of a process that was started by a test.
+const ROLE: &str = "BLASTEMA_TEST_ROLE";
+/// Where it has its watchdog.
+const DEVICE: &str = "BLASTEMA_TEST_DEVICE";
+
+/// A process that plays a role, and is killed at the latest when the test ends.
+struct Process {
+    child: Child,
+    lines: std::io::Lines<BufReader<ChildStdout>>,
+}
+
+impl Process {
+    fn start(role: &str, environment: &[(&str, String)]) -> Self {
+        let program = std::env::current_exe().expect("a running program has a path");
+        let mut child = Command::new(program)
+            .args(["--exact", "a_process_plays_its_role", "--nocapture"])
+            .env(ROLE, role)
+            .envs(environment.iter().map(|(name, value)| (name, value)))
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the test can be started again");
+        let lines = BufReader::new(child.stdout.take().expect("it was asked for")).lines();
+        Process { child, lines }
+    }
+
+    /// Reads until this line.
+    fn await_line(&mut self, wanted: &str) {
+        let mut before = Vec::new();
+        for line in &mut self.lines {
+            let line = line.unwrap();
+            if line == wanted {
+                return;
+            }
+            before.push(line);
+        }
+        panic!("{wanted:?} is missing after {before:?}");
+    }
+
+    fn signal(&self, signal: &str) {
+        let pid = self.child.id().to_string();
+        let status = Command::new("kill").args([signal, &pid]).status().expect("there is kill");
+        assert!(status.success());
+    }
+
+    /// How it ends, what else it has printed, and what is on its standard error.
+    fn end(mut self) -> (Option<i32>, Vec<String>, String) {
+        let lines = (&mut self.lines).map(Result::unwrap).collect();
+        let mut errors = String::new();
+        let stderr = self.child.stderr.as_mut().expect("it was asked for");
+        stderr.read_to_string(&mut errors).unwrap();
+        (self.child.wait().unwrap().code(), lines, errors)
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn a_process_plays_its_role() {
+    let Ok(role) = std::env::var(ROLE) else { return };
+    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
+    // The test harness does not end its line.
+    println!();
+    let played: Result<(), Box<dyn std::error::Error>> = blastema::run(async {
+        match role.as_str() {
+            "watched" => stay_until_signal().await,
+            "stuck" => get_stuck().await,
+            role => drive_and(role).await,
+        }
+    });
+    played.expect("main returned an error");
+}
+
+/// Wheels turn when a program ends in this way.
+async fn drive_and(role: &str) -> Result<(), Box<dyn std::error::Error>> {
+    let node = Node::builder("module1")
+        .child(ChildSpec::new("wheels", || Wheels))
+        .safe_outputs(|_| println!("safe outputs"))
+        .start()
+        .await?;
+    let wheels = node.commander::<Drive>("wheels", "console")?;
+    wheels.claim().await?;
+    wheels.command(Drive(1.0)).await?;
+    match role {
+        "drop" => drop(node),
+        "error" => Err("the map is missing")?,
+        "panic" => panic!("the map is upside down"),
+        "signal" => std::future::pending().await,
+        "blocked" => loop {
+            std::thread::park();
+        },
+        "shutdown" => node.shutdown().await,
+        other => panic!("there is no role {other}"),
+    }
+    Ok(())
+}
+
+#[test]
+fn a_program_that_ends_in_whichever_way_leaves_safe_outputs_and_says_so_once() {
+    let cases = [
+        ("drop", None, Some(0), "was dropped while it ran"),
+        ("error", None, Some(101), "was dropped while it ran"),
+        ("panic", None, Some(101), "was dropped while it ran"),
+        ("signal", Some("-TERM"), Some(143), "SIGTERM"),
+        ("signal", Some("-INT"), Some(130), "SIGINT"),
+        ("blocked", Some("-TERM"), Some(143), "SIGTERM"),
+    ];
+    for (role, signal, status, cause) in cases {
+        let mut process = Process::start(role, &[]);
+        process.await_line("drive 1");
+        if let Some(signal) = signal {
+            process.signal(signal);
+        }
+        let (code, lines, errors) = process.end();
+
+        assert_eq!(code, status, "{role}: {errors}");
+        let done: BTreeSet<&str> = lines.iter().map(String::as_str).collect();
+        assert!(done.contains("safe outputs") && done.contains("drive 0"), "{role}: {lines:?}");
+        let said: Vec<_> = errors.lines().filter(|line| line.contains("safe outputs")).collect();
+        assert!(said.len() == 1 && said[0].contains(cause), "{role}: {errors}");
+        assert!(said[0].contains("module1"), "{said:?}");
+    }
+}
+
+#[test]
+fn a_program_that_shuts_its_node_down_has_nothing_more_to_make_safe() {
+    let mut process = Process::start("shutdown", &[]);
+    process.await_line("drive 1");
+    let (code, lines, errors) = process.end();
+
+    assert_eq!(code, Some(0), "{errors}");
+    assert!(!lines.iter().any(|line| line == "safe outputs"), "{lines:?}");
+    assert!(!errors.contains("safe outputs"), "{errors}");
+}
+
+fn watched() -> NodeBuilder {
+    Node::builder("module1")
+        .fault_kind("OIL")
+        .plan(Plan::default().on(oil(), Ladder::first(Measure::Observe)))
+        .child(ChildSpec::new("joint", || Joint))
+        .notify_systemd()
+        .safe_outputs(|_| println!("safe outputs"))
+}
+
+async fn stay_until_signal() -> Result<(), Box<dyn std::error::Error>> {
+    let device = std::env::var(DEVICE)?;
+    let node = watched().watchdog_device(device).start().await?;
+    println!("started");
+    node.run_until_signal().await?;
+    println!("ended in order");
+    Ok(())
+}
+
+/// What a service manager hears.
+struct Listener {
+    socket: UnixDatagram,
+    folder: tempfile::TempDir,
+}
+
+impl Listener {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let socket = UnixDatagram::bind(folder.path().join("notify")).unwrap();
+        Listener { socket, folder }
+    }
+
+    fn environment(&self, watchdog: Duration) -> Vec<(&'static str, String)> {
+        let path = self.folder.path().join("notify").display().to_string();
+        vec![("NOTIFY_SOCKET", path), ("WATCHDOG_USEC", watchdog.as_micros().to_string())]
+    }
+
+    /// The next that comes within this time.
+    fn hear(&self, within: Duration) -> Option<String> {
+        let mut bytes = [0; 256];
+        self.socket.set_read_timeout(Some(within)).unwrap();
+        let read = self.socket.recv(&mut bytes).ok()?;
+        Some(String::from_utf8(bytes[..read].to_vec()).unwrap())
+    }
+
+    fn await_state(&self, wanted: &str) {
+        while self.hear(PATIENCE).expect("it is told") != wanted {}
+    }
+}
+
+#[test]
+fn a_watched_process_tells_its_service_manager_and_strokes_the_device_until_it_ends_in_order() {
+    let manager = Listener::new();
+    let device = manager.folder.path().join("watchdog");
+    std::fs::write(&device, "").unwrap();
+    let mut environment = manager.environment(200 * MS);
+    environment.push((DEVICE, device.display().to_string()));
+    let mut process = Process::start("watched", &environment);
+
+    process.await_line("started");
+    manager.await_state("READY=1");
+    for _ in 0..10 {
+        manager.await_state("WATCHDOG=1");
+    }
+    let stroked = std::fs::read(&device).unwrap();
+    assert!(!stroked.is_empty() && !stroked.contains(&b'V'), "{stroked:?}");
+    process.signal("-TERM");
+    manager.await_state("STOPPING=1");
+
+    process.await_line("ended in order");
+    let (code, lines, errors) = process.end();
+    assert_eq!(code, Some(0), "{errors}");
+    assert!(!lines.iter().any(|line| line == "safe outputs"), "it stopped in order");
+    let stroked = std::fs::read(&device).unwrap();
+    assert_eq!(stroked.iter().position(|byte| *byte == b'V'), Some(stroked.len() - 1));
+}
+
+/// A log that blocks the thread of the fault chain, as one to a pipe does that nobody reads.
+#[derive(Default)]
+struct StuckLog {
+    spans: AtomicUsize,
+}
+
+static STUCK: AtomicBool = AtomicBool::new(false);
+
+impl tracing::Subscriber for StuckLog {
+    fn enabled(&self, _: &tracing::Metadata<'_>) -> bool {
+        true
+    }
+
+    fn new_span(&self, _: &tracing::span::Attributes<'_>) -> tracing::span::Id {
+        tracing::span::Id::from_u64(1 + self.spans.fetch_add(1, SeqCst) as u64)
+    }
+
+    fn record(&self, _: &tracing::span::Id, _: &tracing::span::Record<'_>) {}
+
+    fn record_follows_from(&self, _: &tracing::span::Id, _: &tracing::span::Id) {}
+
+    fn event(&self, event: &tracing::Event<'_>) {
+        while STUCK.load(SeqCst) && event.metadata().target().ends_with("chain::detector") {
+            std::thread::park();
+        }
+    }
+
+    fn enter(&self, _: &tracing::span::Id) {}
+
+    fn exit(&self, _: &tracing::span::Id) {}
+}
+
+async fn get_stuck() -> Result<(), Box<dyn std::error::Error>> {
+    tracing::subscriber::set_global_default(StuckLog::default())?;
+    let node = watched().start().await?;
+    println!("started");
+    blastema::sleep(300 * MS).await;
+    STUCK.store(true, SeqCst);
+    node.sender::<Leak>("joint")?.ask(Leak).await?;
+    println!("stuck");
+    node.run_until_signal().await?;
+    Ok(())
+}
+
+#[test]
+fn a_process_whose_fault_chain_stands_is_stroked_no_more_and_its_outputs_are_safe() {
+    let manager = Listener::new();
+    let mut process = Process::start("stuck", &manager.environment(200 * MS));
+    process.await_line("started");
+    manager.await_state("WATCHDOG=1");
+    process.await_line("stuck");
+    // What it had sent before.
+    while manager.hear(MS).is_some() {}
+
+    assert_eq!(manager.hear(Duration::from_secs(1)), None, "the chain does not answer");
+    process.await_line("safe outputs");
+
+    process.signal("-TERM");
+    manager.await_state("STOPPING=1");
+    let (code, _, errors) = process.end();
+    assert_eq!(code, Some(0), "it ends all the same: {errors}");
+    assert!(errors.contains("the fault chain has not answered"), "{errors}");
+}

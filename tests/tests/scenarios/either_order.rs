@@ -1,0 +1,167 @@
+//! Commanders and actuators that start in either order, and restart, in virtual time.
+
+use blastema::prelude::*;
+use blastema::{ActuatorSpec, Commander, Link, MemoryMedium, Network, NodeBuilder};
+use blastema_testkit::{TestNode, now};
+use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+const LEASE: Duration = Duration::from_millis(100);
+/// How long the motors take to start: longer than the lease.
+const START: Duration = Duration::from_millis(300);
+
+/// Turns the motors; answers which incarnation of theirs does.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "motors/drive", reply = u64)]
+struct Drive(f32);
+
+#[derive(Clone, Debug, Event)]
+struct Blow;
+
+/// Motors that start slowly, or not at all.
+#[derive(Clone, Default)]
+struct Motors {
+    are_broken: Arc<AtomicBool>,
+}
+
+impl Component for Motors {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(LEASE)).accept::<Blow>();
+    }
+
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        blastema::sleep(START).await;
+        match self.are_broken.load(SeqCst) {
+            true => Err("there is no current".into()),
+            false => Ok(()),
+        }
+    }
+}
+
+impl Handle<Drive> for Motors {
+    async fn handle(&mut self, _: Drive, cx: &mut Context<Self>) -> u64 {
+        cx.incarnation().0
+    }
+}
+
+impl Handle<Blow> for Motors {
+    async fn handle(&mut self, _: Blow, _: &mut Context<Self>) {
+        panic!("a blow");
+    }
+}
+
+/// What the planner's commands came to.
+type Track = Arc<Mutex<Vec<Result<u64, Why>>>>;
+
+/// Claims the motors, and turns them twenty times a second.
+struct Planner(Track);
+
+impl Component for Planner {
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        let (motors, track) = (cx.commander::<Drive>("motors")?, self.0.clone());
+        cx.spawn(async move {
+            loop {
+                if let Err(why) = motors.claim_within(Duration::from_secs(5)).await {
+                    track.lock().unwrap().push(Err(why));
+                    continue;
+                }
+                while let Ok(incarnation) = motors.command(Drive(1.0)).await {
+                    track.lock().unwrap().push(Ok(incarnation));
+                    blastema::sleep(50 * MS).await;
+                }
+            }
+        });
+        Ok(())
+    }
+}
+
+fn motors() -> ChildSpec<Motors> {
+    ChildSpec::new("motors", Motors::default)
+}
+
+#[blastema_testkit::test]
+async fn a_planner_commands_its_motors_in_either_order_of_a_group_and_after_each_restart() {
+    for planner_first in [true, false] {
+        for strategy in [Strategy::OneForOne, Strategy::RestForOne, Strategy::OneForAll] {
+            let track = Track::default();
+            let kept = track.clone();
+            let planner = ChildSpec::new("planner", move || Planner(kept.clone()));
+            let group = SupervisorSpec::new("drive", strategy);
+            let group = match planner_first {
+                true => group.child(planner).child(motors()),
+                false => group.child(motors()).child(planner),
+            };
+            let node = TestNode::start(Node::builder("module1").supervisor(group)).await;
+            let case = format!("planner first: {planner_first}, {strategy:?}");
+            let turned_by = |incarnation: u64| {
+                let track = track.lock().unwrap();
+                track.iter().filter(|turned| **turned == Ok(incarnation)).count()
+            };
+
+            node.advance(1000 * MS).await;
+            assert!(turned_by(1) > 5, "{case}: {track:?}");
+            for incarnation in 2..=3 {
+                node.sender::<Blow>("motors").unwrap().tell(Blow).unwrap();
+                node.advance(2000 * MS).await;
+                assert!(turned_by(incarnation) > 5, "{case}: {track:?}");
+            }
+            assert!(track.lock().unwrap().iter().all(Result::is_ok), "{case}: {track:?}");
+            node.shutdown().await;
+        }
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_claim_waits_for_an_actuator_that_is_being_restarted() {
+    let node = TestNode::start(Node::builder("module1").child(motors())).await;
+    node.sender::<Blow>("motors").unwrap().tell(Blow).unwrap();
+    node.settle().await;
+    let commander = node.commander::<Drive>("motors", "console").unwrap();
+    let asked = now();
+
+    commander.claim().await.unwrap();
+
+    assert!(now() - asked >= START - 10 * MS, "{:?}", now() - asked);
+    assert_eq!(commander.command(Drive(1.0)).await, Ok(2), "within the lease");
+}
+
+#[blastema_testkit::test]
+async fn a_claim_waits_no_longer_than_its_limit() {
+    let broken = Motors::default();
+    let kept = broken.clone();
+    let spec = ChildSpec::new("motors", move || kept.clone());
+    let node = TestNode::start(Node::builder("module1").child(spec)).await;
+    broken.are_broken.store(true, SeqCst);
+    node.sender::<Blow>("motors").unwrap().tell(Blow).unwrap();
+    node.settle().await;
+    let commander = node.commander::<Drive>("motors", "console").unwrap();
+    let asked = now();
+
+    assert_eq!(commander.claim_within(200 * MS).await, Err(Why::Restarting));
+    let took = now() - asked;
+    assert!((200 * MS..220 * MS).contains(&took), "{took:?}");
+}
+
+fn networked(name: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
+    let network = Network::memory("ethernet", medium, name).link(Link::in_memory(far, far));
+    Node::builder(name).network(network)
+}
+
+#[blastema_testkit::test]
+async fn a_claim_waits_for_the_node_of_its_actuator() {
+    let medium = MemoryMedium::default();
+    let here = TestNode::start(networked("module1", "module2", &medium)).await;
+    let commander: Commander<Drive> = here.commander("module2:motors", "console").unwrap();
+
+    let claim = commander.claim_within(Duration::from_secs(20));
+    let start = async {
+        here.advance(3000 * MS).await;
+        TestNode::start(networked("module2", "module1", &medium).child(motors())).await
+    };
+    let (claimed, _there) = tokio::join!(claim, start);
+
+    claimed.expect("the node has come");
+    assert_eq!(commander.command(Drive(1.0)).await, Ok(1));
+}
