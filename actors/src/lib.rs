@@ -171,7 +171,7 @@ pub use node::{
 // Faults: found, shown, recovered.
 pub use blastema_contract::detector::FaultEvent;
 pub use blastema_core::detection::{
-    CheckFailed, Freshness, Invariant, Opinion, Range, Rate, Record, Row, Turn,
+    CheckFailed, FaultStatus, Freshness, Invariant, Opinion, Range, Rate, Record, Row, Turn,
 };
 pub use blastema_core::{Fault, FaultKind, Instant, Lifecycle, Place, Severity};
 pub use chain::strategy::{RecoveryStrategy, Tools};

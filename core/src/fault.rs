@@ -54,6 +54,8 @@ pub enum FaultKind {
     StateLost,
     /// A service has no primary, as far as a node knows that carries it, for longer than a takeover takes.
     NotServed,
+    /// Another node's process dies and is started again, over and over.
+    CrashLoop,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -71,7 +73,7 @@ pub enum Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 21] = [
+    pub const BUILT_IN: [FaultKind; 22] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -93,9 +95,10 @@ impl FaultKind {
         FaultKind::Unprotected,
         FaultKind::StateLost,
         FaultKind::NotServed,
+        FaultKind::CrashLoop,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B21`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B22`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -120,6 +123,7 @@ impl FaultKind {
             FaultKind::Unprotected => "B19",
             FaultKind::StateLost => "B20",
             FaultKind::NotServed => "B21",
+            FaultKind::CrashLoop => "B22",
             FaultKind::Custom(code) => code,
         }
     }
@@ -148,6 +152,7 @@ impl FaultKind {
             FaultKind::Unprotected => "service unprotected",
             FaultKind::StateLost => "state lost",
             FaultKind::NotServed => "service not served",
+            FaultKind::CrashLoop => "crash loop",
             FaultKind::Custom(code) => code,
         }
     }
@@ -165,7 +170,8 @@ impl FaultKind {
             | FaultKind::RestartStorm
             | FaultKind::NodeFaulty
             | FaultKind::NodeAtRest
-            | FaultKind::StateLost => Severity::Critical,
+            | FaultKind::StateLost
+            | FaultKind::CrashLoop => Severity::Critical,
             _ => Severity::Error,
         }
     }
@@ -244,6 +250,14 @@ pub struct Fault {
 }
 
 impl Fault {
+    /// Whether restored service means that the cause is away.
+    ///
+    /// It does for an object: a component that was restarted is as good as new. A link or a node is
+    /// repaired only when it is there again, whatever path the traffic takes meanwhile.
+    pub fn is_repaired_by_recovery(&self) -> bool {
+        matches!(self.place, Place::Object(_))
+    }
+
     /// A fault of a whole node that its keeper found itself: it stands in no detector's record.
     pub fn of_node(node: NodeName, kind: FaultKind, detail: String, found_at: Instant) -> Self {
         Fault {

@@ -19,6 +19,7 @@ mod keeper;
 mod network;
 mod picture;
 mod restart;
+mod signs;
 mod tree;
 mod window;
 
@@ -286,7 +287,13 @@ impl Node {
     /// Everything that is watched, each row with its age and incarnation. It can be read at any time,
     /// also while components are stuck.
     pub async fn table(&self) -> Vec<Row> {
-        let mut rows = self.0.chain.table.send(ReadTable).await.unwrap_or_default();
+        // A network that hangs is not waited for as long as the picture waits for the table.
+        let links = tokio::time::timeout(picture::PATIENCE / 2, self.links());
+        let table = self.0.chain.table.send(ReadTable);
+        let (rows, links) = futures_util::future::join(table, links).await;
+        let mut rows = rows.unwrap_or_default();
+        // The monitor is told of changes; the links see every hello.
+        signs::show_in(&mut rows, &links.unwrap_or_default());
         // What a component is doing right now is read from outside, so that it need not answer.
         self.0.environment.watch_list.show_in(&self.0.name, &mut rows);
         rows

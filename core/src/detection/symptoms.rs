@@ -147,6 +147,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::NodeFaulty
         | FaultKind::NodeAtRest
         | FaultKind::NotServed
+        | FaultKind::CrashLoop
         | FaultKind::RestartStorm => true,
         FaultKind::CheckFailed
         | FaultKind::Overload
