@@ -88,6 +88,7 @@ mod context;
 mod death_watch;
 mod desk;
 mod drive;
+mod fault_log;
 mod guardian;
 mod host;
 mod lane;

@@ -17,7 +17,7 @@ use blastema_contract::strategy::RestNode;
 use blastema_core::detection::NodeCondition;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName};
 use tokio::sync::{oneshot, watch};
-use tracing::{error, info};
+use tracing::info;
 
 /// How a node is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -202,7 +202,7 @@ impl Keeper {
         if self.rests() || self.state() == NodeState::Stopped {
             return;
         }
-        error!(reason, "the node comes to safe rest");
+        info!(reason, "the node comes to safe rest");
         self.setup.safe_outputs.rest(fault);
         self.setup.actuators.rest();
         self.tell_started(&Err(reason.clone()));
