@@ -91,6 +91,8 @@ mod drive;
 mod fault_log;
 mod guardian;
 mod host;
+#[cfg(feature = "journal")]
+pub mod journal;
 mod lane;
 mod lease;
 mod letter;

@@ -1,17 +1,19 @@
 //! The command-line program of the Blastema middleware.
 //!
-//! `blastema` without arguments runs the main job: a robot of three processes that is killed, hung and
-//! unplugged, and grows back. Exit status: 0 all promises kept, 1 a promise broken, 2 not run.
-//! `blastema monitor` shows what a running node knows of itself.
+//! `blastema` without arguments runs the main job: a robot of three processes that is killed, hung
+//! and unplugged, and grows back. Exit status: 0 all promises kept, 1 a promise broken, 2 not run.
+//! `blastema monitor` shows what a running node knows of itself, `blastema fault list` its faults,
+//! also those of earlier runs.
 
 mod args;
 mod demo;
+mod fault;
 #[cfg(test)]
 mod golden;
 mod module;
 mod monitor;
 
-use args::{Arguments, Job};
+use args::{Arguments, FaultJob, Job};
 use clap::Parser;
 use std::io::Write;
 use std::process::ExitCode;
@@ -26,6 +28,9 @@ fn main() -> ExitCode {
         Job::Demo(options) => demo::run(&options).map_err(|error| error.to_string()),
         Job::Monitor(options) => {
             monitor::run(&options).map(|()| true).map_err(|error| error.to_string())
+        }
+        Job::Fault(FaultJob::List(options)) => {
+            fault::run(&options).map(|()| true).map_err(|error| error.to_string())
         }
         Job::Module(options) => {
             module::run(&options).map(|()| true).map_err(|error| error.to_string())

@@ -58,9 +58,9 @@ fn span(within: &Duration) -> String {
 }
 
 /// What a node shows of itself: as it was sent, and as a document.
-pub(super) struct Seen {
-    pub(super) text: String,
-    pub(super) picture: Value,
+pub(crate) struct Seen {
+    pub(crate) text: String,
+    pub(crate) picture: Value,
 }
 
 /// Who is at the other end of a window.
@@ -76,7 +76,7 @@ enum Peer {
 ///
 /// # Errors
 /// What is there instead of a node, and what to do.
-pub(super) async fn look(path: &Path, within: Duration) -> Result<Seen, LookError> {
+pub(crate) async fn look(path: &Path, within: Duration) -> Result<Seen, LookError> {
     let mut peer = Peer::Unreached;
     let looked = timeout(within, async {
         let window = connect(path).await?;

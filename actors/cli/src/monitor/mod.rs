@@ -1,7 +1,7 @@
 //! What a running node knows of itself, as it shows it at its window.
 
-mod look;
-mod tables;
+pub(crate) mod look;
+pub(crate) mod tables;
 
 use self::look::{LookError, look};
 use crate::args::MonitorOptions;

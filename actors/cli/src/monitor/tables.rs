@@ -4,7 +4,7 @@ use serde_json::Value;
 use std::fmt::Write;
 
 /// A column: its heading, and the name that its value has in the picture.
-type Column = (&'static str, &'static str);
+pub(crate) type Column = (&'static str, &'static str);
 
 /// The tables, in the order in which they are drawn: a title, their name in the picture, their columns.
 const TABLES: [(&str, &str, &[Column]); 8] = [
@@ -52,6 +52,7 @@ const TABLES: [(&str, &str, &[Column]); 8] = [
             ("link", "link"),
             ("state", "state"),
             ("neighbour", "neighbour"),
+            ("last sign", "last_sign_ms"),
             ("round trip", "round_trip_ms"),
             ("jitter", "jitter_ms"),
             ("loss in 1000", "loss_permille"),
@@ -133,7 +134,9 @@ const TABLES: [(&str, &str, &[Column]); 8] = [
             ("symptom of", "symptom_of"),
             ("found before", "age_ms"),
             ("measure", "measure"),
-            ("ended", "ended"),
+            ("status", "status"),
+            ("service restored before", "recovered_ms"),
+            ("part repaired before", "repaired_ms"),
             ("detail", "detail"),
         ],
     ),
@@ -160,6 +163,13 @@ pub(crate) fn draw(picture: &Value) -> String {
             table(&mut text, columns, rows);
         }
     }
+    text
+}
+
+/// Rows of one table as lines of text, under these columns.
+pub(crate) fn rows_as_text(columns: &[Column], rows: &[Value]) -> String {
+    let mut text = String::new();
+    table(&mut text, columns, rows);
     text
 }
 

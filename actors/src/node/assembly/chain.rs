@@ -43,6 +43,9 @@ pub(in crate::node) struct Chain {
     /// Looks at arbiters and components; it ends when it is dropped.
     lookout: Mutex<Option<WatchGuard>>,
     pub(super) router: Arc<OnceLock<(Recipient<Reroute>, Recipient<IsolateNode>)>>,
+    /// Writes what it was given when it is dropped.
+    #[cfg(feature = "journal")]
+    journal: Mutex<Option<crate::journal::JournalGuard>>,
 }
 
 impl Chain {
@@ -72,9 +75,16 @@ impl Chain {
 
     pub(in crate::node) fn stop(&self) {
         self.look_out(None);
+        #[cfg(feature = "journal")]
+        self.journal.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(arbiter) = &self.arbiter {
             arbiter.stop();
         }
+    }
+
+    #[cfg(feature = "journal")]
+    pub(super) fn keep_journal(&self, guard: crate::journal::JournalGuard) {
+        *self.journal.lock().unwrap_or_else(PoisonError::into_inner) = Some(guard);
     }
 
     pub(super) fn look_out(&self, lookout: Option<WatchGuard>) {
@@ -180,6 +190,8 @@ pub(super) fn make_chain(
         arbiter,
         inquiries,
         lookout: Mutex::default(),
+        #[cfg(feature = "journal")]
+        journal: Mutex::default(),
         notifier: notifier.recipient(),
         recoverer: recoverer.recipient(),
         router,
