@@ -88,8 +88,11 @@ mod context;
 mod death_watch;
 mod desk;
 mod drive;
+mod fault_log;
 mod guardian;
 mod host;
+#[cfg(feature = "journal")]
+pub mod journal;
 mod lane;
 mod lease;
 mod letter;
@@ -173,7 +176,7 @@ pub use node::{
 // Faults: found, shown, recovered.
 pub use blastema_contract::detector::FaultEvent;
 pub use blastema_core::detection::{
-    CheckFailed, Freshness, Invariant, Opinion, Range, Rate, Record, Row, Turn,
+    CheckFailed, FaultStatus, Freshness, Invariant, Opinion, Range, Rate, Record, Row, Turn,
 };
 pub use blastema_core::{Fault, FaultKind, Instant, Lifecycle, Place, Severity};
 pub use chain::strategy::{RecoveryStrategy, Tools};

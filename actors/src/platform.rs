@@ -119,6 +119,16 @@ pub(crate) fn keep_freed_memory() {
     drop(hint::black_box(Vec::<u8>::with_capacity(KEPT)));
 }
 
+/// The time on the wall clock.
+#[cfg(feature = "journal")]
+pub(crate) fn wall_clock() -> crate::journal::WallTime {
+    let micros = match SystemTime::now().duration_since(SystemTime::UNIX_EPOCH) {
+        Ok(since) => i64::try_from(since.as_micros()).unwrap_or(i64::MAX),
+        Err(before) => -i64::try_from(before.duration().as_micros()).unwrap_or(i64::MAX),
+    };
+    crate::journal::WallTime::from_micros(micros)
+}
+
 /// A seed that differs from run to run.
 pub(crate) fn random_seed() -> u64 {
     RandomState::new().hash_one(0u64)

@@ -57,6 +57,8 @@ pub enum FaultKind {
     /// Something that a component needs to begin its work, such as its device, is not there yet. It tries
     /// again by itself, for as long as that takes.
     Unavailable,
+    /// Another node's process dies and is started again, over and over.
+    CrashLoop,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -74,7 +76,7 @@ pub enum Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 22] = [
+    pub const BUILT_IN: [FaultKind; 23] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -97,6 +99,7 @@ impl FaultKind {
         FaultKind::StateLost,
         FaultKind::NotServed,
         FaultKind::Unavailable,
+        FaultKind::CrashLoop,
     ];
 
     /// The code by which logs, tables and manuals know this kind: `B01` to `B22`, or the
@@ -125,6 +128,7 @@ impl FaultKind {
             FaultKind::StateLost => "B20",
             FaultKind::NotServed => "B21",
             FaultKind::Unavailable => "B22",
+            FaultKind::CrashLoop => "B23",
             FaultKind::Custom(code) => code,
         }
     }
@@ -154,6 +158,7 @@ impl FaultKind {
             FaultKind::StateLost => "state lost",
             FaultKind::NotServed => "service not served",
             FaultKind::Unavailable => "unavailable",
+            FaultKind::CrashLoop => "crash loop",
             FaultKind::Custom(code) => code,
         }
     }
@@ -171,7 +176,8 @@ impl FaultKind {
             | FaultKind::RestartStorm
             | FaultKind::NodeFaulty
             | FaultKind::NodeAtRest
-            | FaultKind::StateLost => Severity::Critical,
+            | FaultKind::StateLost
+            | FaultKind::CrashLoop => Severity::Critical,
             _ => Severity::Error,
         }
     }
@@ -250,6 +256,14 @@ pub struct Fault {
 }
 
 impl Fault {
+    /// Whether restored service means that the cause is away.
+    ///
+    /// It does for an object: a component that was restarted is as good as new. A link or a node is
+    /// repaired only when it is there again, whatever path the traffic takes meanwhile.
+    pub fn is_repaired_by_recovery(&self) -> bool {
+        matches!(self.place, Place::Object(_))
+    }
+
     /// A fault of a whole node that its keeper found itself: it stands in no detector's record.
     pub fn of_node(node: NodeName, kind: FaultKind, detail: String, found_at: Instant) -> Self {
         Fault {

@@ -47,6 +47,8 @@ struct Component {
     reading: Option<StampReading>,
     turn_since: Instant,
     alive_since: Instant,
+    /// When it was last seen to have given a sign of life, in this incarnation.
+    last_sign: Option<Instant>,
     /// This turn has been reported.
     waits: bool,
     /// This life has given a sign.
@@ -90,6 +92,7 @@ impl Scanner {
             reading: None,
             turn_since,
             alive_since,
+            last_sign: None,
             waits: false,
             heard: false,
             silent: false,
@@ -238,6 +241,17 @@ impl Scanner {
         })
     }
 
+    /// When each component that should give signs of life was last seen to have given one; by slot.
+    pub fn last_signs(&self) -> impl Iterator<Item = (SlotId, Option<Instant>)> + '_ {
+        let known = (0..).zip(&self.components);
+        known.filter_map(|(slot, component)| {
+            let component = component.as_ref()?;
+            let expected = component.reading.is_some_and(|reading| reading.speaks);
+            let judged = expected && component.judged.max_silence.is_some();
+            judged.then_some((slot, component.last_sign))
+        })
+    }
+
     /// Looks at all components; `read` gives what the component of a slot says.
     pub fn handle_stamps(&mut self, now: Instant, mut read: impl FnMut(SlotId) -> StampReading) {
         let Scanner { config, arbiters, components, outputs, .. } = self;
@@ -264,6 +278,7 @@ impl Component {
         if before.is_none_or(|before| before.incarnation != reading.incarnation) {
             (self.turn_since, self.alive_since) = (now, now);
             (self.waits, self.heard, self.silent) = (false, false, false);
+            self.last_sign = None;
             return;
         }
         let before = before.unwrap_or(reading);
@@ -275,6 +290,9 @@ impl Component {
         if before.alive != reading.alive || !reading.speaks {
             self.alive_since = now;
             self.heard |= before.alive != reading.alive;
+            if before.alive != reading.alive {
+                self.last_sign = Some(now);
+            }
             if self.silent && before.alive != reading.alive {
                 self.silent = false;
                 let (object, incarnation) = (object.clone(), reading.incarnation);

@@ -1,7 +1,7 @@
 //! Every way to recover, in whole nodes: a component fails, and what comes of it is read from the
 //! record of faults, the tree, and what the components themselves went through.
 
-use blastema::core::detection::{End, Entry};
+use blastema::core::detection::Entry;
 use blastema::core::recovery::{ChildState, Done, Failed, Order};
 use blastema::prelude::*;
 use blastema::{Fault, NodeBuilder, RecoveryStrategy, Tools};
@@ -130,11 +130,11 @@ async fn answers(node: &Node, part: &str) -> bool {
 /// The record in words: `panic of laser: recovered`.
 async fn record(node: &Node) -> Vec<String> {
     let told = |entry: Entry| {
-        let end = match entry.ended {
-            Some((_, End::Recovered)) => "recovered".into(),
-            Some((_, End::Cleared)) => "cleared".into(),
-            Some((_, End::GaveUp { reason })) => reason,
-            None => "stands".into(),
+        let end = match (entry.recovered_at, entry.repaired_at, entry.given_up) {
+            (Some(_), ..) => "recovered".into(),
+            (None, Some(_), _) => "cleared".into(),
+            (None, None, Some((_, reason))) => reason,
+            (None, None, None) => "stands".into(),
         };
         let place = entry.fault.place.to_string();
         format!("{} of {}: {end}", entry.fault.kind, place.trim_start_matches("here:"))

@@ -153,7 +153,10 @@ fn that_a_window_cannot_be_made_again_is_a_fault_until_it_can() {
             let record = node.faults().await;
             let entries = record.entries.iter().map(|entry| {
                 let fault = &entry.fault;
-                (format!("{} {}", fault.place, fault.detail), entry.ended.is_some())
+                (
+                    format!("{} {}", fault.place, fault.detail),
+                    entry.status() != blastema::FaultStatus::Open,
+                )
             });
             entries.collect::<Vec<_>>()
         };

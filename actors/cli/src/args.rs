@@ -26,6 +26,16 @@ Exit status:
   0  every node was shown
   2  the command line was wrong, or a node could not be shown: those named before it were";
 
+const FAULT_LIST_HELP: &str = "\
+Examples:
+  blastema fault list /run/robot/module1.window
+  blastema fault list --journal /var/lib/robot/module1.faults
+  blastema fault list --all --json --journal /var/lib/robot/module1.faults
+
+Exit status:
+  0  the list was shown, whatever stands in it
+  2  the command line was wrong, or a node or the journal could not be read";
+
 /// The shortest and the longest `--within`.
 const WITHIN: RangeInclusive<Duration> = Duration::from_millis(10)..=Duration::from_secs(60 * 60);
 
@@ -79,6 +89,9 @@ pub(crate) enum Subcommand {
     /// answered says so. Nothing can be changed from here.
     #[command(after_help = MONITOR_HELP)]
     Monitor(MonitorOptions),
+    /// Show faults, also those of nodes that have ended
+    #[command(subcommand)]
+    Fault(FaultJob),
     /// Run one module of the demonstration's robot; started by the demonstration itself
     #[command(hide = true)]
     Module(ModuleOptions),
@@ -113,6 +126,43 @@ pub(crate) struct MonitorOptions {
     #[arg(long)]
     pub(crate) json: bool,
     /// Wait this long for each node to answer, 10ms to 1h, such as 500ms, 10s or 1m
+    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = parse_within)]
+    pub(crate) within: Duration,
+}
+
+/// What can be done with faults.
+#[derive(Clone, Debug, PartialEq, clap::Subcommand)]
+pub(crate) enum FaultJob {
+    /// Show the faults that stand, of running nodes or of a journal
+    ///
+    /// A fault stands until its cause is away: a cable that is out stands although the traffic
+    /// takes another path. `service restored after` and `part repaired after` are the two times
+    /// from finding it. A journal is what a program keeps by `NodeBuilder::journal`; it can be read
+    /// while the node runs, and after it has died. What stood then has ended with the process, and
+    /// is shown by --all.
+    #[command(after_help = FAULT_LIST_HELP)]
+    List(FaultListOptions),
+}
+
+/// Which faults are to be shown, and how.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct FaultListOptions {
+    /// The path of a running node's window, a Unix socket; several are shown in one list
+    #[arg(value_name = "PATH", required_unless_present = "journal", conflicts_with = "journal")]
+    pub(crate) windows: Vec<PathBuf>,
+    /// Show also what is over
+    #[arg(long)]
+    pub(crate) all: bool,
+    /// Read this journal instead of running nodes
+    #[arg(long, value_name = "FILE")]
+    pub(crate) journal: Option<PathBuf>,
+    /// Show only what this node has found
+    #[arg(long, value_name = "NAME")]
+    pub(crate) node: Option<String>,
+    /// Print one JSON document instead of a table: texts are whole there
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Wait so long for each node to answer, 10ms to 1h, such as 500ms, 10s or 1m
     #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = parse_within)]
     pub(crate) within: Duration,
 }
@@ -272,6 +322,29 @@ mod tests {
             }
         });
         assert!(monitor.is_some());
+    }
+
+    #[test]
+    fn the_fault_list_is_that_of_nodes_or_of_a_journal_and_not_of_both() {
+        let options = |windows: &[&str], journal: Option<&str>| FaultListOptions {
+            windows: windows.iter().map(PathBuf::from).collect(),
+            all: false,
+            journal: journal.map(PathBuf::from),
+            node: None,
+            json: false,
+            within: Duration::from_secs(10),
+        };
+        let list = |options| Ok(Job::Fault(FaultJob::List(options)));
+        assert_eq!(parse("blastema fault list /a /b"), list(options(&["/a", "/b"], None)));
+        let rest = FaultListOptions {
+            all: true,
+            json: true,
+            node: Some("m".to_owned()),
+            ..options(&[], Some("/j"))
+        };
+        assert_eq!(parse("blastema fault list --all --json --node m --journal /j"), list(rest));
+        assert!(parse("blastema fault list").is_err_and(|refusal| refusal.contains("PATH")));
+        assert!(parse("blastema fault list /a --journal /j").is_err());
     }
 
     #[test]

@@ -2,16 +2,18 @@
 //!
 //! `blastema` without arguments runs the demonstration: a robot of three processes that is killed,
 //! hung and unplugged, and recovers. Exit status: 0 all promises kept, 1 a promise broken, 2 not
-//! run. `blastema monitor` shows the state of a running node.
+//! run. `blastema monitor` shows the state of a running node, `blastema fault list` its
+//! faults, also those of earlier runs.
 
 mod args;
 mod demo;
+mod fault;
 #[cfg(test)]
 mod golden;
 mod module;
 mod monitor;
 
-use args::{Arguments, Subcommand};
+use args::{Arguments, FaultJob, Subcommand};
 use clap::Parser;
 use std::io::Write;
 use std::process::ExitCode;
@@ -26,6 +28,9 @@ fn main() -> ExitCode {
         Subcommand::Demo(options) => demo::run(&options).map_err(|error| error.to_string()),
         Subcommand::Monitor(options) => {
             monitor::run(&options).map(|()| true).map_err(|error| error.to_string())
+        }
+        Subcommand::Fault(FaultJob::List(options)) => {
+            fault::run(&options).map(|()| true).map_err(|error| error.to_string())
         }
         Subcommand::Module(options) => {
             module::run(&options).map(|()| true).map_err(|error| error.to_string())

@@ -1,6 +1,7 @@
 //! The detector's body.
 
 use crate::drive::{Body, Wake};
+use crate::fault_log;
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::fut::wrap_future;
@@ -10,13 +11,14 @@ use blastema_contract::detector::{FaultEvent, FaultOutcome, Observed, ReadRecord
 use blastema_contract::notifier::{FaultCleared, FaultFound};
 use blastema_core::NodeName;
 use blastema_core::detection::{self, DetectorLimits, DetectorOutput, Notice};
-use tracing::{error, info, warn};
+use tracing::{error, warn};
 
 /// Consoles, dashboards, journals and recordings of one node, and as many again.
 const LISTENERS: usize = 64;
 
 /// Judges what the monitor saw, and keeps the record.
 pub(crate) struct Detector {
+    node: NodeName,
     machine: detection::Detector,
     wake: Wake,
     found: Recipient<FaultFound>,
@@ -32,8 +34,8 @@ impl Detector {
         found: Recipient<FaultFound>,
         cleared: Recipient<FaultCleared>,
     ) -> Self {
-        let machine = detection::Detector::new(node, limits, platform::now());
-        Detector { machine, wake: Wake::default(), found, cleared, listeners: Vec::new() }
+        let machine = detection::Detector::new(node.clone(), limits, platform::now());
+        Detector { node, machine, wake: Wake::default(), found, cleared, listeners: Vec::new() }
     }
 
     fn hand_over(&mut self, number: u64, notice: Notice, context: &mut Context<Self>) {
@@ -68,8 +70,7 @@ impl Detector {
     }
 
     fn tell(&mut self, event: FaultEvent) {
-        let FaultEvent { fault, turn, .. } = &event;
-        info!(id = fault.id.0, kind = %fault.kind, place = %fault.place, detail = %fault.detail, ?turn, "fault");
+        fault_log::log(&self.node, &event);
         // A fault is told at most once per turn, and repetitions at powers of two: the latches are
         // what bounds a slow listener's mailbox.
         self.listeners.retain(Recipient::connected);

@@ -16,7 +16,7 @@ use blastema_core::detection::Outcome;
 use blastema_core::recovery::{self, Done, Failed, Measure, Order, RecovererAction, Settled};
 use std::collections::BTreeMap;
 use tokio::sync::watch;
-use tracing::{error, info};
+use tracing::info;
 
 /// What a recoverer is made of.
 pub(crate) struct RecovererSetup {
@@ -178,7 +178,7 @@ impl Body for Recoverer {
                 self.engaged.remove(&measure);
             }
             RecovererAction::LastResort { fault, reason } => {
-                error!(place = %fault.place, kind = %fault.kind, reason, "the node comes to rest");
+                info!(place = %fault.place, kind = %fault.kind, reason, "the node comes to rest");
                 self.tools.rest_node(&fault, &reason);
             }
         }

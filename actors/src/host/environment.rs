@@ -15,7 +15,7 @@ use blastema_core::spelling::nearest;
 use blastema_core::{FaultKind, ObjectName};
 use std::collections::BTreeSet;
 use std::sync::Arc;
-use tracing::{error, warn};
+use tracing::error;
 
 /// Who is told what guards and components report. Whoever is not named is not told.
 #[derive(Clone, Default)]
@@ -46,7 +46,6 @@ pub(crate) struct HostEnvironment {
 impl Reports {
     /// A fault of one of the middleware's own objects.
     pub(crate) fn declare(&self, object: &str, detail: String) {
-        warn!(object, "{detail}");
         if let (Some(faults), Ok(object)) = (&self.faults, ObjectName::new(object)) {
             let (incarnation, kind) =
                 (crate::guardian::alive().incarnation, FaultKind::CheckFailed);

@@ -41,6 +41,8 @@ struct Glance {
     alive: Alive,
     /// The contract or hook in service, and since when, at least.
     current: Option<Current>,
+    /// How long ago it gave a sign of life, if it did.
+    last_sign: Option<Duration>,
 }
 
 /// One component as the watch sees it.
@@ -86,6 +88,9 @@ struct Entries {
     version: AtomicU64,
     /// What was in service at the last look: slot, turn, and since when.
     busy: Mutex<Vec<(u32, u64, Instant)>>,
+    /// When components that give signs of life by themselves were last seen to have given one, by
+    /// slot.
+    signs: Mutex<Vec<(u32, Option<Instant>)>>,
     /// What the last look found of the arbiters.
     arbiters: Mutex<BTreeMap<u64, ArbiterSeen>>,
 }
@@ -119,6 +124,7 @@ impl WatchList {
     fn glances(&self) -> BTreeMap<ObjectName, Glance> {
         let now = platform::now();
         let busy = self.0.busy.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let signs = self.0.signs.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let glance = |(slot, watched): (&u32, &Watched)| {
             let reading = watched.stamp.read();
             let since = busy.binary_search_by_key(slot, |entry| entry.0).ok().map(|at| busy[at]);
@@ -128,7 +134,13 @@ impl WatchList {
             let during = label::name(reading.during);
             let alive = watched.inside.upgrade()?.glimpse();
             let current = is_busy.then_some(Current { during, age });
-            Some((watched.object.clone(), Glance { alive, current }))
+            let sign = signs.binary_search_by_key(slot, |entry| entry.0).ok();
+            let sign = match (sign.map(|at| signs[at].1), is_busy) {
+                (Some(sign), _) => sign.map(|at| now - at),
+                (None, true) => Some(age),
+                (None, false) => watched.pulse.last_beat().map(|at| now - at),
+            };
+            Some((watched.object.clone(), Glance { alive, current, last_sign: sign }))
         };
         self.lock().iter().filter_map(glance).collect()
     }
@@ -166,6 +178,8 @@ impl WatchList {
             if row.incarnation == incarnation {
                 row.queue = Some(QueueSeen { queued, oldest, age: Duration::ZERO });
                 row.current = glance.current;
+                // The monitor knows of reports, and the watch of everything else.
+                row.last_sign = row.last_sign.into_iter().chain(glance.last_sign).min();
             }
         }
     }
@@ -321,6 +335,8 @@ impl Eyes {
             self.scanner.handle_stamps(now, |slot| read(stamps.get(slot)));
             let busy = self.scanner.busy().collect();
             *self.list.0.busy.lock().unwrap_or_else(PoisonError::into_inner) = busy;
+            let signs = self.scanner.last_signs().collect();
+            *self.list.0.signs.lock().unwrap_or_else(PoisonError::into_inner) = signs;
             let seen = self.scanner.arbiters().collect();
             *self.list.0.arbiters.lock().unwrap_or_else(PoisonError::into_inner) = seen;
         }

@@ -489,6 +489,7 @@ impl Handler<ReadLinks> for Links {
                 link: spec.name.clone(),
                 state: link.state(),
                 neighbour: link.neighbour().cloned(),
+                last_sign: link.last_hello().map(|at| now - at),
                 quality: link.quality(),
                 hello_interval: link.hello_interval(),
                 phi: link.phi(now),

@@ -1,6 +1,8 @@
 //! How a node is put together: the one place that knows all actors.
 
 mod chain;
+#[cfg(feature = "journal")]
+mod journal;
 mod networks;
 
 pub(super) use self::chain::Chain;
@@ -51,6 +53,8 @@ use std::time::Duration;
 pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     panics::install_hook();
     let mut assembly = Assembly::begin(&mut builder)?;
+    #[cfg(feature = "journal")]
+    assembly.keep_journal(builder.journal).await?;
     assembly.keep_variables(builder.kept_in)?;
     assembly.lay_networks(builder.networks)?;
     let planting = assembly.plant(builder.root, &builder.own_kinds, &builder.strategies)?;

@@ -84,6 +84,16 @@ pub enum StartError {
         /// What stands in the way.
         reason: String,
     },
+    /// The journal of faults cannot be where it was to be: another node writes it, or its path is
+    /// no file's.
+    #[cfg(feature = "journal")]
+    #[error("the journal of faults {}: {reason}", file.display())]
+    Journal {
+        /// The file.
+        file: PathBuf,
+        /// What stands in the way, and what to do.
+        reason: String,
+    },
     /// Nobody can look at the node where it was to be shown.
     #[error("the node cannot be shown: {0}")]
     Shown(String),
@@ -133,6 +143,8 @@ pub struct NodeBuilder {
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
     pub(super) shown_at: Option<PathBuf>,
+    #[cfg(feature = "journal")]
+    pub(super) journal: Option<PathBuf>,
     /// A strategy whose name was given to another one before.
     pub(super) strategy_twice: Option<String>,
 }
@@ -174,6 +186,8 @@ impl NodeBuilder {
             state: watch::channel(NodeState::Starting).0,
             kept_in: None,
             shown_at: None,
+            #[cfg(feature = "journal")]
+            journal: None,
             strategy_twice: None,
         }
     }
@@ -245,6 +259,20 @@ impl NodeBuilder {
     /// The path is absolute; any other is refused at start, as is one at which nobody can listen.
     pub fn shown_at(mut self, path: impl Into<PathBuf>) -> Self {
         self.shown_at = Some(path.into());
+        self
+    }
+
+    /// Keeps the list of faults in this file, so that it outlives the process: every step of every
+    /// fault, with wall-clock times. `blastema fault list --journal` and
+    /// [`journal::read`](crate::journal::read) show it, also while the node runs. The path is
+    /// absolute.
+    ///
+    /// A file that cannot be written is a fault, and the node goes on without. A damaged file is
+    /// set aside. A path that is not absolute, or at which another node writes its journal, is
+    /// refused at start.
+    #[cfg(feature = "journal")]
+    pub fn journal(mut self, path: impl Into<PathBuf>) -> Self {
+        self.journal = Some(path.into());
         self
     }
 

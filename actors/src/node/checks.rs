@@ -81,6 +81,8 @@ pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
         return wrong("recovery", format!("{name:?} twice"), cure);
     }
     builder.kept_in.as_deref().map_or(Ok(()), check_kept_file)?;
+    #[cfg(feature = "journal")]
+    builder.journal.as_deref().map_or(Ok(()), check_journal)?;
     builder.shown_at.as_deref().map_or(Ok(()), check_window)
 }
 
@@ -114,6 +116,17 @@ fn check_kept_file(file: &Path) -> Result<(), StartError> {
         return Ok(());
     };
     Err(StartError::Variables { file: file.to_owned(), reason: reason.to_owned() })
+}
+
+/// The journal lies where it is said to lie, wherever the program is started.
+#[cfg(feature = "journal")]
+fn check_journal(file: &Path) -> Result<(), StartError> {
+    if file.is_absolute() {
+        return Ok(());
+    }
+    let reason = "where it lies depends on where the program is started: give an absolute path, \
+                  such as /var/lib/robot/module1.faults";
+    Err(StartError::Journal { file: file.to_owned(), reason: reason.to_owned() })
 }
 
 /// Nobody is called like somebody else: neither components nor supervisors, nor what the middleware has.

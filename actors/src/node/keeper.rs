@@ -17,7 +17,7 @@ use blastema_contract::strategy::RestNode;
 use blastema_core::detection::NodeCondition;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName};
 use tokio::sync::{oneshot, watch};
-use tracing::{error, info};
+use tracing::info;
 
 /// How a node is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -205,7 +205,7 @@ impl Keeper {
         if self.comes_to_rest || self.rests() || self.state() == NodeState::Stopped {
             return;
         }
-        error!(reason, "the node comes to safe rest");
+        info!(reason, "the node comes to safe rest");
         self.comes_to_rest = true;
         let mut applied = self.setup.safe_outputs.rest(fault);
         self.setup.actuators.rest();

@@ -20,6 +20,7 @@ mod network;
 mod picture;
 mod restart;
 mod safety;
+mod signs;
 mod tree;
 mod watchdogs;
 mod window;
@@ -299,8 +300,14 @@ impl Node {
     /// Everything that is watched, each row with its age and incarnation. It can be read at any time,
     /// also while components are stuck.
     pub async fn table(&self) -> Vec<Row> {
+        // A network that hangs is not waited for as long as the picture waits for the table.
+        let links = tokio::time::timeout(picture::PATIENCE / 2, self.links());
         let chain = &self.0.chain;
-        let mut rows = chain.answer(chain.table.send(ReadTable)).await.unwrap_or_default();
+        let table = chain.answer(chain.table.send(ReadTable));
+        let (rows, links) = futures_util::future::join(table, links).await;
+        let mut rows = rows.unwrap_or_default();
+        // The monitor is told of changes; the links see every hello.
+        signs::show_in(&mut rows, &links.unwrap_or_default());
         // What a component is doing right now is read from outside, so that it need not answer.
         self.0.environment.watch_list.show_in(&self.0.name, &mut rows);
         rows

@@ -8,7 +8,7 @@ use crate::platform;
 use crate::service::ServiceRow;
 use blastema_contract::link::LinkRow;
 use blastema_contract::session::SessionRow;
-use blastema_core::detection::{End, Entry, ObjectKind, Record, Row};
+use blastema_core::detection::{Entry, ObjectKind, Record, Row};
 use blastema_core::lease::LeaseStanding;
 use blastema_core::{Incarnation, Instant, NodeName, ObjectName, Severity};
 use serde_json::{Value, json};
@@ -17,7 +17,7 @@ use std::time::Duration;
 
 /// How long the parts of the picture are waited for, all at once. What does not come by then is not known, so that a
 /// node whose network hangs still shows the rest.
-const PATIENCE: Duration = Duration::from_secs(1);
+pub(super) const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Everything that a node knows of itself at one moment. From [`Node::picture`]. A part is `None` where whoever
 /// keeps it did not answer within a second: that there is nothing is an empty list.
@@ -168,6 +168,7 @@ fn link(row: &LinkRow) -> Value {
         "link": &*row.link,
         "state": row.state.to_string(),
         "neighbour": row.neighbour.as_ref().map(|neighbour| neighbour.node.as_str()),
+        "last_sign_ms": millis(row.last_sign),
         "round_trip_ms": millis(row.quality.round_trip),
         "jitter_ms": millis(row.quality.jitter),
         "loss_permille": row.quality.loss_permille,
@@ -245,12 +246,6 @@ fn actuator(row: &ActuatorRow) -> Value {
 
 fn fault(entry: &Entry, now: Instant) -> Value {
     let fault = &entry.fault;
-    let (ended, reason) = match &entry.ended {
-        None => (None, None),
-        Some((_, End::Recovered)) => (Some("recovered"), None),
-        Some((_, End::Cleared)) => (Some("cleared"), None),
-        Some((_, End::GaveUp { reason })) => (Some("given up"), Some(reason)),
-    };
     json!({
         "id": fault.id.to_string(),
         "code": fault.kind.code(),
@@ -267,9 +262,12 @@ fn fault(entry: &Entry, now: Instant) -> Value {
         "symptom_of": fault.symptom_of.map(|root| root.to_string()),
         "age_ms": millis(now - fault.found_at),
         "measure": entry.decided.as_ref().map(|(_, measure)| measure),
-        "ended": ended,
-        "reason": reason,
+        "status": entry.status().to_string(),
+        "given_up": entry.given_up.as_ref().map(|(_, reason)| reason),
+        "recovered_ms": millis(entry.recovered_at.map(|at| now - at)),
         "recovered_after_ms": millis(entry.recovered_after()),
+        "repaired_ms": millis(entry.repaired_at.map(|at| now - at)),
+        "repaired_after_ms": millis(entry.repaired_after()),
     })
 }
 

@@ -100,13 +100,14 @@ impl TestNode {
         for entry in entries {
             let (at, fault) = (entry.fault.found_at, entry.fault);
             test.unread.push(FaultEvent { fault: fault.clone(), at, turn: Turn::Found });
-            if let Some((at, end)) = entry.ended {
-                let turn = match end {
-                    blastema::core::detection::End::Recovered => Turn::Recovered,
-                    blastema::core::detection::End::Cleared => Turn::Cleared,
-                    blastema::core::detection::End::GaveUp { reason } => Turn::GaveUp { reason },
-                };
-                test.unread.push(FaultEvent { fault, at, turn });
+            let repaired = !fault.is_repaired_by_recovery() || entry.recovered_at.is_none();
+            let turns = [
+                entry.given_up.map(|(at, reason)| (at, Turn::GaveUp { reason })),
+                entry.recovered_at.map(|at| (at, Turn::Recovered)),
+                entry.repaired_at.filter(|_| repaired).map(|at| (at, Turn::Cleared)),
+            ];
+            for (at, turn) in turns.into_iter().flatten() {
+                test.unread.push(FaultEvent { fault: fault.clone(), at, turn });
             }
         }
         test
@@ -263,7 +264,7 @@ fn describe(record: &Record) -> String {
     let mut lines = String::new();
     for entry in &record.entries {
         let Fault { kind, place, incarnation, detail, count, .. } = &entry.fault;
-        let ended = entry.ended.as_ref().map_or("stands".into(), |(_, end)| format!("{end:?}"));
+        let ended = entry.status();
         let symptom = entry.fault.symptom_of.map_or("", |_| "  ");
         // Writing into a string does not fail.
         let _ =

@@ -103,6 +103,8 @@ pub struct LinkRow {
     pub state: LinkState,
     /// Who is, or was last, at its other end.
     pub neighbour: Option<Neighbour>,
+    /// How long ago its neighbour's last hello came; `None` for never.
+    pub last_sign: Option<Duration>,
     /// How good it is.
     pub quality: Quality,
     /// How often hellos are said on it: as configured, or as often as the medium can bear.

@@ -1,17 +1,17 @@
 //! The record of faults, and which of them stand.
 
-use super::{End, Entry, Record};
+use super::{Entry, Record};
 use crate::{Fault, FaultId, FaultKind, Instant, Place};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The record of faults: found, decided, ended, with the instants; and the latches.
+/// The record of faults: found, decided, recovered, repaired, with the instants; and the latches.
 ///
-/// A fault is latched from when it is found until it is recovered or has gone by itself. While it is,
-/// the same kind at the same place is the same fault. One that was given up stays latched: it still
-/// stands.
+/// A fault is latched from when it is found until its cause is away. While it is, the same kind at
+/// the same place is the same fault. One whose service is restored, or that was given up, stays
+/// latched until then: it still stands.
 ///
-/// The record is bounded. To make room, the oldest fault that has ended goes first; where none has, the
-/// oldest of all, with its latch, so that it would be found anew.
+/// The record is bounded. To make room, the oldest fault that is over goes first; where none is,
+/// the oldest of all, with its latch, so that it would be found again.
 #[derive(Clone, Debug)]
 pub struct Chronicle {
     entries: BTreeMap<FaultId, Entry>,
@@ -37,7 +37,7 @@ impl Chronicle {
         let dropped = if full { self.make_room() } else { None };
         let (seat, kind, id) = (seat(&fault.place), fault.kind.clone(), fault.id);
         self.latches.insert((seat, kind), id);
-        self.entries.insert(id, Entry { fault, decided: None, ended: None });
+        self.entries.insert(id, Entry::new(fault));
         dropped
     }
 
@@ -79,16 +79,14 @@ impl Chronicle {
         self.entries.get_mut(&id)
     }
 
-    /// Writes down how a fault ended. Unless it was given up, its latch is lifted.
-    pub(super) fn end(&mut self, id: FaultId, at: Instant, end: End) {
+    /// Writes down that the cause of a fault is away, and lifts its latch.
+    pub(super) fn repair(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.entries.get_mut(&id) else { return };
-        if !matches!(end, End::GaveUp { .. }) {
-            let latch = (seat(&entry.fault.place), entry.fault.kind.clone());
-            if self.latches.get(&latch) == Some(&id) {
-                self.latches.remove(&latch);
-            }
+        entry.repaired_at = Some(at);
+        let latch = (seat(&entry.fault.place), entry.fault.kind.clone());
+        if self.latches.get(&latch) == Some(&id) {
+            self.latches.remove(&latch);
         }
-        entry.ended = Some((at, end));
     }
 
     /// Follows a symptom up to its root.
@@ -114,9 +112,8 @@ impl Chronicle {
     }
 
     fn make_room(&mut self) -> Option<FaultId> {
-        let ended =
-            |entry: &&Entry| matches!(entry.ended, Some((_, End::Recovered | End::Cleared)));
-        let oldest = self.entries.values().find(ended).or(self.entries.values().next());
+        let over = |entry: &&Entry| !entry.stands();
+        let oldest = self.entries.values().find(over).or(self.entries.values().next());
         let id = oldest?.fault.id;
         self.latches.retain(|_, latched| *latched != id);
         self.entries.remove(&id);
@@ -136,6 +133,7 @@ fn seat(place: &Place) -> Place {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::detection::FaultStatus;
     use crate::{Incarnation, NodeName};
 
     fn node(name: &str) -> NodeName {
@@ -176,15 +174,25 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_stands_until_it_is_recovered_or_cleared_and_also_when_it_is_given_up() {
+    fn a_fault_stands_until_its_cause_is_away_though_its_service_is_restored_or_it_is_given_up() {
         let mut chronicle = Chronicle::new(8);
         chronicle.open(fault(1, cable(None), FaultKind::LinkDown, None));
+        let status = |chronicle: &Chronicle| chronicle.entry(FaultId(1)).map(Entry::status);
+        assert_eq!(status(&chronicle), Some(FaultStatus::Open));
 
-        chronicle.end(FaultId(1), Instant::from_millis(5), End::GaveUp { reason: "no way".into() });
+        let entry = chronicle.entry_mut(FaultId(1)).expect("it is recorded");
+        entry.given_up = Some((Instant::from_millis(5), "no path".into()));
         assert!(chronicle.stands(FaultId(1)));
+        assert_eq!(status(&chronicle), Some(FaultStatus::GivenUp));
 
-        chronicle.end(FaultId(1), Instant::from_millis(9), End::Cleared);
+        let entry = chronicle.entry_mut(FaultId(1)).expect("it is recorded");
+        entry.recovered_at = Some(Instant::from_millis(7));
+        assert!(chronicle.stands(FaultId(1)));
+        assert_eq!(status(&chronicle), Some(FaultStatus::Recovered));
+
+        chronicle.repair(FaultId(1), Instant::from_millis(9));
         assert!(!chronicle.stands(FaultId(1)));
+        assert_eq!(status(&chronicle), Some(FaultStatus::Closed));
         assert_eq!(chronicle.all_standing().count(), 0);
     }
 
@@ -215,7 +223,7 @@ mod tests {
         let mut chronicle = Chronicle::new(2);
         chronicle.open(fault(1, Place::Node(node("a")), FaultKind::NodeLost, None));
         chronicle.open(fault(2, Place::Node(node("b")), FaultKind::NodeLost, None));
-        chronicle.end(FaultId(2), Instant::from_millis(5), End::Recovered);
+        chronicle.repair(FaultId(2), Instant::from_millis(5));
 
         chronicle.open(fault(3, Place::Node(node("c")), FaultKind::NodeLost, None));
         assert_eq!(ids(&chronicle.read()), [1, 3]);

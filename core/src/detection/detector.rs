@@ -3,10 +3,11 @@
 mod judgement;
 
 use super::conduct::Conduct;
+use super::crash_loops::CrashLoops;
 use super::reminders::{Reminder, Reminders};
 use super::symptoms::{Dependencies, is_down};
 use super::{
-    Chronicle, End, Handed, Handover, HandoverLimits, Notice, Observation, Outcome, Record, Turn,
+    Chronicle, Handed, Handover, HandoverLimits, Notice, Observation, Outcome, Record, Turn,
 };
 use crate::{
     Fault, FaultId, FaultKind, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectName,
@@ -45,6 +46,7 @@ pub struct Detector {
     handed: BTreeSet<FaultId>,
     reminders: Reminders,
     conduct: Conduct,
+    crash_loops: CrashLoops,
     handover: Handover<Notice>,
     told: VecDeque<DetectorOutput>,
     last_number: u64,
@@ -68,6 +70,12 @@ pub struct DetectorLimits {
     pub offences: u32,
     /// See `offences`.
     pub offences_period: Duration,
+    /// So many restarts of another node within `crash_loop_period` are a crash loop. More forgives
+    /// more.
+    pub crash_loop_restarts: u32,
+    /// See `crash_loop_restarts`. A node that stays up for as long has ended its crash loop. Longer
+    /// finds slower loops, and keeps the fault for longer.
+    pub crash_loop_period: Duration,
     /// The hand-over to the notifier.
     pub handover: HandoverLimits,
 }
@@ -85,6 +93,11 @@ impl Default for DetectorLimits {
             // A flood is told every three seconds; a process that dies five times in a minute will again.
             offences: 5,
             offences_period: Duration::from_secs(60),
+            // An update and a second attempt restart a node twice; systemd itself ceases to start a
+            // unit after five times in ten seconds (systemd.unit(5), StartLimitBurst).
+            crash_loop_restarts: 3,
+            // systemd waits 0.1 s between two starts, a careful unit file up to 20 s.
+            crash_loop_period: Duration::from_secs(60),
             handover: HandoverLimits::default(),
         }
     }
@@ -164,6 +177,7 @@ impl Detector {
             handed: BTreeSet::new(),
             reminders: Reminders::default(),
             conduct: Conduct::new(limits.offences, limits.offences_period),
+            crash_loops: CrashLoops::new(limits.crash_loop_restarts, limits.crash_loop_period),
             handover: Handover::new(limits.handover, now.as_nanos()),
             told: VecDeque::new(),
             last_number: 0,
@@ -192,7 +206,7 @@ impl Detector {
     /// The recoverer tells what becomes of a fault.
     pub fn handle_outcome(&mut self, id: FaultId, at: Instant, outcome: Outcome) {
         let Some(entry) = self.chronicle.entry_mut(id) else { return };
-        if matches!(entry.ended, Some((_, End::Recovered | End::Cleared))) {
+        if !entry.stands() || entry.recovered_at.is_some() {
             return;
         }
         self.reminders.cancel(id);
@@ -208,9 +222,9 @@ impl Detector {
             }
             Outcome::Recovered => {
                 self.handed.remove(&id);
-                self.end(id, at, End::Recovered);
+                self.recover(id, at);
             }
-            Outcome::GaveUp { reason } => self.end(id, at, End::GaveUp { reason }),
+            Outcome::GaveUp { reason } => self.give_up(id, at, reason),
         }
     }
 
@@ -266,7 +280,7 @@ impl Detector {
     fn repeat(&mut self, id: FaultId, scene: &Scene, detail: &str) -> bool {
         let Some(entry) = self.chronicle.entry_mut(id) else { return false };
         let another = scene.incarnation != entry.fault.incarnation;
-        if another && matches!(entry.ended, Some((_, End::GaveUp { .. }))) {
+        if another && entry.given_up.is_some() {
             return false;
         }
         entry.fault.count = entry.fault.count.saturating_add(1);
@@ -284,6 +298,8 @@ impl Detector {
 
     /// Puts a fault into the record and tells it.
     fn record(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
+        // What stands is of an incarnation that is over.
+        self.end_kind(scene, &kind);
         self.last_id += 1;
         let id = FaultId(self.last_id);
         let symptom_of = match cause {
@@ -349,24 +365,29 @@ impl Detector {
         }
     }
 
-    /// The fault of this kind at this place, if there is one, has gone by itself.
+    /// The cause of the fault of this kind at this place, if there is one, is away.
     fn end_kind(&mut self, scene: &Scene, kind: &FaultKind) {
         if let Some(id) = self.chronicle.standing(&scene.place, kind) {
-            self.end_by_itself(id, scene.at, End::Cleared);
+            self.repair(id, scene.at);
+            self.withdraw(id, scene.at);
         }
     }
 
-    fn end_all_at(&mut self, scene: &Scene, is_over: impl Fn(&Fault) -> bool, end: &End) {
+    /// These faults of the place that match; their causes are away, and service is restored if so.
+    fn end_all_at(&mut self, scene: &Scene, is_over: impl Fn(&Fault) -> bool, restored: bool) {
         let standing = self.chronicle.standing_at(&scene.place);
         let over: Vec<FaultId> = standing.filter(|f| is_over(f)).map(|fault| fault.id).collect();
         for id in over {
-            self.end_by_itself(id, scene.at, end.clone());
+            if restored {
+                self.recover(id, scene.at);
+            }
+            self.repair(id, scene.at);
+            self.withdraw(id, scene.at);
         }
     }
 
     /// A fault is over, and those who were told of it do not know yet.
-    fn end_by_itself(&mut self, id: FaultId, at: Instant, end: End) {
-        self.end(id, at, end);
+    fn withdraw(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.chronicle.entry(id) else { return };
         let place = entry.fault.place.clone();
         let waits = |notice: &Notice| notice.id() == id;
@@ -375,41 +396,63 @@ impl Detector {
         }
     }
 
-    fn end(&mut self, id: FaultId, at: Instant, end: End) {
+    /// Service is restored. Of an object that is the repair as well.
+    fn recover(&mut self, id: FaultId, at: Instant) {
         self.reminders.cancel(id);
-        if !matches!(end, End::GaveUp { .. }) {
+        let Some(entry) = self.chronicle.entry_mut(id) else { return };
+        if entry.recovered_at.is_some() || !entry.stands() {
+            return;
+        }
+        (entry.recovered_at, entry.given_up) = (Some(at), None);
+        let fault = entry.fault.clone();
+        if fault.is_repaired_by_recovery() {
             self.explicable.remove(&id);
+            self.chronicle.repair(id, at);
         }
-        self.chronicle.end(id, at, end.clone());
-        if let Some(entry) = self.chronicle.entry(id) {
-            let fault = entry.fault.clone();
-            let turn = match end {
-                End::Recovered => Turn::Recovered,
-                End::Cleared => Turn::Cleared,
-                End::GaveUp { reason } => Turn::GaveUp { reason },
-            };
-            self.told.push_back(DetectorOutput::Tell { fault, at, turn });
-        }
+        self.told.push_back(DetectorOutput::Tell { fault, at, turn: Turn::Recovered });
+    }
+
+    /// The cause is away.
+    fn repair(&mut self, id: FaultId, at: Instant) {
+        self.reminders.cancel(id);
+        self.explicable.remove(&id);
+        let Some(entry) = self.chronicle.entry(id).filter(|entry| entry.stands()) else { return };
+        let fault = entry.fault.clone();
+        self.chronicle.repair(id, at);
+        self.told.push_back(DetectorOutput::Tell { fault, at, turn: Turn::Cleared });
+    }
+
+    /// Nothing more is tried. The fault stands.
+    fn give_up(&mut self, id: FaultId, at: Instant, reason: String) {
+        self.reminders.cancel(id);
+        let Some(entry) = self.chronicle.entry_mut(id) else { return };
+        entry.given_up = Some((at, reason.clone()));
+        let fault = entry.fault.clone();
+        self.told.push_back(DetectorOutput::Tell { fault, at, turn: Turn::GaveUp { reason } });
     }
 
     fn hand_over(&mut self, notice: Notice, now: Instant) {
         self.handover.hand(notice.rank(), notice, now);
     }
 
-    /// Nobody has decided about this fault. That is as it should be for a symptom whose root stands.
+    /// Nobody has decided about this fault. That is as it should be for a symptom whose root is in
+    /// treatment.
     fn remind(&mut self, id: FaultId, reminder: Reminder, now: Instant) {
         let Some(entry) = self.chronicle.entry(id) else { return };
         let fault = entry.fault.clone();
         let next = Reminder { due: now + self.limits.decision, ..reminder };
-        if fault.symptom_of.is_some_and(|root| self.chronicle.stands(root)) {
+        let in_hand = |root| {
+            let root = self.chronicle.entry(root);
+            root.is_some_and(|root| root.stands() && root.recovered_at.is_none())
+        };
+        if fault.symptom_of.is_some_and(in_hand) {
             self.reminders.set(id, next);
         } else if reminder.sent < self.limits.reminders {
             self.reminders.set(id, Reminder { sent: reminder.sent + 1, ..next });
             self.handover.withdraw(|notice| notice.id() == id);
             self.hand_over(Notice::Found(fault), now);
         } else {
-            let reason = "no recoverer has decided about it".into();
-            self.end(id, now, End::GaveUp { reason });
+            self.give_up(id, now, "no recoverer has decided about it".into());
         }
     }
 }
@@ -428,13 +471,18 @@ impl Machine for Detector {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        [self.handover.poll_timeout(), self.reminders.next()].into_iter().flatten().min()
+        let parts =
+            [self.handover.poll_timeout(), self.reminders.next(), self.crash_loops.poll_timeout()];
+        parts.into_iter().flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
         self.handover.handle_timeout(now);
         while let Some((id, reminder)) = self.reminders.pop_due(now) {
             self.remind(id, reminder, now);
+        }
+        while let Some(node) = self.crash_loops.pop_over(now) {
+            self.end_crash_loop(node, now);
         }
     }
 }

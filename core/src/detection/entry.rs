@@ -1,7 +1,7 @@
 //! What the monitor remembers of one object.
 
 use super::{Current, Exit, ObjectKind, Opinion, Row, Watch};
-use crate::{Incarnation, Instant, Lifecycle, Place};
+use crate::{FaultKind, Incarnation, Instant, Lifecycle, Place};
 
 /// One line of the monitor's table, as it is kept.
 #[derive(Clone, Debug)]
@@ -25,7 +25,19 @@ pub(super) struct Entry {
     pub(super) current: Option<(&'static str, Instant)>,
     pub(super) end: Option<Ending>,
     pub(super) isolated: bool,
-    pub(super) note: Option<String>,
+    /// What stands beside it and why, the newest last: one for each cause.
+    notes: Vec<(NoteCause, String)>,
+}
+
+/// Why a note was made. The note goes with it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum NoteCause {
+    /// The life ended.
+    End,
+    /// It is in an error state.
+    State,
+    /// It declared this fault.
+    Declared(FaultKind),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,8 +67,19 @@ impl Entry {
             current: None,
             end: None,
             isolated: false,
-            note: None,
+            notes: Vec::new(),
         }
+    }
+
+    /// Puts a note beside it, in place of an older one of the same cause.
+    pub(super) fn note(&mut self, cause: NoteCause, text: String) {
+        self.erase(&cause);
+        self.notes.push((cause, text));
+    }
+
+    /// The cause of a note is away.
+    pub(super) fn erase(&mut self, cause: &NoteCause) {
+        self.notes.retain(|(known, _)| known != cause);
     }
 
     /// Empties the history: what was known was known of another life. Isolation outlives a restart.
@@ -90,7 +113,7 @@ impl Entry {
             suspicions: self.suspicions,
             current: self.current.map(|(during, since)| Current { during, age: now - since }),
             isolated: self.isolated,
-            note: self.note.clone(),
+            note: self.notes.last().map(|(_, text)| text.clone()),
             ..Row::blank(place, self.kind)
         }
     }

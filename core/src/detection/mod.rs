@@ -24,6 +24,7 @@
 mod checks;
 mod chronicle;
 mod conduct;
+mod crash_loops;
 mod detector;
 mod enrolment;
 mod entry;
@@ -48,6 +49,6 @@ pub use inquiry::{Inquiry, InquiryOutput};
 pub use monitor::{Monitor, MonitorLimits, MonitorOutput};
 pub use notifier::{Notifier, NotifierLimits, NotifierOutput, Port, PortRow};
 pub use observation::{Exit, Finding, LinkCondition, NodeCondition, Observation, Progress};
-pub use outcome::{End, Entry, Notice, Outcome, Record, Turn};
+pub use outcome::{Entry, FaultStatus, Notice, Outcome, Record, Turn};
 pub use table::{Current, Opinion, QueueSeen, Row};
 pub use watchdog::{Verdict, Watchdog};

@@ -2,7 +2,7 @@
 
 mod sighting;
 
-use super::entry::{Ending, Entry, describe};
+use super::entry::{Ending, Entry, NoteCause, describe};
 use super::inquiry::InquiryOutput;
 use super::neighbourhood::{Neighbourhood, News};
 use super::{
@@ -207,7 +207,7 @@ impl Monitor {
         };
         entry.end = Some(if died { Ending::Died } else { Ending::Stopped });
         entry.state = Some(if died { Lifecycle::Fatal } else { Lifecycle::Finalized });
-        entry.note = Some(describe(&exit));
+        entry.note(NoteCause::End, describe(&exit));
         entry.suspect = false;
         self.watchdog.handle_end(object, incarnation);
         self.inquiry.handle_end(object, incarnation, now);
@@ -234,8 +234,9 @@ impl Monitor {
         entry.guarded = true;
         entry.state = Some(state);
         entry.last_sign = Some(now);
-        if reason.is_some() {
-            entry.note.clone_from(&reason);
+        match &reason {
+            Some(reason) => entry.note(NoteCause::State, reason.clone()),
+            None => entry.erase(&NoteCause::State),
         }
         if state == Lifecycle::Finalized {
             entry.end.get_or_insert(Ending::Finalized);
@@ -257,7 +258,7 @@ impl Monitor {
     ) {
         let Some(entry) = self.alive(object, incarnation, now) else { return };
         entry.last_sign = Some(now);
-        entry.note = Some(detail.clone());
+        entry.note(NoteCause::Declared(kind.clone()), detail.clone());
         self.observe_object(object, incarnation, Finding::Declared { kind, detail }, now);
         self.settle(now);
     }
@@ -270,7 +271,8 @@ impl Monitor {
         kind: FaultKind,
         now: Instant,
     ) {
-        if self.alive(object, incarnation, now).is_some() {
+        if let Some(entry) = self.alive(object, incarnation, now) {
+            entry.erase(&NoteCause::Declared(kind.clone()));
             self.observe_object(object, incarnation, Finding::Mended { kind }, now);
             self.settle(now);
         }

@@ -1,6 +1,7 @@
 //! What becomes of a fault after it was found.
 
 use crate::{Fault, FaultId, Instant, Place, Severity};
+use std::fmt;
 use std::time::Duration;
 
 /// What the recoverer tells the detector, for the record.
@@ -35,14 +36,15 @@ pub enum Turn {
         /// Which, as a person reads it.
         measure: String,
     },
-    /// Service is restored.
+    /// Service is restored. Of an object, the fault is over; of a link or a node it stands until
+    /// [`Cleared`](Turn::Cleared): see [`Fault::is_repaired_by_recovery`].
     Recovered,
     /// Nothing more will be tried.
     GaveUp {
         /// Why.
         reason: String,
     },
-    /// It went away by itself.
+    /// Its cause is away: it went by itself, or the part was repaired.
     Cleared,
 }
 
@@ -83,38 +85,82 @@ impl Notice {
 }
 
 /// A fault and what became of it, with the instants.
+///
+/// That service is restored and that the part is repaired are two facts. A cable that is out stays
+/// a standing fault while its traffic takes another path: [`recovered_at`](Entry::recovered_at) is
+/// set, [`repaired_at`](Entry::repaired_at) is not. See [`Fault::is_repaired_by_recovery`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
     /// The fault; [`Fault::found_at`] is when it was found.
     pub fault: Fault,
     /// The measure that was chosen last, and when.
     pub decided: Option<(Instant, String)>,
-    /// How it ended, and when; `None` while it stands.
-    pub ended: Option<(Instant, End)>,
+    /// When service was restored.
+    pub recovered_at: Option<Instant>,
+    /// When the cause was away. Until then the fault stands.
+    pub repaired_at: Option<Instant>,
+    /// When and why the recoverer ceased to try. The fault still stands until its place begins a
+    /// new life.
+    pub given_up: Option<(Instant, String)>,
 }
 
 impl Entry {
-    /// How long it took from finding it to its recovery, if it was recovered.
-    pub fn recovered_after(&self) -> Option<Duration> {
-        match self.ended {
-            Some((at, End::Recovered)) => Some(at - self.fault.found_at),
-            _ => None,
+    /// An entry for a fault that was just found.
+    pub fn new(fault: Fault) -> Self {
+        Entry { fault, decided: None, recovered_at: None, repaired_at: None, given_up: None }
+    }
+
+    /// Whether the cause is not known to be away.
+    pub fn stands(&self) -> bool {
+        self.repaired_at.is_none()
+    }
+
+    /// How the fault is, in one word.
+    pub fn status(&self) -> FaultStatus {
+        if self.repaired_at.is_some() {
+            FaultStatus::Closed
+        } else if self.recovered_at.is_some() {
+            FaultStatus::Recovered
+        } else if self.given_up.is_some() {
+            FaultStatus::GivenUp
+        } else {
+            FaultStatus::Open
         }
+    }
+
+    /// How long it took from finding the fault to restored service, if service was restored.
+    pub fn recovered_after(&self) -> Option<Duration> {
+        self.recovered_at.map(|at| at - self.fault.found_at)
+    }
+
+    /// How long the fault stood, if it is over.
+    pub fn repaired_after(&self) -> Option<Duration> {
+        self.repaired_at.map(|at| at - self.fault.found_at)
     }
 }
 
-/// How a fault ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum End {
-    /// Service was restored by a measure.
+/// How a fault is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum FaultStatus {
+    /// It stands, and service is not restored.
+    Open,
+    /// It stands, and the recoverer has ceased to try.
+    GivenUp,
+    /// Service is restored; the part is not repaired.
     Recovered,
-    /// It went away by itself.
-    Cleared,
-    /// Nothing more was tried. The fault still stands until its place begins a new life.
-    GaveUp {
-        /// Why.
-        reason: String,
-    },
+    /// The cause is away.
+    Closed,
+}
+
+impl fmt::Display for FaultStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            FaultStatus::Open => "open",
+            FaultStatus::GivenUp => "given up",
+            FaultStatus::Recovered => "recovered",
+            FaultStatus::Closed => "closed",
+        })
+    }
 }
 
 /// The record of faults, as it is read.

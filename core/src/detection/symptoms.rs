@@ -148,6 +148,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::NodeAtRest
         | FaultKind::NotServed
         | FaultKind::Unavailable
+        | FaultKind::CrashLoop
         | FaultKind::RestartStorm => true,
         FaultKind::CheckFailed
         | FaultKind::Overload

@@ -23,7 +23,12 @@ pub struct Row {
     pub state: Option<Lifecycle>,
     /// What the monitor thinks of it.
     pub opinion: Opinion,
-    /// How long ago it last gave a sign of life of whatever sort; `None` for never in this life.
+    /// How long ago it last gave a sign of life of whatever sort; `None` for never in this
+    /// incarnation, and for a node that has no link to here.
+    ///
+    /// Of a component that gives signs of life by itself, the last of them. Of any other, when its
+    /// thread last showed that it turns, or, while a handler keeps that, when the handler began. Of
+    /// a link, its last hello; of a node, the last hello on any link to it.
     pub last_sign: Option<Duration>,
     /// How many lives it has begun since it was enrolled, without the first.
     pub restarts: u32,
@@ -35,7 +40,8 @@ pub struct Row {
     pub current: Option<Current>,
     /// Its sending and receiving is forbidden.
     pub isolated: bool,
-    /// The last reason that was given for an error, an end, or a link's or node's condition.
+    /// Why it is in error, has ended, or what it has declared; or a link's or node's condition. It
+    /// goes when its cause does.
     pub note: Option<String>,
 }
 

@@ -273,6 +273,11 @@ impl Link {
         self.neighbour.as_ref().map_or(0.0, |heard| heard.arrivals.phi(now))
     }
 
+    /// When the neighbour's last hello came, if it is known.
+    pub fn last_hello(&self) -> Option<Instant> {
+        self.neighbour.as_ref().map(|heard| heard.last)
+    }
+
     /// We ourselves were not scheduled until `now`: every silence up to now is void.
     pub fn handle_stall(&mut self, now: Instant) {
         let interval = self.neighbour.as_ref().map(|heard| heard.arrivals.interval());

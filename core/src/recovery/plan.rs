@@ -142,6 +142,8 @@ impl Default for Plan {
             FaultKind::CommanderGone => observe.clone(),
             // Whoever brings it back is a person, or the application.
             FaultKind::NodeAtRest => observe.clone(),
+            // Who starts its process again is for the robot's service manager to say.
+            FaultKind::CrashLoop => observe.clone(),
             // The service goes on; what is missing is on other nodes, or gone.
             FaultKind::Unprotected | FaultKind::StateLost => observe.clone(),
             // Its nodes elect somebody by themselves as soon as they can.

@@ -194,6 +194,26 @@ fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
 }
 
 #[test]
+fn the_last_sign_of_life_is_the_last_that_was_given_whatever_excuses_the_silence() {
+    let mut world = World::new();
+    world.stamps[2].speaks = true;
+    world.look();
+    let last = |world: &World| world.scanner.last_signs().collect::<Vec<_>>();
+    assert_eq!(last(&world), [(2, None)], "it gave none so far, and the other need give none");
+
+    world.stamps[2].alive = 1;
+    world.pass(10, true);
+    world.pass(100, true);
+    assert_eq!(last(&world), [(2, Some(at(10)))]);
+    world.pulse.running = Some(0);
+    world.pass(5000, false);
+    assert_eq!(last(&world), [(2, Some(at(10)))], "a victim gives none");
+    world.stamps[2].incarnation = Incarnation(2);
+    world.look();
+    assert_eq!(last(&world), [(2, None)]);
+}
+
+#[test]
 fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
     let mut world = World::new();
     world.stamps[0].speaks = true;

@@ -74,7 +74,9 @@ const EVERYTHING: &[&str] = &[
 const CORE_TAKES: [&str; 4] = ["bincode", "bytes", "serde", "thiserror"];
 
 /// Crates of which only these packages may know.
-const KNOWN_BY: [(&str, &[&str]); 3] = [
+const KNOWN_BY: [(&str, &[&str]); 4] = [
+    // Behind the feature `journal`: not every user has a C compiler.
+    ("rusqlite", &["blastema"]),
     ("bincode", &["blastema-core"]),
     (
         "actix",

@@ -3,7 +3,7 @@
 //! One seed gives one run. A seed that fails becomes a scenario with a name.
 
 use crate::puppet::{Deed, Do, Note, Pull, Strings};
-use blastema::core::detection::{End, Entry, Opinion, Record};
+use blastema::core::detection::{Entry, Opinion, Record};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema::{Fault, Lifecycle, NodeBuilder};
@@ -127,7 +127,7 @@ async fn run(seed: u64, patient: bool) {
     // What is only observed stands until its place begins a new life.
     let observed =
         |entry: &&Entry| entry.decided.as_ref().is_some_and(|(_, what)| what == "observe");
-    let open = record.entries.iter().filter(|entry| entry.ended.is_none());
+    let open = record.entries.iter().filter(|entry| entry.status() == blastema::FaultStatus::Open);
     let open: Vec<_> = open.filter(|entry| !observed(entry)).collect();
     assert!(open.is_empty(), "seed {seed}: faults that did not end:\n{}", story(&record));
     let mut leaves = node.tree().await.unwrap().children;
@@ -175,7 +175,7 @@ fn story(record: &Record) -> String {
         let Fault { id, kind, place, incarnation, detail, found_at, count, .. } = &entry.fault;
         let after = (*found_at - start).as_secs_f64();
         let decided = entry.decided.as_ref().map(|(_, measure)| measure.as_str());
-        let ended = entry.ended.as_ref().map(|(at, end)| ((*at - start).as_secs_f64(), end));
+        let ended = entry.repaired_at.map(|at| ((at - start).as_secs_f64(), entry.status()));
         format!(
             "{after:8.3} #{} {kind} of {place}{incarnation} ×{count}: {detail}; {decided:?} {ended:?} {:?}",
             id.0, entry.fault.symptom_of
@@ -187,7 +187,7 @@ fn story(record: &Record) -> String {
 fn was_given_up(record: &Record, name: &str) -> bool {
     record.entries.iter().any(|entry| {
         let here = entry.fault.place.to_string() == format!("module1:{name}");
-        here && matches!(entry.ended, Some((_, End::GaveUp { .. })))
+        here && entry.given_up.is_some()
     })
 }
 

@@ -143,7 +143,7 @@ async fn a_commanders_loss_is_told_each_time_and_stands_until_somebody_commands_
     let lost = async || {
         let record = robot.there.faults().await;
         let gone = record.entries.into_iter().filter(|e| e.fault.kind == FaultKind::CommanderGone);
-        gone.map(|entry| entry.ended.is_none()).collect::<Vec<_>>()
+        gone.map(|entry| entry.stands()).collect::<Vec<_>>()
     };
 
     for round in 1..=5 {

@@ -1,7 +1,7 @@
 //! Faults that a component declares: checks, its application's own list, storms, symptoms.
 
 use crate::puppet::{Deed, Pull, Strings, ask, life, strike};
-use blastema::core::detection::{End, Turn};
+use blastema::core::detection::Turn;
 use blastema::core::recovery::{ChildState, Done, Failed, Order};
 use blastema::prelude::*;
 use blastema::{RecoveryStrategy, Severity, Tools};
@@ -197,7 +197,6 @@ async fn an_error_of_a_victim_passes_with_its_root_or_is_treated_then() {
     assert!(took > Duration::from_secs(2), "{took:?}");
     assert_eq!(life(&node, "planner").await, 1, "a reset has helped");
     let record = node.faults().await;
-    let ended =
-        |entry: &blastema::core::detection::Entry| matches!(entry.ended, Some((_, End::Recovered)));
+    let ended = |entry: &blastema::core::detection::Entry| entry.recovered_at.is_some();
     assert!(record.entries.iter().all(ended), "{record:?}");
 }

@@ -1,7 +1,7 @@
 //! A component says that it is in error.
 
 use crate::puppet::{Deed, Pull, Strings, ask, life};
-use blastema::core::detection::{End, Record};
+use blastema::core::detection::Record;
 use blastema::prelude::*;
 use blastema::{Incarnation, Lifecycle, Severity};
 use blastema_testkit::TestNode;
@@ -89,7 +89,7 @@ async fn a_reset_that_fails_is_followed_by_a_restart() {
     assert!(finalized.is_some(), "the old life had its last word");
     let record = node.faults().await;
     assert_eq!(decided(&record)[0], "restart");
-    let ended = |e: &blastema::core::detection::Entry| matches!(e.ended, Some((_, End::Recovered)));
+    let ended = |e: &blastema::core::detection::Entry| e.recovered_at.is_some();
     assert!(record.entries.iter().all(ended), "{record:?}");
 }
 
@@ -133,7 +133,11 @@ async fn a_panic_while_it_aborts_or_resets_is_answered_by_a_new_life() {
 
         assert_eq!(life(&node, "arm").await, 2, "{hook}");
         let record = node.faults().await;
-        let stands: Vec<_> = record.entries.iter().filter(|entry| entry.ended.is_none()).collect();
+        let stands: Vec<_> = record
+            .entries
+            .iter()
+            .filter(|entry| entry.status() == blastema::FaultStatus::Open)
+            .collect();
         assert!(stands.is_empty(), "{hook}: {stands:?}");
     }
 }

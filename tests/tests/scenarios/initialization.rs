@@ -152,7 +152,7 @@ async fn one_broken_part_and_a_panic_elsewhere_leave_the_node_running() {
 /// What stands against the camera.
 async fn standing(node: &TestNode) -> Vec<FaultKind> {
     let record = node.faults().await;
-    let standing = record.entries.into_iter().filter(|entry| entry.ended.is_none());
+    let standing = record.entries.into_iter().filter(|entry| entry.stands());
     standing.map(|entry| entry.fault.kind).collect()
 }
 

@@ -310,10 +310,9 @@ impl Handle<Boom> for Brief {
 /// Whether the fault that somebody goes without a name stands here, and its text.
 async fn goes_without(node: &TestNode) -> Option<String> {
     let record = node.faults().await;
-    let mut standing = record
-        .entries
-        .into_iter()
-        .filter(|entry| entry.fault.kind == FaultKind::NameTaken && entry.ended.is_none());
+    let mut standing = record.entries.into_iter().filter(|entry| {
+        entry.fault.kind == FaultKind::NameTaken && entry.status() == blastema::FaultStatus::Open
+    });
     standing.next().map(|entry| entry.fault.detail)
 }
 

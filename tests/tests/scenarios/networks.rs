@@ -12,8 +12,8 @@ use blastema::core::net::LinkState;
 use blastema::core::recovery::{Done, Failed, Order};
 use blastema::prelude::*;
 use blastema::{
-    Direction, Link, MemoryMedium, Network, NodeBuilder, Place, RecoveryStrategy, SessionState,
-    Tools,
+    Direction, FaultStatus, Link, MemoryMedium, Network, NodeBuilder, Place, RecoveryStrategy,
+    SessionState, Tools,
 };
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
@@ -205,6 +205,37 @@ async fn a_cut_cable_is_found_and_the_second_takes_over_without_loss_or_doubles(
 }
 
 #[blastema_testkit::test]
+async fn a_cable_that_is_out_stands_as_a_fault_until_it_is_in_again_though_traffic_is_re_routed() {
+    let mut robot = Robot::start(&Strings::default()).await;
+    let place = "module1 -ethernet- module2";
+    robot.cut("ethernet");
+    let fault = robot.module1.await_fault(FaultKind::LinkDown, place).await;
+    robot.module1.await_recovered(FaultKind::LinkDown, place).await;
+    robot.module1.advance(60_000 * MS).await;
+
+    let entry = async || {
+        let record = robot.module1.faults().await;
+        record.entries.into_iter().find(|entry| entry.fault.id == fault.id).expect("it is there")
+    };
+    let out = entry().await;
+    assert_eq!(out.status(), FaultStatus::Recovered);
+    let recovered = out.recovered_at.expect("the second cable takes over");
+    let last_sign = async |place: &str| {
+        let row = robot.module1.row(place).await;
+        row.last_sign.expect("it gave one").as_millis()
+    };
+    assert!(last_sign(place).await >= 60_000, "no hello comes over it");
+    assert!(last_sign("module2").await < 1_000, "hellos come over the other one");
+
+    robot.mend("ethernet");
+    robot.module1.advance(5000 * MS).await;
+    let repaired = entry().await;
+    assert_eq!((repaired.status(), repaired.recovered_at), (FaultStatus::Closed, Some(recovered)));
+    assert!(repaired.repaired_after() > repaired.recovered_after(), "{repaired:?}");
+    assert!(last_sign(place).await < 1_000);
+}
+
+#[blastema_testkit::test]
 async fn when_all_cables_are_cut_the_node_is_lost_and_it_returns_when_one_is_mended() {
     let strings = Strings::default();
     let mut robot = Robot::start(&strings).await;
@@ -221,7 +252,7 @@ async fn when_all_cables_are_cut_the_node_is_lost_and_it_returns_when_one_is_men
     assert_eq!(ask(&robot.module3, "module2:laser", Deed::Nothing).await.unwrap(), 1);
     let record = robot.module1.faults().await;
     let entry = record.entries.iter().find(|entry| entry.fault.id == lost.id).unwrap();
-    assert!(entry.ended.is_some(), "{entry:?}");
+    assert!(!entry.stands(), "{entry:?}");
     let links = record.entries.iter().filter(|entry| entry.fault.kind == FaultKind::LinkDown);
     assert_eq!(links.count(), 2);
 }

@@ -33,7 +33,8 @@ async fn bring_to_rest(node: &TestNode) {
 
 async fn standing(node: &TestNode) -> Vec<(FaultKind, String)> {
     let record = node.faults().await;
-    let standing = record.entries.into_iter().filter(|entry| entry.ended.is_none());
+    let standing =
+        record.entries.into_iter().filter(|entry| entry.status() == blastema::FaultStatus::Open);
     standing.map(|entry| (entry.fault.kind, entry.fault.place.to_string())).collect()
 }
 
@@ -87,7 +88,7 @@ async fn whoever_asks_a_node_at_rest_from_another_one_is_told_that_it_is_stopped
     let told = told.expect("its peers are told");
     assert_eq!(told.fault.place.to_string(), "module1");
     assert!(told.fault.detail.contains("motors needed more than 1 restarts"), "{told:?}");
-    assert_eq!(told.ended, None);
+    assert_eq!(told.status(), blastema::FaultStatus::Open);
 
     resting.restart().await.unwrap();
     peer.advance(500 * MS).await;

@@ -126,7 +126,7 @@ impl Robot {
 /// A fault of this kind that stands in this node's record.
 async fn standing(node: &TestNode, kind: &FaultKind) -> Option<Fault> {
     let record = node.faults().await;
-    let standing = record.entries.into_iter().filter(|entry| entry.ended.is_none());
+    let standing = record.entries.into_iter().filter(|entry| entry.stands());
     standing.map(|entry| entry.fault).find(|fault| fault.kind == *kind)
 }
 

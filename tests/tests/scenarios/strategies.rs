@@ -1,7 +1,6 @@
 //! What is done about a fault: measures that help, fail, panic, or take too long.
 
 use crate::puppet::{Deed, News, Note, Pull, Strings, ask, life, strike};
-use blastema::core::detection::End;
 use blastema::core::recovery::{Backoff, ChildState, Done, Failed, Order};
 use blastema::prelude::*;
 use blastema::{NodeBuilder, RecoveryStrategy, Tools};
@@ -191,7 +190,7 @@ async fn what_is_sent_while_an_object_is_replaced_waits_for_its_next_life() {
     let record = node.faults().await;
     let cured = |kind: &FaultKind| {
         let entry = record.entries.iter().find(|entry| entry.fault.kind == *kind);
-        matches!(entry.expect("it was found").ended, Some((_, End::Recovered)))
+        entry.expect("it was found").recovered_at.is_some()
     };
     assert!(cured(&oil()), "{record:?}");
 }

@@ -59,6 +59,9 @@ pub(crate) fn run(options: &ModuleOptions) -> Result<(), ModuleError> {
     let name = || ModuleError::Name(options.name.clone());
     let module = Module::from_name(&options.name).ok_or_else(name)?;
     blastema::platform::end_with_parent(options.parent)?;
+    // The director is told of every fault. Printed as well, faults would push the reason of this
+    // process's own end out of its last words. A subscriber that is there already is as good.
+    let _ = tracing::subscriber::set_global_default(tracing::subscriber::NoSubscriber::new());
     let options = options.clone();
     blastema::run(async move { serve(module, &options).await })
 }

@@ -58,9 +58,9 @@ fn span(within: &Duration) -> String {
 }
 
 /// The snapshot of a node: as received, and as a document.
-pub(super) struct ReceivedSnapshot {
-    pub(super) text: String,
-    pub(super) picture: Value,
+pub(crate) struct ReceivedSnapshot {
+    pub(crate) text: String,
+    pub(crate) picture: Value,
 }
 
 /// The process at the other end of the socket.
@@ -76,7 +76,7 @@ enum Peer {
 ///
 /// # Errors
 /// The cause, and what to do.
-pub(super) async fn look(path: &Path, within: Duration) -> Result<ReceivedSnapshot, InspectError> {
+pub(crate) async fn look(path: &Path, within: Duration) -> Result<ReceivedSnapshot, InspectError> {
     let mut peer = Peer::Unreached;
     let looked = timeout(within, async {
         let window = connect(path).await?;

@@ -1,7 +1,7 @@
 //! Prints the snapshots of running nodes.
 
-mod client;
-mod tables;
+pub(crate) mod client;
+pub(crate) mod tables;
 
 use self::client::{InspectError, look};
 use crate::args::MonitorOptions;

@@ -5,7 +5,7 @@ use serde_json::Value;
 use std::fmt::Write;
 
 /// A column: its heading, and the key of its value in the snapshot.
-type Column = (&'static str, &'static str);
+pub(crate) type Column = (&'static str, &'static str);
 
 /// The tables in their order: the title, the key in the snapshot, the columns.
 const TABLES: [(&str, &str, &[Column]); 8] = [
@@ -53,6 +53,7 @@ const TABLES: [(&str, &str, &[Column]); 8] = [
             ("link", "link"),
             ("state", "state"),
             ("neighbour", "neighbour"),
+            ("last sign", "last_sign_ms"),
             ("round trip", "round_trip_ms"),
             ("jitter", "jitter_ms"),
             ("loss in 1000", "loss_permille"),
@@ -134,7 +135,9 @@ const TABLES: [(&str, &str, &[Column]); 8] = [
             ("symptom of", "symptom_of"),
             ("found before", "age_ms"),
             ("measure", "measure"),
-            ("ended", "ended"),
+            ("status", "status"),
+            ("service restored before", "recovered_ms"),
+            ("part repaired before", "repaired_ms"),
             ("detail", "detail"),
         ],
     ),
@@ -163,7 +166,8 @@ pub(crate) fn draw(picture: &Value) -> String {
     text
 }
 
-fn table(columns: &[Column], rows: &[Value]) -> String {
+/// One table as lines of text.
+pub(crate) fn table(columns: &[Column], rows: &[Value]) -> String {
     let mut table = Table::new();
     table.load_style(presets::NOTHING).set_header(columns.iter().map(|(heading, _)| *heading));
     for (at, (_, name)) in columns.iter().enumerate() {

@@ -54,6 +54,9 @@ pub(in crate::node) struct Chain {
     pub(in crate::node) safe_outputs: SafeOutputs,
     pub(in crate::node) callbacks: Callbacks,
     pub(super) router: Arc<OnceLock<(Recipient<Reroute>, Recipient<IsolateNode>)>>,
+    /// Writes what it was given when it is dropped.
+    #[cfg(feature = "journal")]
+    journal: Mutex<Option<crate::journal::JournalGuard>>,
 }
 
 impl Chain {
@@ -101,9 +104,16 @@ impl Chain {
         if let Some(outside) = outside {
             outside.end(in_order);
         }
+        #[cfg(feature = "journal")]
+        self.journal.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(arbiter) = &self.arbiter {
             arbiter.stop();
         }
+    }
+
+    #[cfg(feature = "journal")]
+    pub(super) fn keep_journal(&self, guard: crate::journal::JournalGuard) {
+        *self.journal.lock().unwrap_or_else(PoisonError::into_inner) = Some(guard);
     }
 
     pub(super) fn look_out(&self, lookout: Option<WatchGuard>) {
@@ -230,6 +240,8 @@ pub(super) fn make_chain(
         stands: seen,
         safe_outputs,
         callbacks,
+        #[cfg(feature = "journal")]
+        journal: Mutex::default(),
         notifier: notifier.recipient(),
         recoverer: recoverer.recipient(),
         router,

@@ -2,8 +2,8 @@
 
 use super::{Cause, Detector, Scene, Seen};
 use crate::detection::symptoms::is_down;
-use crate::detection::{End, Exit, Finding, LinkCondition, NodeCondition};
-use crate::{Fault, FaultKind, Incarnation, Lifecycle, ObjectName, Place};
+use crate::detection::{Exit, Finding, LinkCondition, NodeCondition};
+use crate::{Fault, FaultKind, Incarnation, Instant, Lifecycle, NodeName, ObjectName, Place};
 use std::time::Duration;
 
 impl Detector {
@@ -13,7 +13,7 @@ impl Detector {
             self.needs.forget(object);
             self.may_end.remove(object);
             self.behind.remove(object);
-            return self.end_all_at(&scene, |_| true, &End::Cleared);
+            return self.end_all_at(&scene, |_| true, false);
         }
         let fresh = Seen::new(scene.incarnation);
         let seen = self.objects.entry(object.clone()).or_insert(fresh);
@@ -151,7 +151,7 @@ impl Detector {
         };
         *seen = Seen::new(next);
         let id = self.record(scene, kind, detail, Cause::Itself);
-        self.end(id, scene.at, End::Recovered);
+        self.recover(id, scene.at);
     }
 
     fn judge_state(
@@ -190,7 +190,7 @@ impl Detector {
                         matches!(fault.kind, FaultKind::ErrorState | FaultKind::Unavailable);
                     fault.incarnation < life || ended
                 };
-                self.end_all_at(scene, is_over, &End::Recovered);
+                self.end_all_at(scene, is_over, true);
             }
             Lifecycle::Created | Lifecycle::Initialized | Lifecycle::Finalized => {}
         }
@@ -215,12 +215,20 @@ impl Detector {
     }
 
     pub(super) fn judge_node(&mut self, scene: Scene, finding: Finding) {
-        let Finding::Node(condition) = finding else { return };
+        let (Finding::Node(condition), Place::Node(node)) = (finding, scene.place.clone()) else {
+            return;
+        };
         match condition {
-            NodeCondition::Reachable => self.end_kind(&scene, &FaultKind::NodeLost),
+            NodeCondition::Reachable => {
+                self.crash_loops.handle_reachable(&node, scene.at);
+                self.end_kind(&scene, &FaultKind::NodeLost);
+            }
             NodeCondition::Left => {
+                self.crash_loops.forget(&node);
+                self.end_kind(&scene, &FaultKind::CrashLoop);
                 self.end_kind(&scene, &FaultKind::NodeLost);
                 self.end_kind(&scene, &FaultKind::NodeAtRest);
+                self.end_links_to(&node, scene.at);
             }
             NodeCondition::AtRest { reason } => {
                 let detail = format!("nothing of it serves until it is restarted: {reason}");
@@ -228,11 +236,12 @@ impl Detector {
             }
             NodeCondition::AtWork => self.end_kind(&scene, &FaultKind::NodeAtRest),
             NodeCondition::Lost { reason } => {
-                self.find(&scene, FaultKind::NodeLost, reason, Cause::Itself);
+                self.crash_loops.handle_lost(&node);
+                let cause = self.crash_loop_of(&scene);
+                self.find(&scene, FaultKind::NodeLost, reason, cause);
             }
             NodeCondition::Offends { what } => {
-                let Place::Node(node) = &scene.place else { return };
-                if let Some(detail) = self.conduct.handle_offence(node, what, scene.at) {
+                if let Some(detail) = self.conduct.handle_offence(&node, what, scene.at) {
                     self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
                 }
             }
@@ -241,20 +250,55 @@ impl Detector {
                 self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
             }
             NodeCondition::Admitted => {
-                if let Place::Node(node) = &scene.place {
-                    self.conduct.forget(node);
-                }
+                self.conduct.forget(&node);
                 self.end_kind(&scene, &FaultKind::NodeFaulty);
             }
             NodeCondition::Restarted => {
                 self.end_kind(&scene, &FaultKind::NodeAtRest);
+                if let Some(count) = self.crash_loops.handle_restarted(&node, scene.at) {
+                    let period = self.limits.crash_loop_period;
+                    let detail = format!(
+                        "its process died and was started again {count} times, and never stayed \
+                         up for {period:?}"
+                    );
+                    self.find(&scene, FaultKind::CrashLoop, detail, Cause::Itself);
+                }
                 let known = self.chronicle.standing(&scene.place, &FaultKind::NodeLost);
                 let id = known.unwrap_or_else(|| {
                     let detail = "its process died and began again".into();
-                    self.record(&scene, FaultKind::NodeLost, detail, Cause::Itself)
+                    let cause = self.crash_loop_of(&scene);
+                    self.record(&scene, FaultKind::NodeLost, detail, cause)
                 });
-                self.end_by_itself(id, scene.at, End::Recovered);
+                self.recover(id, scene.at);
+                self.repair(id, scene.at);
+                self.withdraw(id, scene.at);
             }
+        }
+    }
+
+    /// A node that has stayed up for long enough is in a crash loop no more.
+    pub(super) fn end_crash_loop(&mut self, node: NodeName, at: Instant) {
+        let scene = Scene { place: Place::Node(node), incarnation: Incarnation::default(), at };
+        self.end_kind(&scene, &FaultKind::CrashLoop);
+    }
+
+    /// A death in a crash loop is a symptom of that.
+    fn crash_loop_of(&self, scene: &Scene) -> Cause {
+        let known = self.chronicle.standing(&scene.place, &FaultKind::CrashLoop);
+        known.map_or(Cause::Itself, Cause::Known)
+    }
+
+    /// A node that leaves in order takes its ends of the cables along.
+    fn end_links_to(&mut self, node: &NodeName, at: Instant) {
+        let leads_there = |fault: &&Fault| match &fault.place {
+            Place::Link { neighbour, .. } => neighbour.as_ref() == Some(node),
+            Place::Object(_) | Place::Node(_) => false,
+        };
+        let places = self.chronicle.all_standing().filter(leads_there);
+        let places: Vec<Place> = places.map(|fault| fault.place.clone()).collect();
+        for place in places {
+            let scene = Scene { place, incarnation: Incarnation::default(), at };
+            self.end_all_at(&scene, |_| true, false);
         }
     }
 

@@ -6,7 +6,7 @@ mod record;
 mod symptoms;
 
 use super::*;
-use crate::detection::{Exit, Finding, LinkCondition, NodeCondition};
+use crate::detection::{Exit, FaultStatus, Finding, LinkCondition, NodeCondition};
 use crate::{ObjectAddress, Severity};
 use std::sync::Arc;
 

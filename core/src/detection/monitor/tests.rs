@@ -370,6 +370,31 @@ fn a_life_that_is_over_is_not_shown_in_the_state_that_it_had_before() {
 }
 
 #[test]
+fn a_note_goes_when_its_cause_goes_and_no_earlier() {
+    let mut monitor = watched(Watch::Guard);
+    let laser = object("laser");
+    let note = |monitor: &Monitor| row(monitor, "m:laser", 9).note;
+    let state = |monitor: &mut Monitor, state, reason: Option<&str>| {
+        monitor.handle_state(&laser, TWO, state, reason.map(str::to_owned), at(1));
+    };
+    let declare = |monitor: &mut Monitor, kind, detail: &str| {
+        monitor.handle_declared(&laser, TWO, kind, detail.to_owned(), at(2));
+    };
+    state(&mut monitor, Lifecycle::Active, None);
+    declare(&mut monitor, FaultKind::CheckFailed, "it is dark");
+    state(&mut monitor, Lifecycle::Error, Some("no mirror"));
+    assert_eq!(note(&monitor).as_deref(), Some("no mirror"));
+
+    state(&mut monitor, Lifecycle::Active, None);
+    assert_eq!(note(&monitor).as_deref(), Some("it is dark"), "that goes on");
+    declare(&mut monitor, FaultKind::Overload, "too much");
+    monitor.handle_mended(&laser, TWO, FaultKind::CheckFailed, at(3));
+    assert_eq!(note(&monitor).as_deref(), Some("too much"));
+    monitor.handle_mended(&laser, TWO, FaultKind::Overload, at(3));
+    assert_eq!(note(&monitor), None);
+}
+
+#[test]
 fn a_hang_makes_its_victims_suspect_and_is_observed_once() {
     let mut monitor = watched(Watch::Guard);
     monitor.enrol(Enrolment::new(object("map")), at(0)).expect("there is room");

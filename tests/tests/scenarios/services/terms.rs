@@ -15,7 +15,8 @@ fn on(members: &'static [&'static str]) -> ServiceSpec<Counter> {
 /// What this node's record says now of members that were told otherwise.
 async fn dispute(node: &TestNode) -> Option<String> {
     let record = node.faults().await;
-    let standing = record.entries.iter().filter(|entry| entry.ended.is_none());
+    let standing =
+        record.entries.iter().filter(|entry| entry.status() == blastema::FaultStatus::Open);
     let mut mismatches = standing.filter(|entry| entry.fault.kind == FaultKind::ContractMismatch);
     mismatches.next().map(|entry| entry.fault.detail.clone())
 }

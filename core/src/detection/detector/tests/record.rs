@@ -33,7 +33,83 @@ fn what_was_given_up_stays_latched_for_that_life_and_is_new_in_the_next() {
     bench.see("arm", ONE, declared());
     assert_eq!(bench.said(), ["Repeated 1"]);
     bench.see("arm", TWO, declared());
+    assert_eq!(bench.said(), ["Cleared 1", "Found 2", "-1", "+2"]);
+}
+
+#[test]
+fn a_link_stands_as_a_fault_until_it_is_up_again_though_its_traffic_was_re_routed() {
+    let mut bench = Bench::new();
+    bench.see("-eth-n", Incarnation(0), down());
+    let decided = Outcome::Decided { measure: "re-route".into() };
+    bench.detector.handle_outcome(FaultId(1), at(3), decided);
+    bench.detector.handle_outcome(FaultId(1), at(8), Outcome::Recovered);
+    assert_eq!(bench.said(), ["Found 1", "Decided 1", "Recovered 1", "+1"]);
+
+    let entry = &bench.entries()[0];
+    assert_eq!((entry.recovered_at, entry.repaired_at), (Some(at(8)), None));
+    assert_eq!(entry.status(), FaultStatus::Recovered);
+    assert!(bench.run_until(60_000).is_empty(), "nothing more is decided about it");
+
+    bench.see("-eth-n", Incarnation(0), Finding::Link(LinkCondition::Up));
+    assert_eq!(bench.said(), ["Cleared 1"]);
+    let entry = &bench.entries()[0];
+    assert_eq!((entry.recovered_at, entry.repaired_at), (Some(at(8)), Some(at(60_000))));
+    assert_eq!(entry.repaired_after(), Some(Duration::from_secs(60)));
+    bench.see("-eth-n", Incarnation(0), down());
     assert_eq!(bench.said(), ["Found 2", "+2"]);
+}
+
+#[test]
+fn a_restarted_component_is_recovered_and_repaired_at_once() {
+    let mut bench = Bench::new();
+    bench.see("arm", ONE, exited(panicked()));
+    bench.detector.handle_outcome(FaultId(1), at(8), Outcome::Recovered);
+
+    let entry = &bench.entries()[0];
+    assert_eq!((entry.recovered_at, entry.repaired_at), (Some(at(8)), Some(at(8))));
+    assert_eq!(entry.status(), FaultStatus::Closed);
+}
+
+#[test]
+fn a_node_that_leaves_in_order_takes_the_faults_of_its_links_along() {
+    let mut bench = Bench::new();
+    bench.see("-eth-n", Incarnation(0), down());
+    bench.see("-can-o", Incarnation(0), down());
+    bench.said();
+
+    bench.see("@n", Incarnation(9), Finding::Node(NodeCondition::Left));
+
+    assert_eq!(bench.said(), ["Cleared 1", "-1"]);
+}
+
+#[test]
+fn a_node_that_dies_over_and_over_is_one_fault_that_is_counted_and_ends_when_it_stays_up() {
+    let mut bench = Bench::new();
+    for life in 1..=500 {
+        bench.now = at(life * 444);
+        if life % 2 == 0 {
+            bench.see("@n", Incarnation(life), lost());
+        }
+        bench.see("@n", Incarnation(life + 1), Finding::Node(NodeCondition::Restarted));
+        bench.said();
+    }
+    let of_kind = |bench: &Bench, kind| {
+        bench.entries().into_iter().filter(|entry| entry.fault.kind == kind).collect::<Vec<_>>()
+    };
+    let loops = of_kind(&bench, FaultKind::CrashLoop);
+    assert_eq!((loops.len(), loops[0].fault.count), (1, 498), "three restarts are the first");
+    assert!(loops[0].stands() && loops[0].fault.detail.contains("500 times"));
+    let deaths = of_kind(&bench, FaultKind::NodeLost);
+    assert!(deaths.iter().all(|entry| !entry.stands()));
+    let symptoms = deaths.iter().filter(|e| e.fault.symptom_of == Some(loops[0].fault.id));
+    assert!(symptoms.count() >= deaths.len() - 3);
+
+    let id = loops[0].fault.id.0;
+    let observed = Outcome::Decided { measure: "observe".into() };
+    bench.detector.handle_outcome(FaultId(id), bench.now, observed);
+    assert_eq!(bench.said(), [format!("Decided {id}")]);
+    assert!(bench.run_until(222_000 + 59_999).is_empty());
+    assert_eq!(bench.run_until(222_000 + 60_000), [format!("Cleared {id}"), format!("-{id}")]);
 }
 
 #[test]
@@ -51,11 +127,11 @@ fn a_node_that_died_and_began_again_unnoticed_is_found_and_recovered_in_one() {
     let mut bench = Bench::new();
 
     bench.see("@n", Incarnation(9), Finding::Node(NodeCondition::Restarted));
-    assert_eq!(bench.said(), ["Found 1", "Recovered 1"]);
+    assert_eq!(bench.said(), ["Found 1", "Recovered 1", "Cleared 1"]);
 
     bench.see("@n", Incarnation(9), lost());
     bench.see("@n", Incarnation(10), Finding::Node(NodeCondition::Restarted));
-    assert_eq!(bench.said(), ["Found 2", "Recovered 2", "+2", "-2"]);
+    assert_eq!(bench.said(), ["Found 2", "Recovered 2", "Cleared 2", "+2", "-2"]);
 }
 
 #[test]
@@ -133,7 +209,8 @@ proptest! {
             let mut passed = BTreeSet::new();
             for entry in &entries {
                 let fault = &entry.fault;
-                if bench.detector.chronicle.stands(fault.id) {
+                prop_assert_eq!(entry.stands(), bench.detector.chronicle.stands(fault.id));
+                if entry.stands() {
                     let kind = fault.kind.clone();
                     prop_assert!(standing.insert((fault.place.clone(), kind)));
                 }

@@ -1,0 +1,129 @@
+//! `blastema fault list`.
+
+use crate::args::FaultListOptions;
+use crate::monitor::client::{InspectError, look};
+use crate::monitor::tables::{Column, table};
+use blastema::journal::{self, JournalEntry, ReadError};
+use serde_json::{Value, json};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Why the list cannot be shown.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum FaultListError {
+    /// A running node does not show itself.
+    #[error(transparent)]
+    Look(#[from] InspectError),
+    /// The detector of a running node did not answer in time.
+    #[error(
+        "the node at {} shows itself, but its list of faults did not answer: try again, or read \
+         its journal",
+        .0.display()
+    )]
+    Unanswered(PathBuf),
+    /// The journal cannot be read.
+    #[error(transparent)]
+    Journal(#[from] ReadError),
+    /// No reader takes what is printed.
+    #[error("the list could not be printed: {0}")]
+    Print(io::Error),
+}
+
+/// The columns after those that say when the fault was found.
+const COLUMNS: [Column; 12] = [
+    ("node", "node"),
+    ("fault", "id"),
+    ("code", "code"),
+    ("kind", "kind"),
+    ("place", "place"),
+    ("times", "count"),
+    ("status", "status"),
+    ("symptom of", "symptom_of"),
+    ("measure", "measure"),
+    ("service restored after", "recovered_after_ms"),
+    ("part repaired after", "repaired_after_ms"),
+    ("detail", "detail"),
+];
+
+/// Prints the list that is asked for.
+///
+/// # Errors
+/// A source of it cannot be read.
+pub(crate) fn run(options: &FaultListOptions) -> Result<(), FaultListError> {
+    let (found, rows): (Column, _) = match &options.journal {
+        Some(path) => (("found", "found_at"), of_journal(path, options)?),
+        None => (("found before", "age_ms"), of_nodes(options)?),
+    };
+    let text = match (options.json, rows.is_empty()) {
+        (true, _) => format!("{}\n", Value::from(rows)),
+        (false, true) if options.all => "no faults\n".to_owned(),
+        (false, true) => "no fault stands\n".to_owned(),
+        (false, false) => {
+            let columns: Vec<Column> = std::iter::once(found).chain(COLUMNS).collect();
+            table(&columns, &rows)
+        }
+    };
+    let printed = io::stdout().write_all(text.as_bytes()).and_then(|()| io::stdout().flush());
+    match printed {
+        // The reader has seen enough, as `head` has.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        printed => printed.map_err(FaultListError::Print),
+    }
+}
+
+fn of_journal(path: &Path, options: &FaultListOptions) -> Result<Vec<Value>, ReadError> {
+    let wanted = |entry: &JournalEntry| {
+        (options.all || entry.status.stands())
+            && options.node.as_ref().is_none_or(|node| *node == entry.node)
+    };
+    Ok(journal::read(path)?.iter().filter(|entry| wanted(entry)).map(row).collect())
+}
+
+/// The keys are those of a node's picture, where that has the same.
+fn row(entry: &JournalEntry) -> Value {
+    let fault = |id: u64| format!("fault {id}");
+    let millis = |span: Duration| (span.as_secs_f64() * 1e6).round() / 1e3;
+    json!({
+        "sequence": entry.sequence,
+        "node": entry.node,
+        "node_incarnation": entry.node_incarnation,
+        "id": fault(entry.id),
+        "code": entry.code,
+        "kind": entry.kind,
+        "severity": entry.severity,
+        "place": entry.place,
+        "incarnation": entry.incarnation,
+        "detail": entry.detail,
+        "count": entry.count,
+        "symptom_of": entry.symptom_of.map(fault),
+        "measure": entry.measure,
+        "given_up": entry.given_up,
+        "status": entry.status.to_string(),
+        "found_at": entry.found_at.to_string(),
+        "recovered_at": entry.recovered.map(|(at, _)| at.to_string()),
+        "recovered_after_ms": entry.recovered.map(|(_, span)| millis(span)),
+        "repaired_at": entry.repaired.map(|(at, _)| at.to_string()),
+        "repaired_after_ms": entry.repaired.map(|(_, span)| millis(span)),
+    })
+}
+
+fn of_nodes(options: &FaultListOptions) -> Result<Vec<Value>, FaultListError> {
+    let mut rows = Vec::new();
+    for path in &options.windows {
+        let seen = blastema::run(look(path, options.within))?;
+        let node = &seen.picture["node"];
+        if options.node.as_ref().is_some_and(|wanted| node.as_str() != Some(wanted)) {
+            continue;
+        }
+        let Some(faults) = seen.picture["faults"].as_array() else {
+            return Err(FaultListError::Unanswered(path.clone()));
+        };
+        for fault in faults.iter().filter(|fault| options.all || fault["status"] != "closed") {
+            let mut row = fault.clone();
+            row["node"] = node.clone();
+            rows.push(row);
+        }
+    }
+    Ok(rows)
+}

@@ -1,0 +1,272 @@
+//! The program reads the faults of running nodes, and of nodes that were killed.
+
+use blastema::FaultStatus;
+use blastema::prelude::*;
+use serde_json::Value;
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+/// For a process to start on a busy computer.
+const TIMEOUT: Duration = Duration::from_secs(60);
+/// What is wrong with the gripper for as long as it runs.
+const WORN: &str = "GRIP";
+
+/// Panics when it is started first, and then finds that it is worn.
+struct Gripper;
+
+impl Component for Gripper {
+    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        assert!(cx.incarnation().0 > 1, "the finger is gone");
+        Ok(())
+    }
+
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        cx.declare_fault(FaultKind::Custom(WORN.into()), "4 mm of 5 mm");
+        Ok(())
+    }
+}
+
+fn robot(name: &str) -> blastema::NodeBuilder {
+    let worn = FaultKind::Custom(WORN.into());
+    Node::builder(name)
+        .work_threads(1)
+        .fault_kind(WORN)
+        .plan(Plan::default().on(worn, Ladder::first(Measure::Observe)))
+        .child(ChildSpec::new("gripper", || Gripper))
+}
+
+/// In which folder the process that this test starts from itself keeps its journal and shows its
+/// node.
+const FOLDER: &str = "BLASTEMA_TEST_FOLDER";
+/// Whether that process has a subscriber for its log.
+const LOGS: &str = "BLASTEMA_TEST_LOGS";
+
+#[test]
+fn a_process_keeps_a_journal() {
+    let Some(folder) = std::env::var_os(FOLDER).map(PathBuf::from) else { return };
+    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).expect("it has one");
+    if std::env::var_os(LOGS).is_some() {
+        let kept_by_nobody = tracing::subscriber::NoSubscriber::new();
+        tracing::subscriber::set_global_default(kept_by_nobody).expect("it is the first");
+    }
+    blastema::run(async {
+        let node = robot("module1").journal(folder.join("faults")).shown_at(folder.join("window"));
+        let node = node.start().await.expect("it starts");
+        node.ended().await;
+    });
+}
+
+/// A process that is killed at the latest when the test ends.
+struct Robot(Child);
+
+impl Robot {
+    fn start(folder: &Path) -> Self {
+        Robot::start_with(folder, &[])
+    }
+
+    fn start_with(folder: &Path, more: &[(&str, &str)]) -> Self {
+        let program = std::env::current_exe().expect("a running program has a path");
+        let child = Command::new(program)
+            .args(["--exact", "a_process_keeps_a_journal", "--nocapture"])
+            .env(FOLDER, folder)
+            .envs(more.iter().copied())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn();
+        Robot(child.expect("the test can be started again"))
+    }
+
+    /// As `kill -9` does. Answers what it had printed on standard error.
+    fn kill(mut self) -> Vec<String> {
+        self.0.kill().expect("it still runs");
+        self.0.wait().expect("it was started here");
+        let printed = self.0.stderr.take().expect("it was piped");
+        BufReader::new(printed).lines().map_while(Result::ok).collect()
+    }
+}
+
+impl Drop for Robot {
+    fn drop(&mut self) {
+        // It may have been killed already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn list(arguments: &[&str]) -> Output {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_blastema"));
+    program.args(["fault", "list"]).args(arguments).output().expect("the program can be started")
+}
+
+/// The rows of the list: kind and status.
+fn rows(arguments: &[&str]) -> Vec<(String, String)> {
+    let output = list(&[&["--json"], arguments].concat());
+    if !output.status.success() {
+        return Vec::new();
+    }
+    let rows: Vec<Value> = serde_json::from_slice(&output.stdout).expect("a JSON document");
+    let text = |row: &Value, key: &str| row[key].as_str().expect("a text").to_owned();
+    rows.iter().map(|row| (text(row, "code"), text(row, "status"))).collect()
+}
+
+fn until(so: impl Fn() -> bool) {
+    let begun = Instant::now();
+    while !so() {
+        assert!(begun.elapsed() < TIMEOUT, "it takes no such time");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn pairs(pairs: &[(&str, &str)]) -> Vec<(String, String)> {
+    pairs.iter().map(|(code, status)| ((*code).to_owned(), (*status).to_owned())).collect()
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("a path of letters")
+}
+
+#[test]
+fn faults_outlive_a_killed_process_and_those_that_stood_have_ended_with_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (journal, window) = (folder.path().join("faults"), folder.path().join("window"));
+    let (journal, window) = (text(&journal), text(&window));
+    let robot = Robot::start(folder.path());
+
+    let stands = pairs(&[(WORN, "open")]);
+    let both = pairs(&[("B01", "closed"), (WORN, "open")]);
+    until(|| rows(&["--journal", journal]) == stands);
+    assert_eq!(rows(&["--all", "--journal", journal]), both);
+    assert_eq!(rows(&[window]), stands, "the node shows the same");
+    assert_eq!(rows(&["--all", window]), both);
+    assert_eq!(rows(&["--node", "module2", "--all", "--journal", journal]), []);
+    robot.kill();
+
+    assert_eq!(rows(&["--journal", journal]), [], "nothing of it stands any more");
+    let ended = pairs(&[("B01", "closed"), (WORN, "ended with the process")]);
+    assert_eq!(rows(&["--all", "--journal", journal]), ended);
+    let _robot = Robot::start(folder.path());
+    until(|| rows(&["--journal", journal]) == stands);
+    assert_eq!(rows(&["--all", "--journal", journal]), [ended, both].concat());
+
+    let table = String::from_utf8(list(&["--all", "--journal", journal]).stdout).expect("text");
+    for part in ["found", "module1:gripper", "the finger is gone", "4 mm of 5 mm", "ended with"] {
+        assert!(table.contains(part), "{part} is missing in\n{table}");
+    }
+}
+
+#[test]
+fn each_fault_is_printed_once_where_no_log_is_kept_and_never_where_one_is() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let journal = folder.path().join("faults");
+    let begun = || rows(&["--journal", text(&journal)]) == pairs(&[(WORN, "open")]);
+    let robot = Robot::start(folder.path());
+    until(begun);
+
+    let printed = robot.kill();
+    let about = |words: &str| printed.iter().filter(|line| line.contains(words)).count();
+    assert_eq!((about("the finger is gone"), about("4 mm of 5 mm")), (1, 1), "{printed:?}");
+    assert_eq!((about("on node module1: "), about(" of module1:gripper: ")), (2, 2), "{printed:?}");
+
+    let robot = Robot::start_with(folder.path(), &[(LOGS, "1")]);
+    until(begun);
+    let printed = robot.kill();
+    assert!(!printed.iter().any(|line| line.starts_with("blastema: ")), "{printed:?}");
+}
+
+/// The fault of the journal, once it is found.
+async fn journal_fault(node: &Node) -> String {
+    let found = async {
+        loop {
+            let record = node.faults().await;
+            let of_journal = |place: &blastema::Place| place.to_string().ends_with("chain/journal");
+            if let Some(entry) = record.entries.iter().find(|entry| of_journal(&entry.fault.place))
+            {
+                assert_ne!(entry.status(), FaultStatus::Closed);
+                return entry.fault.detail.clone();
+            }
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    };
+    tokio::time::timeout(TIMEOUT, found).await.expect("it is found")
+}
+
+#[test]
+fn a_journal_that_cannot_be_written_is_a_fault_and_the_node_goes_on() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let nowhere = folder.path().join("nowhere/faults");
+        let occupied = folder.path().join("occupied");
+        fs::create_dir(&occupied).expect("a folder");
+        for path in [nowhere, occupied] {
+            let node =
+                robot("module1").journal(&path).start().await.expect("it starts all the same");
+            let detail = journal_fault(&node).await;
+            assert!(detail.contains(text(&path)) && detail.contains("goes on without"), "{detail}");
+            assert_eq!(node.state(), NodeState::Running);
+            node.shutdown().await;
+        }
+    });
+}
+
+#[test]
+fn a_damaged_journal_is_set_aside_and_the_next_faults_are_kept() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("faults");
+        fs::write(&path, "no database at all, but a text of some length").expect("a file");
+        let node = robot("module1").journal(&path).start().await.expect("it starts all the same");
+
+        let detail = journal_fault(&node).await;
+        assert!(detail.contains("damaged") && detail.contains("faults.damaged-1"), "{detail}");
+        assert!(folder.path().join("faults.damaged-1").exists());
+        let kept = || blastema::journal::read(&path).is_ok_and(|kept| kept.len() == 3);
+        let written = async {
+            while !kept() {
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+        };
+        tokio::time::timeout(TIMEOUT, written).await.expect("it is written");
+        node.shutdown().await;
+        let ended = blastema::journal::read(&path).expect("it is a journal");
+        assert!(ended.iter().all(|entry| !entry.status.stands()), "{ended:?}");
+        assert!(ended.iter().any(|entry| entry.status.to_string() == "ended with the node"));
+    });
+}
+
+#[test]
+fn a_second_node_on_the_same_journal_is_refused_and_learns_who_writes_it() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("faults");
+        let node = robot("module1").journal(&path).start().await.expect("it starts");
+
+        let refused = robot("module2").journal(&path).start().await.expect_err("it is in use");
+        assert!(refused.to_string().contains("node module1, process"), "{refused}");
+        let relative =
+            robot("module3").journal("faults").start().await.expect_err("it is relative");
+        assert!(relative.to_string().contains("absolute"), "{relative}");
+        node.shutdown().await;
+        let next = robot("module2").journal(&path).start().await.expect("it is free");
+        next.shutdown().await;
+    });
+}
+
+#[test]
+fn what_cannot_be_read_is_told_in_one_line() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (missing, text_file) = (folder.path().join("missing"), folder.path().join("text"));
+    fs::write(&text_file, "no database at all, but a text of some length").expect("a file");
+    let check = |arguments: &[&str], words: &str| {
+        let output = list(arguments);
+        let told = String::from_utf8(output.stderr).expect("text");
+        assert_eq!((output.status.code(), output.stdout.len()), (Some(2), 0), "{told}");
+        assert_eq!(told.lines().count(), 1, "{told}");
+        assert!(told.contains(words), "{words:?} is not said in {told}");
+    };
+    check(&["--journal", text(&missing)], "there is no journal");
+    check(&["--journal", text(&text_file)], "is no journal");
+    check(&[text(&missing)], "nothing is there: start the node");
+}

@@ -1,0 +1,175 @@
+//! What is logged of faults, and what is printed where no log is kept.
+//!
+//! Every step of every fault is an event of [`tracing`] with the target `blastema::fault`:
+//!
+//! | step | level |
+//! | --- | --- |
+//! | a root is found, or again for the 2nd, 4th, 8th, … time | WARN for a warning, else ERROR |
+//! | the recoverer gives a fault up | ERROR |
+//! | a symptom is found; a decision, a recovery, a repair | INFO |
+//!
+//! Its fields are `node`, `place`, `object` (of faults of objects), `kind`, `code`, `severity`,
+//! `fault`, `incarnation`, `count`, `symptom_of`, `step` and `detail`. A program without a
+//! subscriber gets the steps of the first two rows on standard error, a line each; a fault that is
+//! found again is not printed again.
+
+use blastema_contract::detector::FaultEvent;
+use blastema_core::detection::Turn;
+use blastema_core::{Fault, NodeName, Place, Severity};
+use std::io::{self, Write};
+use tracing::{Level, event};
+
+/// The target of all events about faults.
+const TARGET: &str = "blastema::fault";
+
+/// How a step is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Shown {
+    level: Level,
+    /// It is printed where no log is kept.
+    printed: bool,
+}
+
+/// Logs one step of a fault that `node` has found.
+pub(crate) fn log(node: &NodeName, step: &FaultEvent) {
+    let FaultEvent { fault, turn, .. } = step;
+    let shown = shown(fault, turn);
+    if shown.printed && !tracing::dispatcher::has_been_set() {
+        // If standard error is gone too, there is no place left to say so.
+        let _ = writeln!(io::stderr(), "{}", line(node, fault, turn));
+        return;
+    }
+    macro_rules! log_at {
+        ($level:expr) => {
+            event!(
+                target: TARGET,
+                $level,
+                %node,
+                place = %fault.place,
+                object = object(&fault.place),
+                kind = %fault.kind,
+                code = fault.kind.code(),
+                severity = ?fault.severity,
+                fault = fault.id.0,
+                incarnation = fault.incarnation.0,
+                count = fault.count,
+                symptom_of = fault.symptom_of.map(|root| root.0),
+                step = step_name(turn),
+                detail = detail(fault, turn),
+            )
+        };
+    }
+    match shown.level {
+        Level::ERROR => log_at!(Level::ERROR),
+        Level::WARN => log_at!(Level::WARN),
+        _ => log_at!(Level::INFO),
+    }
+}
+
+fn shown(fault: &Fault, turn: &Turn) -> Shown {
+    let of_severity = match fault.severity {
+        Severity::Warning => Level::WARN,
+        Severity::Error | Severity::Critical => Level::ERROR,
+    };
+    let is_root = fault.symptom_of.is_none();
+    match turn {
+        Turn::Found if is_root => Shown { level: of_severity, printed: true },
+        Turn::Repeated if is_root => Shown { level: of_severity, printed: false },
+        Turn::GaveUp { .. } => Shown { level: Level::ERROR, printed: true },
+        _ => Shown { level: Level::INFO, printed: false },
+    }
+}
+
+fn object(place: &Place) -> Option<&str> {
+    match place {
+        Place::Object(address) => Some(address.object.as_str()),
+        Place::Link { .. } | Place::Node(_) => None,
+    }
+}
+
+fn step_name(turn: &Turn) -> &'static str {
+    match turn {
+        Turn::Found => "found",
+        Turn::Repeated => "found again",
+        Turn::Explained => "explained",
+        Turn::Decided { .. } => "decided",
+        Turn::Recovered => "recovered",
+        Turn::GaveUp { .. } => "given up",
+        Turn::Cleared => "cleared",
+        _ => "changed",
+    }
+}
+
+/// What is new in the step, or the particulars of the fault.
+fn detail<'a>(fault: &'a Fault, turn: &'a Turn) -> &'a str {
+    match turn {
+        Turn::Decided { measure } => measure,
+        Turn::GaveUp { reason } => reason,
+        _ => &fault.detail,
+    }
+}
+
+/// A step as one line for a person.
+fn line(node: &NodeName, fault: &Fault, turn: &Turn) -> String {
+    let severity = match fault.severity {
+        Severity::Warning => "warning",
+        Severity::Error => "error",
+        Severity::Critical => "critical error",
+    };
+    let (kind, place) = (&fault.kind, &fault.place);
+    let told = match turn {
+        Turn::GaveUp { reason } => format!("{kind} of {place} is given up: {reason}"),
+        _ => format!("{kind} of {place}: {}", fault.detail),
+    };
+    let line = format!("blastema: {severity} on node {node}: {told}");
+    // Texts come from other nodes, too, and a terminal would obey their control characters.
+    line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_core::{FaultId, FaultKind, Incarnation, Instant};
+
+    fn fault(kind: FaultKind, symptom_of: Option<u64>) -> Fault {
+        Fault {
+            id: FaultId(7),
+            severity: kind.severity(),
+            kind,
+            place: Place::Object("module1:arm".parse().unwrap()),
+            incarnation: Incarnation(2),
+            detail: "boom\nat arm.rs:7".to_owned(),
+            found_at: Instant::ORIGIN,
+            symptom_of: symptom_of.map(FaultId),
+            count: 1,
+        }
+    }
+
+    #[test]
+    fn what_a_user_must_act_on_is_a_warning_or_an_error_and_nothing_else_is() {
+        let gave_up = || Turn::GaveUp { reason: "no".to_owned() };
+        let decided = || Turn::Decided { measure: "restart".to_owned() };
+        let check = |kind, symptom_of, turn, level, printed| {
+            let shown = shown(&fault(kind, symptom_of), &turn);
+            assert_eq!(shown, Shown { level, printed }, "{turn:?}");
+        };
+        check(FaultKind::Panic, None, Turn::Found, Level::ERROR, true);
+        check(FaultKind::NodeLost, None, Turn::Found, Level::ERROR, true);
+        check(FaultKind::Overload, None, Turn::Found, Level::WARN, true);
+        check(FaultKind::Overload, None, Turn::Repeated, Level::WARN, false);
+        check(FaultKind::Panic, None, gave_up(), Level::ERROR, true);
+        check(FaultKind::Panic, Some(1), gave_up(), Level::ERROR, true);
+        check(FaultKind::Panic, Some(1), Turn::Found, Level::INFO, false);
+        check(FaultKind::Panic, Some(1), Turn::Repeated, Level::INFO, false);
+        for turn in [decided(), Turn::Explained, Turn::Recovered, Turn::Cleared] {
+            check(FaultKind::Panic, None, turn, Level::INFO, false);
+        }
+    }
+
+    #[test]
+    fn a_printed_fault_is_one_line_with_the_node_the_object_and_the_particulars() {
+        let node = NodeName::new("module1").unwrap();
+        let line = line(&node, &fault(FaultKind::Panic, None), &Turn::Found);
+        assert_eq!(line, "blastema: error on node module1: panic of module1:arm: boom at arm.rs:7");
+    }
+}

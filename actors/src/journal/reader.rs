@@ -1,0 +1,226 @@
+//! What stands in a journal.
+
+use super::lock;
+use super::store::{APPLICATION, ENDED_WITH_PROCESS, VERSION, version_of};
+use super::wall_time::WallTime;
+use rusqlite::{Connection, OpenFlags, Row};
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// How long a lock of the writer is waited for.
+const BUSY: Duration = Duration::from_secs(2);
+
+/// Why a journal cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadError {
+    /// Nothing is there.
+    #[error(
+        "there is no journal {}: give the path that NodeBuilder::journal was given",
+        path.display()
+    )]
+    Missing {
+        /// The path.
+        path: PathBuf,
+    },
+    /// A file is there, and it is no journal that this program knows.
+    #[error("{} is no journal: {reason}", path.display())]
+    NoJournal {
+        /// The path.
+        path: PathBuf,
+        /// What is there instead.
+        reason: String,
+    },
+    /// The file cannot be read.
+    #[error("the journal {} cannot be read: {reason}", path.display())]
+    Unreadable {
+        /// The path.
+        path: PathBuf,
+        /// What the database said.
+        reason: String,
+    },
+}
+
+/// One fault of a journal, and what became of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct JournalEntry {
+    /// The order in which faults were found, over all runs. Numbers may be left out.
+    pub sequence: u64,
+    /// The node that found it.
+    pub node: String,
+    /// Which incarnation of the node that was.
+    pub node_incarnation: u64,
+    /// Its number in the record of that incarnation.
+    pub id: u64,
+    /// The code of its kind.
+    pub code: String,
+    /// Its kind.
+    pub kind: String,
+    /// How bad it is: `warning`, `error` or `critical`.
+    pub severity: String,
+    /// Where it is.
+    pub place: String,
+    /// Which incarnation of the place it struck last.
+    pub incarnation: u64,
+    /// The particulars.
+    pub detail: String,
+    /// How often it was seen while it stood.
+    pub count: u64,
+    /// The number of its root in the same run.
+    pub symptom_of: Option<u64>,
+    /// The recovery action that was chosen last.
+    pub measure: Option<String>,
+    /// Why the recoverer ceased to try.
+    pub given_up: Option<String>,
+    /// When it was found.
+    pub found_at: WallTime,
+    /// When service was restored, and how long after it was found.
+    pub recovered: Option<(WallTime, Duration)>,
+    /// When its cause was away, and how long after it was found.
+    pub repaired: Option<(WallTime, Duration)>,
+    /// How it is.
+    pub status: JournalStatus,
+}
+
+/// How a fault of a journal is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[non_exhaustive]
+pub enum JournalStatus {
+    /// It stands, and service is not restored.
+    Open,
+    /// It stands, and the recoverer has ceased to try.
+    GivenUp,
+    /// Service is restored; the part is not repaired.
+    Recovered,
+    /// Its cause is away.
+    Closed,
+    /// It stood when the node was shut down.
+    EndedInOrder,
+    /// It stood when the node's process died.
+    EndedWithProcess,
+}
+
+impl JournalStatus {
+    /// Whether the fault stands now.
+    pub fn stands(self) -> bool {
+        matches!(self, JournalStatus::Open | JournalStatus::GivenUp | JournalStatus::Recovered)
+    }
+}
+
+impl fmt::Display for JournalStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            JournalStatus::Open => "open",
+            JournalStatus::GivenUp => "given up",
+            JournalStatus::Recovered => "recovered",
+            JournalStatus::Closed => "closed",
+            JournalStatus::EndedInOrder => "ended with the node",
+            JournalStatus::EndedWithProcess => "ended with the process",
+        })
+    }
+}
+
+/// Reads all faults of the journal at `path`, in the order in which they were found. The node that
+/// writes it may go on meanwhile.
+///
+/// # Errors
+/// There is no journal, or it cannot be read.
+///
+/// # Examples
+/// ```no_run
+/// for entry in blastema::journal::read("/var/lib/robot/faults.db".as_ref())? {
+///     println!("{} {} {}: {}", entry.found_at, entry.place, entry.kind, entry.status);
+/// }
+/// # Ok::<(), blastema::journal::ReadError>(())
+/// ```
+pub fn read(path: &Path) -> Result<Vec<JournalEntry>, ReadError> {
+    if !path.exists() {
+        return Err(ReadError::Missing { path: path.to_owned() });
+    }
+    // Before the faults are read: a node that ends in between has marked its run by then.
+    let written = lock::is_held(path);
+    let unreadable = |error: rusqlite::Error| match error.sqlite_error_code() {
+        Some(rusqlite::ErrorCode::NotADatabase) => {
+            ReadError::NoJournal { path: path.to_owned(), reason: "it is no database".to_owned() }
+        }
+        _ => ReadError::Unreadable { path: path.to_owned(), reason: error.to_string() },
+    };
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let connection = Connection::open_with_flags(path, flags).map_err(unreadable)?;
+    connection.busy_timeout(BUSY).map_err(unreadable)?;
+    check(&connection, path).map_err(unreadable)??;
+    entries(&connection, written).map_err(unreadable)
+}
+
+fn check(connection: &Connection, path: &Path) -> rusqlite::Result<Result<(), ReadError>> {
+    let no_journal = |reason: String| Err(ReadError::NoJournal { path: path.to_owned(), reason });
+    let application: i32 =
+        connection.pragma_query_value(None, "application_id", |row| row.get(0))?;
+    Ok(match version_of(connection)? {
+        _ if application != APPLICATION => {
+            no_journal("it is a database of another program".to_owned())
+        }
+        VERSION => Ok(()),
+        other => no_journal(format!("it has version {other}, and this program knows {VERSION}")),
+    })
+}
+
+fn entries(connection: &Connection, written: bool) -> rusqlite::Result<Vec<JournalEntry>> {
+    let mut statement = connection.prepare(
+        "SELECT sequence, node, run.incarnation AS node_incarnation, id, code, kind, severity,
+             place, fault.incarnation AS incarnation, detail, count, symptom_of, measure, given_up,
+             found_us, found_ns, recovered_us, recovered_ns, repaired_us, repaired_ns, ended,
+             run.run = (SELECT max(run) FROM run) AS is_last
+         FROM fault JOIN run USING (run) ORDER BY sequence",
+    )?;
+    statement.query_map([], |row| entry(row, written))?.collect()
+}
+
+fn entry(row: &Row<'_>, written: bool) -> rusqlite::Result<JournalEntry> {
+    let found_ns: i64 = row.get("found_ns")?;
+    let moment = |wall: &str, monotonic: &str| -> rusqlite::Result<_> {
+        let (wall, monotonic): (Option<i64>, Option<i64>) = (row.get(wall)?, row.get(monotonic)?);
+        let span = |at: i64| Duration::from_nanos(unsigned(at.saturating_sub(found_ns)));
+        Ok(wall.zip(monotonic).map(|(wall, at)| (WallTime::from_micros(wall), span(at))))
+    };
+    let recovered = moment("recovered_us", "recovered_ns")?;
+    let repaired = moment("repaired_us", "repaired_ns")?;
+    let given_up: Option<String> = row.get("given_up")?;
+    let (ended, is_last): (Option<String>, bool) = (row.get("ended")?, row.get("is_last")?);
+    let status = match ended.as_deref() {
+        _ if repaired.is_some() => JournalStatus::Closed,
+        Some(ended) if ended != ENDED_WITH_PROCESS => JournalStatus::EndedInOrder,
+        None if written && is_last => match (&recovered, &given_up) {
+            (Some(_), _) => JournalStatus::Recovered,
+            (None, Some(_)) => JournalStatus::GivenUp,
+            (None, None) => JournalStatus::Open,
+        },
+        _ => JournalStatus::EndedWithProcess,
+    };
+    Ok(JournalEntry {
+        sequence: unsigned(row.get("sequence")?),
+        node: row.get("node")?,
+        node_incarnation: unsigned(row.get("node_incarnation")?),
+        id: unsigned(row.get("id")?),
+        code: row.get("code")?,
+        kind: row.get("kind")?,
+        severity: row.get("severity")?,
+        place: row.get("place")?,
+        incarnation: unsigned(row.get("incarnation")?),
+        detail: row.get("detail")?,
+        count: unsigned(row.get("count")?),
+        symptom_of: row.get::<_, Option<i64>>("symptom_of")?.map(unsigned),
+        measure: row.get("measure")?,
+        given_up,
+        found_at: WallTime::from_micros(row.get("found_us")?),
+        recovered,
+        repaired,
+        status,
+    })
+}
+
+fn unsigned(value: i64) -> u64 {
+    u64::try_from(value).unwrap_or_default()
+}

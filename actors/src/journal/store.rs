@@ -1,0 +1,302 @@
+//! The journal's database: its tables, and what is written into them.
+
+use super::WallTime;
+use blastema_core::{Fault, Incarnation, Instant, NodeName, Severity};
+use rusqlite::{Connection, ErrorCode, OpenFlags, Statement, Transaction, params};
+use std::path::Path;
+use std::time::Duration;
+
+/// So many faults are kept in a journal: those of months, in about five megabytes.
+pub const FAULTS_MAX: u32 = 10_000;
+/// Longer particulars are cut, in bytes: a panic's text may hold a whole message.
+const DETAIL_MAX: usize = 2048;
+/// The file never takes more, whatever happens: twice what `FAULTS_MAX` of the longest particulars
+/// take.
+const PAGES_MAX: u32 = 16_384;
+/// How long a reader's lock is waited for. In WAL mode readers lock only while a log is being
+/// recovered.
+const BUSY: Duration = Duration::from_secs(2);
+
+/// "BlFJ": what the file is, in its header.
+pub(super) const APPLICATION: i32 = 0x426c_464a;
+/// Of the tables below.
+pub(super) const VERSION: i32 = 1;
+
+const SCHEMA: &str = "
+    CREATE TABLE run (
+        run INTEGER PRIMARY KEY AUTOINCREMENT,
+        node TEXT NOT NULL,
+        incarnation INTEGER NOT NULL,
+        started_us INTEGER NOT NULL,
+        ended TEXT,
+        UNIQUE (node, incarnation)
+    );
+    CREATE TABLE fault (
+        sequence INTEGER PRIMARY KEY AUTOINCREMENT,
+        run INTEGER NOT NULL REFERENCES run,
+        id INTEGER NOT NULL,
+        code TEXT NOT NULL,
+        kind TEXT NOT NULL,
+        severity TEXT NOT NULL,
+        place TEXT NOT NULL,
+        incarnation INTEGER NOT NULL,
+        detail TEXT NOT NULL,
+        count INTEGER NOT NULL,
+        symptom_of INTEGER,
+        found_us INTEGER NOT NULL,
+        found_ns INTEGER NOT NULL,
+        measure TEXT,
+        recovered_us INTEGER,
+        recovered_ns INTEGER,
+        repaired_us INTEGER,
+        repaired_ns INTEGER,
+        given_up TEXT,
+        UNIQUE (run, id)
+    );";
+
+/// Writes a line for a fault, or what is new into the line that it has.
+const PUT: &str =
+    "INSERT INTO fault (run, id, code, kind, severity, place, incarnation, detail, count,
+     symptom_of, found_us, found_ns, measure, recovered_us, recovered_ns, repaired_us,
+     repaired_ns, given_up)
+ VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18)
+ ON CONFLICT (run, id) DO UPDATE SET
+     place = excluded.place,
+     incarnation = excluded.incarnation,
+     detail = excluded.detail,
+     count = excluded.count,
+     symptom_of = excluded.symptom_of,
+     measure = coalesce(excluded.measure, measure),
+     recovered_us = coalesce(recovered_us, excluded.recovered_us),
+     recovered_ns = coalesce(recovered_ns, excluded.recovered_ns),
+     repaired_us = coalesce(repaired_us, excluded.repaired_us),
+     repaired_ns = coalesce(repaired_ns, excluded.repaired_ns),
+     given_up = CASE WHEN excluded.recovered_us IS NULL
+         THEN coalesce(excluded.given_up, given_up) END";
+
+/// The run ended in order.
+pub(super) const ENDED_IN_ORDER: &str = "in order";
+/// The process of the run ended without a word.
+pub(super) const ENDED_WITH_PROCESS: &str = "with the process";
+
+/// Why a journal cannot be written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum StoreError {
+    /// Its bytes are not what was written.
+    Damaged(String),
+    /// The disk, the file's permissions, or what stands there instead.
+    Unwritable(String),
+}
+
+impl From<rusqlite::Error> for StoreError {
+    fn from(error: rusqlite::Error) -> Self {
+        match error.sqlite_error_code() {
+            Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => {
+                StoreError::Damaged(error.to_string())
+            }
+            _ => StoreError::Unwritable(error.to_string()),
+        }
+    }
+}
+
+/// A moment on both clocks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Moment {
+    pub(super) monotonic: Instant,
+    pub(super) wall: WallTime,
+}
+
+/// What is to be written of one fault. What is `None` leaves what was written before.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Line {
+    pub(super) fault: Fault,
+    pub(super) found: Moment,
+    pub(super) measure: Option<String>,
+    pub(super) recovered: Option<Moment>,
+    pub(super) repaired: Option<Moment>,
+    pub(super) given_up: Option<String>,
+}
+
+/// Who writes.
+#[derive(Clone, Debug)]
+pub(super) struct Author {
+    pub(super) node: NodeName,
+    pub(super) incarnation: Incarnation,
+    pub(super) started: WallTime,
+}
+
+/// How much a journal may hold.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct StoreLimits {
+    pub(super) faults: u32,
+    pub(super) pages: u32,
+}
+
+impl Default for StoreLimits {
+    fn default() -> Self {
+        StoreLimits { faults: FAULTS_MAX, pages: PAGES_MAX }
+    }
+}
+
+/// An open journal, in one run of a node.
+#[derive(Debug)]
+pub(super) struct Store {
+    connection: Connection,
+    run: i64,
+    limits: StoreLimits,
+}
+
+impl Store {
+    /// Opens the journal, or makes it, and goes on with the run of `author`. All other runs are
+    /// over.
+    pub(super) fn open(
+        path: &Path,
+        author: &Author,
+        limits: StoreLimits,
+    ) -> Result<Self, StoreError> {
+        let mut connection = Connection::open_with_flags(
+            path,
+            OpenFlags::SQLITE_OPEN_READ_WRITE
+                | OpenFlags::SQLITE_OPEN_CREATE
+                | OpenFlags::SQLITE_OPEN_NO_MUTEX,
+        )?;
+        connection.busy_timeout(BUSY)?;
+        check(&connection)?;
+        // The answer is the mode that the file system bears.
+        let _: String = connection.query_row("PRAGMA journal_mode = WAL", [], |row| row.get(0))?;
+        connection.pragma_update(None, "synchronous", "FULL")?;
+        connection
+            .query_row(&format!("PRAGMA max_page_count = {}", limits.pages), [], |_| Ok(()))?;
+        let transaction = connection.transaction()?;
+        if version_of(&transaction)? == 0 {
+            transaction.execute_batch(SCHEMA)?;
+            transaction.pragma_update(None, "application_id", APPLICATION)?;
+            transaction.pragma_update(None, "user_version", VERSION)?;
+        }
+        let (node, incarnation) = (author.node.as_str(), number(author.incarnation.0));
+        transaction.execute(
+            "INSERT INTO run (node, incarnation, started_us) VALUES (?1, ?2, ?3)
+             ON CONFLICT (node, incarnation) DO NOTHING",
+            params![node, incarnation, author.started.as_micros()],
+        )?;
+        let run = transaction.query_row(
+            "SELECT run FROM run WHERE node = ?1 AND incarnation = ?2",
+            params![node, incarnation],
+            |row| row.get(0),
+        )?;
+        transaction.execute(
+            "UPDATE run SET ended = ?1 WHERE ended IS NULL AND run <> ?2",
+            params![ENDED_WITH_PROCESS, run],
+        )?;
+        transaction.commit()?;
+        Ok(Store { connection, run, limits })
+    }
+
+    /// Writes these lines, all or none.
+    pub(super) fn write(&mut self, lines: &[Line]) -> Result<(), StoreError> {
+        let transaction = self.connection.transaction()?;
+        let mut statement = transaction.prepare(PUT)?;
+        lines.iter().try_for_each(|line| put(&mut statement, self.run, line))?;
+        drop(statement);
+        trim(&transaction, self.run, self.limits.faults)?;
+        transaction.commit()?;
+        Ok(())
+    }
+
+    /// The run ends in order.
+    pub(super) fn end(self) -> Result<(), StoreError> {
+        let ended = "UPDATE run SET ended = ?1 WHERE run = ?2";
+        self.connection.execute(ended, params![ENDED_IN_ORDER, self.run])?;
+        self.connection.close().map_err(|(_, error)| error.into())
+    }
+}
+
+/// Whether it is a journal, or a new file, and whole.
+fn check(connection: &Connection) -> Result<(), StoreError> {
+    let application: i32 =
+        connection.pragma_query_value(None, "application_id", |row| row.get(0))?;
+    let tables: i64 =
+        connection.query_row("SELECT count(*) FROM sqlite_master", [], |row| row.get(0))?;
+    if application != APPLICATION && (application != 0 || tables != 0) {
+        let what = "it is a database of another program: give the journal another path";
+        return Err(StoreError::Unwritable(what.to_owned()));
+    }
+    let version = version_of(connection)?;
+    if version > VERSION {
+        let what = format!("it has version {version}, and this program knows {VERSION}: update it");
+        return Err(StoreError::Unwritable(what));
+    }
+    let found: String = connection.query_row("PRAGMA quick_check(1)", [], |row| row.get(0))?;
+    if found != "ok" {
+        return Err(StoreError::Damaged(found));
+    }
+    Ok(())
+}
+
+pub(super) fn version_of(connection: &Connection) -> rusqlite::Result<i32> {
+    connection.pragma_query_value(None, "user_version", |row| row.get(0))
+}
+
+fn put(statement: &mut Statement<'_>, run: i64, line: &Line) -> rusqlite::Result<()> {
+    let fault = &line.fault;
+    let wall = |moment: Option<Moment>| moment.map(|moment| moment.wall.as_micros());
+    let monotonic = |moment: Option<Moment>| moment.map(|m| number(m.monotonic.as_nanos()));
+    statement.execute(params![
+        run,
+        number(fault.id.0),
+        fault.kind.code(),
+        fault.kind.text(),
+        severity_name(fault.severity),
+        fault.place.to_string(),
+        number(fault.incarnation.0),
+        shortened(&fault.detail),
+        fault.count,
+        fault.symptom_of.map(|root| number(root.0)),
+        line.found.wall.as_micros(),
+        number(line.found.monotonic.as_nanos()),
+        line.measure,
+        wall(line.recovered),
+        monotonic(line.recovered),
+        wall(line.repaired),
+        monotonic(line.repaired),
+        line.given_up.as_deref().map(shortened),
+    ])?;
+    Ok(())
+}
+
+/// Removes what is beyond the limit: of the faults that are over the oldest first, then of all.
+fn trim(transaction: &Transaction<'_>, run: i64, limit: u32) -> rusqlite::Result<()> {
+    let count: i64 = transaction.query_row("SELECT count(*) FROM fault", [], |row| row.get(0))?;
+    if count <= i64::from(limit) {
+        return Ok(());
+    }
+    transaction.execute(
+        "DELETE FROM fault WHERE sequence IN (
+             SELECT sequence FROM fault
+             ORDER BY run = ?1 AND repaired_us IS NULL, sequence LIMIT ?2)",
+        params![run, count - i64::from(limit)],
+    )?;
+    transaction.execute(
+        "DELETE FROM run WHERE run <> ?1 AND run NOT IN (SELECT run FROM fault)",
+        params![run],
+    )?;
+    Ok(())
+}
+
+fn severity_name(severity: Severity) -> &'static str {
+    match severity {
+        Severity::Warning => "warning",
+        Severity::Error => "error",
+        Severity::Critical => "critical",
+    }
+}
+
+/// SQLite's integers are signed.
+fn number(value: u64) -> i64 {
+    i64::try_from(value).unwrap_or(i64::MAX)
+}
+
+fn shortened(text: &str) -> &str {
+    let end = (0..=DETAIL_MAX.min(text.len())).rev().find(|&at| text.is_char_boundary(at));
+    &text[..end.unwrap_or_default()]
+}

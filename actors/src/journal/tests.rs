@@ -1,0 +1,212 @@
+//! Databases in a temporary folder, written by runs of invented nodes.
+
+use super::lock::{JournalLock, LockError};
+use super::store::{Author, Line, Moment, Store, StoreError, StoreLimits};
+use super::writer::set_aside;
+use super::{JournalEntry, JournalStatus, ReadError, WallTime, read};
+use blastema_core::{Fault, FaultId, FaultKind, Incarnation, Instant, NodeName, Place};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// A folder with a path in it; the folder goes with the test.
+fn journal() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("faults");
+    (folder, path)
+}
+
+fn node(name: &str) -> NodeName {
+    NodeName::new(name).unwrap()
+}
+
+fn author(name: &str, incarnation: u64) -> Author {
+    let started = WallTime::from_micros(1_000_000);
+    Author { node: node(name), incarnation: Incarnation(incarnation), started }
+}
+
+fn open(path: &Path, incarnation: u64) -> Store {
+    Store::open(path, &author("a", incarnation), StoreLimits::default()).unwrap()
+}
+
+fn moment(millis: u64, wall: i64) -> Moment {
+    Moment { monotonic: Instant::from_millis(millis), wall: WallTime::from_micros(wall) }
+}
+
+fn line(id: u64, found: Moment) -> Line {
+    let fault = Fault {
+        id: FaultId(id),
+        severity: FaultKind::LinkDown.severity(),
+        kind: FaultKind::LinkDown,
+        place: Place::Link { node: node("a"), link: "eth".into(), neighbour: None },
+        incarnation: Incarnation(0),
+        detail: "no hello".to_owned(),
+        found_at: found.monotonic,
+        symptom_of: None,
+        count: 1,
+    };
+    Line { fault, found, measure: None, recovered: None, repaired: None, given_up: None }
+}
+
+fn statuses(path: &Path) -> Vec<(u64, JournalStatus)> {
+    read(path).unwrap().into_iter().map(|entry| (entry.id, entry.status)).collect()
+}
+
+#[test]
+fn a_fault_is_read_as_it_was_written_step_by_step() {
+    let (_folder, path) = journal();
+    let lock = JournalLock::acquire(&path, &node("a")).unwrap();
+    let mut store = open(&path, 7);
+    let found = moment(100, 5_000_000);
+    store.write(&[line(1, found)]).unwrap();
+    assert_eq!(statuses(&path), [(1, JournalStatus::Open)]);
+
+    let given_up = Line { given_up: Some("no path".to_owned()), ..line(1, found) };
+    store.write(&[Line { measure: Some("re-route".to_owned()), ..line(1, found) }]).unwrap();
+    store.write(&[given_up]).unwrap();
+    assert_eq!(statuses(&path), [(1, JournalStatus::GivenUp)]);
+    let recovered = Line { recovered: Some(moment(130, 5_030_000)), ..line(1, found) };
+    store.write(&[recovered]).unwrap();
+    assert_eq!(statuses(&path), [(1, JournalStatus::Recovered)]);
+    store.write(&[Line { repaired: Some(moment(900, 5_800_000)), ..line(1, found) }]).unwrap();
+
+    let entries = read(&path).unwrap();
+    let [entry] = entries.as_slice() else { panic!("one fault, and not {entries:?}") };
+    let JournalEntry { node, code, place, measure, given_up, recovered, repaired, .. } = entry;
+    assert_eq!((node.as_str(), code.as_str(), place.as_str()), ("a", "B11", "a -eth-"));
+    assert_eq!((measure.as_deref(), given_up.as_deref()), (Some("re-route"), None));
+    let span = Duration::from_millis;
+    assert_eq!(*recovered, Some((WallTime::from_micros(5_030_000), span(30))));
+    assert_eq!(*repaired, Some((WallTime::from_micros(5_800_000), span(800))));
+    assert_eq!(entry.status, JournalStatus::Closed);
+    drop(lock);
+}
+
+#[test]
+fn open_faults_of_a_run_that_is_over_are_not_open() {
+    let (_folder, path) = journal();
+    let lock = JournalLock::acquire(&path, &node("a")).unwrap();
+    let mut first = open(&path, 1);
+    first.write(&[line(1, moment(1, 1)), line(2, moment(2, 2))]).unwrap();
+    let repaired = Some(moment(3, 3));
+    first.write(&[Line { repaired, ..line(2, moment(2, 2)) }]).unwrap();
+    drop((first, lock));
+
+    let with_process = (1, JournalStatus::EndedWithProcess);
+    assert_eq!(statuses(&path), [with_process, (2, JournalStatus::Closed)], "its lock is free");
+    let _lock = JournalLock::acquire(&path, &node("a")).unwrap();
+    let mut second = open(&path, 2);
+    second.write(&[line(1, moment(4, 4))]).unwrap();
+    let open_again = (1, JournalStatus::Open);
+    assert_eq!(statuses(&path), [with_process, (2, JournalStatus::Closed), open_again]);
+    second.end().unwrap();
+    assert_eq!(statuses(&path).last(), Some(&(1, JournalStatus::EndedInOrder)));
+}
+
+#[test]
+fn a_wall_clock_that_is_set_back_changes_no_order_and_no_span() {
+    let (_folder, path) = journal();
+    let mut store = open(&path, 1);
+    store.write(&[line(1, moment(1_000, 9_000_000))]).unwrap();
+    let recovered = Some(moment(1_500, 2_500_000));
+    store.write(&[Line { recovered, ..line(1, moment(1_000, 2_000_000)) }]).unwrap();
+    store.write(&[line(2, moment(2_000, 3_000_000))]).unwrap();
+
+    let entries = read(&path).unwrap();
+    let found: Vec<_> = entries.iter().map(|entry| (entry.id, entry.found_at)).collect();
+    let [before, after] = [9_000_000, 3_000_000].map(WallTime::from_micros);
+    assert_eq!(found, [(1, before), (2, after)], "the first time that was written stays");
+    assert_eq!(entries[0].recovered.map(|(_, span)| span), Some(Duration::from_millis(500)));
+}
+
+#[test]
+fn the_oldest_faults_that_are_over_make_room() {
+    let (_folder, path) = journal();
+    let limits = StoreLimits { faults: 3, ..StoreLimits::default() };
+    let mut store = Store::open(&path, &author("a", 1), limits).unwrap();
+    let repaired = Some(moment(9, 9));
+    store.write(&[line(1, moment(1, 1)), line(2, moment(2, 2))]).unwrap();
+    store.write(&[Line { repaired, ..line(2, moment(2, 2)) }]).unwrap();
+
+    store.write(&[line(3, moment(3, 3)), line(4, moment(4, 4))]).unwrap();
+    let ids = |path: &Path| read(path).unwrap().iter().map(|entry| entry.id).collect::<Vec<_>>();
+    assert_eq!(ids(&path), [1, 3, 4]);
+    store.write(&[line(5, moment(5, 5))]).unwrap();
+    assert_eq!(ids(&path), [3, 4, 5], "where none is over, the oldest");
+}
+
+#[test]
+fn a_file_that_is_full_keeps_what_it_has_and_says_so() {
+    let (_folder, path) = journal();
+    let limits = StoreLimits { pages: 12, ..StoreLimits::default() };
+    let mut store = Store::open(&path, &author("a", 1), limits).unwrap();
+    let mut long = line(1, moment(1, 1));
+    long.fault.detail = "x".repeat(5_000);
+    let mut written = 0;
+    let error = loop {
+        (long.fault.id, written) = (FaultId(written + 1), written + 1);
+        match store.write(std::slice::from_ref(&long)) {
+            Ok(()) => assert!(written < 1_000, "it is bounded"),
+            Err(error) => break error,
+        }
+    };
+    assert!(matches!(&error, StoreError::Unwritable(text) if text.contains("full")), "{error:?}");
+    assert_eq!(read(&path).unwrap().len() as u64, written - 1);
+    assert!(read(&path).unwrap().iter().all(|entry| entry.detail.len() == 2048));
+}
+
+#[test]
+fn a_damaged_file_is_known_as_such_and_can_be_set_aside() {
+    let (_folder, path) = journal();
+    drop(open(&path, 1));
+    let whole = fs::read(&path).unwrap();
+    let mut spoilt = whole.clone();
+    spoilt[100..].fill(0x5a);
+    for bytes in [b"no database at all, but a text of some length".to_vec(), spoilt] {
+        fs::write(&path, &bytes).unwrap();
+        let error = Store::open(&path, &author("a", 2), StoreLimits::default()).unwrap_err();
+        assert!(matches!(error, StoreError::Damaged(_)), "{error:?}");
+
+        let aside = set_aside(&path).unwrap();
+        assert_eq!(fs::read(&aside).unwrap(), bytes);
+        drop(open(&path, 2));
+    }
+}
+
+#[test]
+fn a_database_of_another_program_or_a_newer_one_is_left_alone() {
+    let (_folder, path) = journal();
+    let foreign = rusqlite::Connection::open(&path).unwrap();
+    foreign.execute_batch("CREATE TABLE song (name TEXT)").unwrap();
+    let refused = |path: &Path| {
+        let error = Store::open(path, &author("a", 1), StoreLimits::default()).unwrap_err();
+        let StoreError::Unwritable(reason) = error else { panic!("{error:?}") };
+        reason
+    };
+    assert!(refused(&path).contains("another program"));
+    assert!(matches!(read(&path), Err(ReadError::NoJournal { .. })));
+    drop(foreign);
+    fs::remove_file(&path).unwrap();
+
+    drop(open(&path, 1));
+    let newer = rusqlite::Connection::open(&path).unwrap();
+    newer.pragma_update(None, "user_version", 2).unwrap();
+    assert!(refused(&path).contains("version 2"));
+    assert!(matches!(read(&path), Err(ReadError::NoJournal { .. })));
+    fs::write(&path, "no database at all, but a text of some length").unwrap();
+    assert!(matches!(read(&path), Err(ReadError::NoJournal { .. })));
+    assert!(matches!(read(&path.join("x")), Err(ReadError::Missing { .. })));
+}
+
+#[test]
+fn two_nodes_do_not_write_one_journal_and_the_second_learns_who_does() {
+    let (_folder, path) = journal();
+    let lock = JournalLock::acquire(&path, &node("a")).unwrap();
+
+    let Err(LockError::InUse { by }) = JournalLock::acquire(&path, &node("b")) else {
+        panic!("it is in use")
+    };
+    assert_eq!(by, format!("node a, process {}", std::process::id()));
+    drop(lock);
+    assert!(JournalLock::acquire(&path, &node("b")).is_ok());
+}

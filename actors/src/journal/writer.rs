@@ -1,0 +1,385 @@
+//! The journal's thread, and the actor that gives it work.
+
+use super::WallTime;
+use super::lock::{JournalLock, beside};
+use super::store::{Author, Line, Moment, Store, StoreError, StoreLimits};
+use crate::guardian::answers_the_monitor;
+use crate::host::environment::Reports;
+use crate::platform;
+use actix::prelude::*;
+use blastema_contract::detector::{FaultEvent, ReadRecord};
+use blastema_core::detection::{Entry, Turn};
+use blastema_core::{Incarnation, Instant, NodeName};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
+use std::time::Duration;
+use std::{fs, io};
+
+/// The object under whose name faults of the journal stand.
+pub(crate) const JOURNAL: &str = "chain/journal";
+/// Steps that may wait for the disk: a storm of a few seconds at the notifier's own limit.
+const QUEUE: usize = 1024;
+/// Steps in one transaction: each costs one sync of the disk, however many steps it holds.
+const BATCH: usize = 256;
+/// From a failed write, or a full queue, to the next attempt. A disk does not become empty sooner.
+const RETRY: Duration = Duration::from_secs(5);
+/// How long the end of a node waits for the last steps: a slow disk must not hold a robot's
+/// shutdown.
+const LAST_STEPS: Duration = Duration::from_secs(2);
+/// So many damaged files are kept; the last one is replaced by the next.
+const SET_ASIDE_MAX: u32 = 8;
+
+/// What the journal's actor is made of.
+pub(crate) struct JournalSetup {
+    pub(crate) path: PathBuf,
+    pub(crate) lock: JournalLock,
+    pub(crate) node: NodeName,
+    pub(crate) incarnation: Incarnation,
+    pub(crate) record: Recipient<ReadRecord>,
+    pub(crate) reports: Reports,
+}
+
+/// Work for the thread.
+enum Work {
+    /// One step of a fault.
+    Step(Box<Line>),
+    /// All that the node remembers.
+    Record(Vec<Line>),
+    /// The node ends in order.
+    End,
+}
+
+/// What the thread has done.
+#[derive(Debug, Message)]
+#[rtype(result = "()")]
+enum Wrote {
+    /// All work so far is on the disk.
+    Done {
+        /// With the node's whole record.
+        whole: bool,
+    },
+    /// It is not.
+    Failed(String),
+    /// A damaged file was replaced by a new one.
+    SetAside(String),
+}
+
+/// Hands every step of every fault to the journal's thread.
+pub(crate) struct JournalActor {
+    path: PathBuf,
+    queue: SyncSender<Work>,
+    record: Recipient<ReadRecord>,
+    reports: Reports,
+    /// Steps are missing in the journal: the whole record is to be written.
+    behind: bool,
+    /// The last write failed, and that was told.
+    failed: bool,
+    /// A retry is due.
+    waits: bool,
+    /// The thread, until it is started.
+    thread: Option<Writer>,
+}
+
+/// Ends the thread when dropped, once it has written what it was given.
+pub(crate) struct JournalGuard {
+    queue: SyncSender<Work>,
+    ends: Arc<AtomicBool>,
+    ended: Receiver<()>,
+}
+
+impl Drop for JournalGuard {
+    fn drop(&mut self) {
+        self.ends.store(true, Relaxed);
+        // In a full queue is enough work for the thread to see the flag.
+        let _ = self.queue.try_send(Work::End);
+        let _ = self.ended.recv_timeout(LAST_STEPS);
+    }
+}
+
+/// What the thread owns.
+struct Writer {
+    path: PathBuf,
+    author: Author,
+    limits: StoreLimits,
+    work: Receiver<Work>,
+    ends: Arc<AtomicBool>,
+    /// Dropped at the end, which the guard waits for.
+    ended: SyncSender<()>,
+    /// Given back at the end.
+    lock: JournalLock,
+}
+
+impl JournalActor {
+    /// The actor, and what ends its thread.
+    pub(crate) fn new(setup: JournalSetup) -> (Self, JournalGuard) {
+        let JournalSetup { path, lock, node, incarnation, record, reports } = setup;
+        let (queue, work) = sync_channel(QUEUE);
+        let (ended, awaited) = sync_channel(1);
+        let ends = Arc::new(AtomicBool::new(false));
+        let guard = JournalGuard { queue: queue.clone(), ends: ends.clone(), ended: awaited };
+        let author = Author { node, incarnation, started: platform::wall_clock() };
+        let limits = StoreLimits::default();
+        let thread = Writer { path: path.clone(), author, limits, work, ends, ended, lock };
+        let actor = JournalActor {
+            path,
+            queue,
+            record,
+            reports,
+            behind: false,
+            failed: false,
+            waits: false,
+            thread: Some(thread),
+        };
+        (actor, guard)
+    }
+
+    fn hand_over(&mut self, work: Work, context: &mut Context<Self>) {
+        match self.queue.try_send(work) {
+            // After the node's end nothing is written any more.
+            Ok(()) | Err(TrySendError::Disconnected(_)) => {}
+            Err(TrySendError::Full(_)) => self.fall_behind(context),
+        }
+    }
+
+    /// The whole record is written later, in place of single steps.
+    fn fall_behind(&mut self, context: &mut Context<Self>) {
+        self.behind = true;
+        if !std::mem::replace(&mut self.waits, true) {
+            context.run_later(RETRY, |actor, context| actor.catch_up(context));
+        }
+    }
+
+    fn catch_up(&mut self, context: &mut Context<Self>) {
+        self.waits = false;
+        let record = actix::fut::wrap_future::<_, Self>(self.record.send(ReadRecord));
+        context.spawn(record.map(|record, actor, context| {
+            let Ok(record) = record else { return };
+            // Steps that come from here on are newer than the record, and follow it in the queue.
+            actor.behind = false;
+            let now = Now::read();
+            let lines = record.entries.into_iter().map(|entry| now.line_of_entry(entry));
+            actor.hand_over(Work::Record(lines.collect()), context);
+        }));
+    }
+
+    fn fail(&mut self, reason: &str, context: &mut Context<Self>) {
+        self.fall_behind(context);
+        if !std::mem::replace(&mut self.failed, true) {
+            let path = self.path.display();
+            let detail =
+                format!("the journal {path} cannot be written, and goes on without: {reason}");
+            self.reports.declare(JOURNAL, detail);
+        }
+    }
+}
+
+impl Actor for JournalActor {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        let Some(thread) = self.thread.take() else { return };
+        let told = context.address().recipient();
+        if let Err(error) = platform::start_thread("journal", move || thread.run(&told)) {
+            self.fail(&format!("its thread cannot be started: {error}"), context);
+        }
+    }
+}
+
+impl Supervised for JournalActor {
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        self.waits = false;
+        self.fall_behind(context);
+    }
+}
+
+answers_the_monitor!(JournalActor);
+
+impl Handler<FaultEvent> for JournalActor {
+    type Result = ();
+
+    fn handle(&mut self, event: FaultEvent, context: &mut Context<Self>) {
+        if !self.behind {
+            let line = Now::read().line_of_event(event);
+            self.hand_over(Work::Step(Box::new(line)), context);
+        }
+    }
+}
+
+impl Handler<Wrote> for JournalActor {
+    type Result = ();
+
+    fn handle(&mut self, message: Wrote, context: &mut Context<Self>) {
+        match message {
+            Wrote::Done { whole } => {
+                if whole && std::mem::replace(&mut self.failed, false) {
+                    self.reports.mend(JOURNAL);
+                }
+            }
+            Wrote::Failed(reason) => self.fail(&reason, context),
+            Wrote::SetAside(detail) => {
+                self.reports.declare(JOURNAL, detail);
+                self.fall_behind(context);
+            }
+        }
+    }
+}
+
+/// Both clocks, read together.
+struct Now {
+    monotonic: Instant,
+    wall: WallTime,
+}
+
+impl Now {
+    fn read() -> Self {
+        Now { monotonic: platform::now(), wall: platform::wall_clock() }
+    }
+
+    /// An instant of the monotonic clock, with the wall clock's time by its present setting.
+    fn moment(&self, at: Instant) -> Moment {
+        Moment { monotonic: at, wall: self.wall.before(self.monotonic - at) }
+    }
+
+    fn line_of_event(&self, event: FaultEvent) -> Line {
+        let FaultEvent { fault, at, turn } = event;
+        let at = self.moment(at);
+        let over = fault.is_repaired_by_recovery();
+        let mut line = self.blank(fault);
+        match turn {
+            Turn::Decided { measure } => line.measure = Some(measure),
+            Turn::Recovered => {
+                line.recovered = Some(at);
+                line.repaired = over.then_some(at);
+            }
+            Turn::Cleared => line.repaired = Some(at),
+            Turn::GaveUp { reason } => line.given_up = Some(reason),
+            _ => {}
+        }
+        line
+    }
+
+    fn line_of_entry(&self, entry: Entry) -> Line {
+        let Entry { fault, decided, recovered_at, repaired_at, given_up } = entry;
+        Line {
+            measure: decided.map(|(_, measure)| measure),
+            recovered: recovered_at.map(|at| self.moment(at)),
+            repaired: repaired_at.map(|at| self.moment(at)),
+            given_up: given_up.map(|(_, reason)| reason),
+            ..self.blank(fault)
+        }
+    }
+
+    fn blank(&self, fault: blastema_core::Fault) -> Line {
+        let found = self.moment(fault.found_at);
+        Line { fault, found, measure: None, recovered: None, repaired: None, given_up: None }
+    }
+}
+
+impl Writer {
+    fn run(self, told: &Recipient<Wrote>) {
+        let mut store = None;
+        // Opened at once, so that an earlier run is marked as ended before this one's first fault.
+        let mut result = self.write(&mut store, &[], told);
+        let mut whole = false;
+        loop {
+            told.do_send(match result {
+                Ok(()) => Wrote::Done { whole },
+                Err(reason) => Wrote::Failed(reason),
+            });
+            let Ok(first) = self.work.recv() else { break };
+            whole = false;
+            let mut lines = Vec::new();
+            let mut over = self.gather(first, &mut lines, &mut whole);
+            while lines.len() < BATCH && !over {
+                match self.work.try_recv() {
+                    Ok(next) => over = self.gather(next, &mut lines, &mut whole),
+                    Err(TryRecvError::Empty | TryRecvError::Disconnected) => {
+                        over = self.ends.load(Relaxed);
+                        break;
+                    }
+                }
+            }
+            result = self.write(&mut store, &lines, told);
+            if over {
+                break;
+            }
+        }
+        if let Some(store) = store {
+            // What cannot be written now shows as the end of the process.
+            let _ = store.end();
+        }
+        drop((self.lock, self.ended));
+    }
+
+    /// Takes a piece of work apart. Answers whether it was the last.
+    fn gather(&self, work: Work, lines: &mut Vec<Line>, whole: &mut bool) -> bool {
+        match work {
+            Work::Step(line) => lines.push(*line),
+            Work::Record(record) => {
+                *whole = true;
+                lines.extend(record);
+            }
+            Work::End => return true,
+        }
+        false
+    }
+
+    fn write(
+        &self,
+        store: &mut Option<Store>,
+        lines: &[Line],
+        told: &Recipient<Wrote>,
+    ) -> Result<(), String> {
+        let written = self.open(store).and_then(|store| store.write(lines));
+        match written {
+            Ok(()) => Ok(()),
+            Err(StoreError::Unwritable(reason)) => Err(reason),
+            Err(StoreError::Damaged(reason)) => {
+                *store = None;
+                let aside = set_aside(&self.path).map_err(|error| {
+                    format!("it is damaged ({reason}), and cannot be set aside: {error}")
+                })?;
+                let (path, aside) = (self.path.display(), aside.display());
+                let detail = format!(
+                    "the journal {path} was damaged ({reason}): it is set aside as {aside}, and \
+                     begins again"
+                );
+                told.do_send(Wrote::SetAside(detail));
+                let fresh = self.open(store).and_then(|store| store.write(lines));
+                fresh.map_err(|error| match error {
+                    StoreError::Damaged(reason) | StoreError::Unwritable(reason) => reason,
+                })
+            }
+        }
+    }
+
+    fn open<'a>(&self, store: &'a mut Option<Store>) -> Result<&'a mut Store, StoreError> {
+        let open = match store.take() {
+            Some(open) => open,
+            None => Store::open(&self.path, &self.author, self.limits)?,
+        };
+        Ok(store.insert(open))
+    }
+}
+
+/// Renames a damaged database and its log, for a person to look at.
+pub(super) fn set_aside(path: &Path) -> io::Result<PathBuf> {
+    let numbered = |number: u32| beside(path, &format!("damaged-{number}"));
+    let free = (1..SET_ASIDE_MAX).find(|&number| !numbered(number).exists());
+    let aside = numbered(free.unwrap_or(SET_ASIDE_MAX));
+    fs::rename(path, &aside)?;
+    for ending in ["-wal", "-shm"] {
+        let name = |path: &Path| {
+            let mut name = path.as_os_str().to_owned();
+            name.push(ending);
+            PathBuf::from(name)
+        };
+        match fs::rename(name(path), name(&aside)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+    }
+    Ok(aside)
+}

@@ -1,0 +1,83 @@
+//! The last signs of life of links and of the nodes at their other ends.
+
+use blastema_contract::link::LinkRow;
+use blastema_core::Place;
+use blastema_core::detection::Row;
+
+/// Completes the rows of links and nodes by when the last hello came. A node without a link to here
+/// gives none.
+pub(super) fn show_in(rows: &mut [Row], links: &[LinkRow]) {
+    for row in rows {
+        match &row.place {
+            Place::Link { link, .. } => {
+                if let Some(seen) = links.iter().find(|seen| seen.link == *link) {
+                    row.last_sign = seen.last_sign;
+                }
+            }
+            Place::Node(node) => {
+                let there = |link: &&LinkRow| {
+                    link.neighbour.as_ref().is_some_and(|neighbour| neighbour.node == *node)
+                };
+                let signs = links.iter().filter(there).filter_map(|link| link.last_sign);
+                row.last_sign = signs.min();
+            }
+            Place::Object(_) => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_core::detection::ObjectKind;
+    use blastema_core::net::{LinkState, Neighbour, Quality, Refusals};
+    use blastema_core::{Incarnation, NodeName};
+    use std::time::Duration;
+
+    fn node(name: &str) -> NodeName {
+        NodeName::new(name).unwrap()
+    }
+
+    fn link(name: &str, neighbour: &str, last_sign: Option<u64>) -> LinkRow {
+        LinkRow {
+            network: "net".into(),
+            link: name.into(),
+            state: LinkState::Up,
+            neighbour: Some(Neighbour { node: node(neighbour), incarnation: Incarnation(1) }),
+            last_sign: last_sign.map(Duration::from_millis),
+            quality: Quality {
+                round_trip: None,
+                jitter: Duration::ZERO,
+                loss_permille: 0,
+                degraded: false,
+                cost_percent: 100,
+            },
+            hello_interval: Duration::from_millis(100),
+            phi: 0.0,
+            cost: 1,
+            refusals: Refusals::default(),
+        }
+    }
+
+    #[test]
+    fn a_link_shows_its_last_hello_and_a_node_the_last_of_all_its_links() {
+        let stale = |place, kind| {
+            let mut row = Row::blank(place, kind);
+            row.last_sign = Some(Duration::from_secs(300));
+            row
+        };
+        let of_link = |name: &str| {
+            let (node, link) = (node("a"), name.into());
+            stale(Place::Link { node, link, neighbour: None }, ObjectKind::Link)
+        };
+        let of_node = |name: &str| stale(Place::Node(node(name)), ObjectKind::Node);
+        let mut rows =
+            [of_link("eth"), of_link("can"), of_node("b"), of_node("behind-b"), of_link("gone")];
+        let links = [link("eth", "b", Some(70)), link("can", "b", Some(20))];
+
+        show_in(&mut rows, &links);
+
+        let signs = rows.map(|row| row.last_sign.map(|sign| sign.as_millis()));
+        assert_eq!(signs, [Some(70), Some(20), Some(20), None, Some(300_000)]);
+    }
+}
