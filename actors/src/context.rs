@@ -67,8 +67,8 @@ impl<C: Component> Context<C> {
     /// `module2:arm/left` on another node.
     ///
     /// # Errors
-    /// [`Why::Unknown`] if there is no such object or it takes no such contract,
-    /// [`Why::ContractDiffers`] if it knows another contract by this name.
+    /// [`Why::Misspelt`] or [`Why::Unknown`] if there is no such object, [`Why::NotServed`] if it does not
+    /// serve the contract, [`Why::ContractDiffers`] if it knows another contract by this name.
     pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
         self.anchor.record.environment.registry.sender(name)
     }
@@ -77,7 +77,8 @@ impl<C: Component> Context<C> {
     /// another node.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no object here has the name, or it owns no variables.
+    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where it
+    /// owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
         variable::find(&self.anchor.record.environment.registry, object)
     }
@@ -95,7 +96,8 @@ impl<C: Component> Context<C> {
     /// this life: it ends with the life, and when the component hangs.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no object here has the name, or it is no actuator.
+    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where it
+    /// is no actuator.
     pub fn commander<M: Contract>(&mut self, actuator: &str) -> Result<Commander<M>, Why> {
         let environment = &self.anchor.record.environment;
         let own = environment.registry.full_name(self.name());

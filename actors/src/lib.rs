@@ -88,6 +88,7 @@ mod context;
 mod death_watch;
 mod desk;
 mod drive;
+mod errors;
 mod guardian;
 mod host;
 mod lane;
@@ -139,7 +140,7 @@ pub use death_watch::{Down, Ending};
 pub use host::office::DeadLetterOffice;
 pub use lease::{ActuatorRow, ActuatorSpec, Commander};
 pub use reference::ActorRef;
-pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
+pub use sender::{DEFAULT_DEADLINE, Receiver, Repeatable, RequestError, SendError, Sender};
 pub use service::{
     OnPartition, Role, ServiceRef, ServiceRow, ServiceSpec, ServiceState, StandbyKind, Stateful,
 };
@@ -197,6 +198,12 @@ pub mod prelude {
         NodeState, Outcome, Ports, Publisher, Request, Sender, StartError, Structure,
         SupervisorSpec, Variable, VariableRef, VariableSpec, WhenFull, Why, sleep,
     };
+}
+
+/// What [`main`](macro@main) writes; not for use by hand.
+#[doc(hidden)]
+pub mod program {
+    pub use crate::errors::{Fatal, ReportBoxed};
 }
 
 /// Runs a future on this thread until it is done, with everything that nodes need around it.

@@ -66,7 +66,8 @@ fn hello_outlives_the_death_of_its_laser() {
     check(
         "hello",
         &[
-            "the request failed: the receiver died in its life #1 while it served this message",
+            "`laser/nearest` to module1:laser failed: the receiver died in its life #1 while it served \
+             this message",
             "0.8 m",
         ],
     );
@@ -133,7 +134,8 @@ fn death_watch_tells_the_tool_changer_of_the_arm() {
         "death_watch",
         &[
             "may release: true",
-            "the request failed: the receiver died in its life #1 while it served this message",
+            "`arm/move` to module1:arm failed: the receiver died in its life #1 while it served this \
+             message",
             "may release: false",
         ],
     );
@@ -148,7 +150,8 @@ fn flood_loses_only_what_its_queue_says() {
         &[
             "newest: reading 1000 was the last",
             "newest: some gave way: true",
-            "careful: a reading came back: the receiver's queue is full",
+            "careful: a reading came back: `sensor/reading` to module1:careful was not sent: its \
+             queue of 8 is full",
             "careful: it was taken when there was room",
             "newest: removed with 0 waiting",
         ],

@@ -18,7 +18,7 @@ use crate::letter::{Mail, pack, posting_time};
 use crate::panics::Guarded;
 use crate::platform;
 use crate::reply::{Answer, Reply, Revocable};
-use crate::sender::{Inlet, RequestError, SendError};
+use crate::sender::{Inlet, Receiver, RequestError, SendError};
 use crate::topic::Subscriptions;
 use actix::Addr;
 use blastema_contract::child::StandingOrder;
@@ -345,6 +345,15 @@ impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
         Box::pin(self.lane.room())
     }
 
+    fn receiver(&self) -> Option<Receiver> {
+        Some(Receiver {
+            node: self.record.environment.registry.node(),
+            object: self.record.name.clone(),
+            contract: M::NAME,
+            queue: Some(self.lane.capacity()),
+        })
+    }
+
     #[inline]
     fn ask(
         &self,
@@ -356,7 +365,7 @@ impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
         let (answer, reply) = Answer::awaited();
         match self.post(message, answer, id) {
             Ok(()) => Ok(reply),
-            Err(SendError { why, message }) => Err(RequestError { why, message: Some(message) }),
+            Err(error) => Err(error.into()),
         }
     }
 }
@@ -373,7 +382,7 @@ impl<C: Component> Anchor<C> {
         C: Handle<M>,
     {
         match self.offer_at(message, posted_at) {
-            Err(SendError { why: why @ (Why::Full | Why::Restarting), message })
+            Err(SendError { why: why @ (Why::Full | Why::Restarting), message, .. })
                 if self.lane.policy() == WhenFull::DropNewest =>
             {
                 self.record.bury(M::NAME, &why);
@@ -394,7 +403,7 @@ impl<C: Component> Anchor<C> {
         C: Handle<M>,
     {
         if let Err(why) = self.admit(None) {
-            return Err(SendError { why, message });
+            return Err(SendError::new(why, message));
         }
         match self.lane.push_with(message, |m| pack::<C, M>(m, None, None, posted_at)) {
             Ok(None) => Ok(()),
@@ -402,7 +411,7 @@ impl<C: Component> Anchor<C> {
                 self.return_mail(oldest, Why::Full);
                 Ok(())
             }
-            Err((message, why)) => Err(SendError { why, message }),
+            Err((message, why)) => Err(SendError::new(why, message)),
         }
     }
 
@@ -438,7 +447,7 @@ impl<C: Component> Anchor<C> {
                 if let Some(answer) = answer {
                     answer.refuse(why.clone(), None);
                 }
-                Err(SendError { why, message })
+                Err(SendError::new(why, message))
             }
         }
     }

@@ -46,6 +46,9 @@ use std::time::Duration;
 
 /// Puts a node together, and starts it.
 pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
+    if actix_rt::System::try_current().is_none() {
+        return Err(StartError::Runtime);
+    }
     panics::install_hook();
     let mut assembly = Assembly::begin(&mut builder)?;
     assembly.keep_variables(builder.kept_in)?;

@@ -85,6 +85,12 @@ pub enum StartError {
     /// Nobody can look at the node where it was to be shown.
     #[error("the node cannot be shown: {0}")]
     Shown(String),
+    /// The node was started outside of Blastema's runtime, as by `#[tokio::main]`.
+    #[error(
+        "a node starts only in Blastema's runtime: write `#[blastema::main]` in place of \
+         `#[tokio::main]`, or run the program by `blastema::run(async {{ .. }})`"
+    )]
+    Runtime,
     /// The operating system has no thread left.
     #[error("a thread could not be started: {0}")]
     Thread(#[from] io::Error),

@@ -165,8 +165,8 @@ impl Node {
     /// [claimed](crate::manual::names) by whichever node, such as `*:map`.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no object here has the name, or it does not take the contract;
-    /// [`Why::ContractDiffers`] shows field by field what differs. Whether an object of another node
+    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where
+    /// it does not serve the contract; [`Why::ContractDiffers`] shows field by field what differs. Whether an object of another node
     /// takes it is found out when the first message is sent.
     pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
         self.0.environment.registry.sender(name)
@@ -176,7 +176,8 @@ impl Node {
     /// another node has it is found out when it is used.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no object here has the name, or it owns no variables.
+    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where it
+    /// owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
         variable::find(&self.0.environment.registry, object)
     }
@@ -254,7 +255,8 @@ impl Node {
     /// renewed on this thread; a component commands by [`Context::commander`](crate::Context::commander).
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no object here has the name, or it is no actuator.
+    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where it
+    /// is no actuator.
     pub fn commander<M: Contract>(&self, actuator: &str, own: &str) -> Result<Commander<M>, Why> {
         let who = (format!("{}:{own}", self.0.name), self.0.incarnation);
         let (commander, renewing) = lease::commander(&self.0.environment.registry, actuator, who)?;
@@ -265,9 +267,10 @@ impl Node {
     /// A reference to a component here whose type is known.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no component of this type has the name.
+    /// [`Why::Unknown`] where no component of this type has the name, [`Why::Misspelt`] where one has a
+    /// similar name.
     pub fn actor<C: Component>(&self, name: &str) -> Result<ActorRef<C>, Why> {
-        let unknown = || Why::Unknown { name: name.to_owned() };
+        let unknown = || self.0.environment.registry.misspelt(name);
         let name = ObjectName::new(name).map_err(|_| unknown())?;
         let actors = self.0.actors.lock().unwrap_or_else(PoisonError::into_inner);
         actors.get(&name).and_then(|actor| actor.downcast_ref()).cloned().ok_or_else(unknown)
@@ -423,9 +426,9 @@ impl Node {
     /// Stops a component that stands directly under the root supervisor, and forgets it.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where the root keeps no such component.
+    /// [`Why::Unknown`] or [`Why::Misspelt`] where the root keeps no such component.
     pub async fn remove_child(&self, name: &str) -> Result<(), Why> {
-        let unknown = || Why::Unknown { name: name.to_owned() };
+        let unknown = || self.0.environment.registry.misspelt(name);
         let object = ObjectName::new(name).map_err(|_| unknown())?;
         let removed = self.0.root.removals.send(RemoveChild { object: object.clone() }).await;
         if !matches!(removed, Ok(Ok(_))) {

@@ -381,7 +381,7 @@ impl<E: Event> Publisher<E> {
     #[inline]
     pub fn publish(&self, event: E) -> Result<(), SendError<E>> {
         match pulse::forbidden() {
-            Some(why) => Err(SendError { why, message: event }),
+            Some(why) => Err(SendError::new(why, event)),
             None => {
                 self.topic.publish(event);
                 Ok(())
