@@ -8,6 +8,7 @@ use crate::host::life::{Life, Rhythm, TimerId};
 use crate::host::pulse;
 use crate::host::stamp::Stamp;
 use crate::lease::{self, Commander};
+use crate::platform;
 use crate::reference::ActorRef;
 use crate::sender::{Detached, Sender};
 use crate::service::ServiceRef;
@@ -15,8 +16,8 @@ use crate::topic::Publisher;
 use crate::variable::{self, VariableRef};
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::{
-    Contract, Event, FaultKind, Incarnation, Lifecycle, NameError, ObjectName, Request, Variable,
-    Why,
+    Contract, Event, FaultKind, Incarnation, Instant, Lifecycle, NameError, ObjectName, Request,
+    Variable, Why,
 };
 use std::any::{Any, TypeId};
 use std::cell::RefCell;
@@ -114,19 +115,47 @@ impl<C: Component> Context<C> {
         Sender(Arc::new(detached))
     }
 
+    /// The time now, on the clock that all stamps of this computer share.
+    pub fn now(&self) -> Instant {
+        platform::now()
+    }
+
+    /// When the data in the message that is served, or was served last, was captured: as its publisher
+    /// said by [`publish_captured_at`](Self::publish_captured_at), else when the message was sent, to
+    /// the precision of 10 ms unless its contract has a `max_age`. `None` before the first message.
+    ///
+    /// Judge [freshness](crate::Freshness) and [rates](crate::Rate) by it, so that neither the way nor
+    /// the queue of a message counts as a change of what it tells.
+    pub fn captured_at(&self) -> Option<Instant> {
+        self.life.captured_at.get()
+    }
+
     /// Publishes an event on the topic that has its contract's name. Never waits. While the component
     /// is fenced off or isolated, nothing gets out.
     #[track_caller]
     pub fn publish<E: Event>(&self, event: E) {
+        self.publish_stamped(event, None);
+    }
+
+    /// Publishes an event whose data was captured at `captured_at`, such as the exposure of an image:
+    /// `max_age` counts from there, and listeners read it by [`captured_at`](Self::captured_at). A time
+    /// that is still to come counts as now.
+    #[track_caller]
+    pub fn publish_captured_at<E: Event>(&self, event: E, captured_at: Instant) {
+        self.publish_stamped(event, Some(captured_at));
+    }
+
+    #[track_caller]
+    fn publish_stamped<E: Event>(&self, event: E, captured_at: Option<Instant>) {
         let mut publishers = self.publishers.borrow_mut();
         let known = publishers.iter().find(|(of, _)| *of == TypeId::of::<E>());
         if let Some(publisher) = known.and_then(|(_, any)| any.downcast_ref::<Publisher<E>>()) {
-            let _ = publisher.publish(event);
+            let _ = publisher.publish_stamped(event, captured_at);
             return;
         }
         match self.publisher::<E>(E::NAME) {
             Ok(publisher) => {
-                let _ = publisher.publish(event);
+                let _ = publisher.publish_stamped(event, captured_at);
                 publishers.push((TypeId::of::<E>(), Rc::new(publisher)));
             }
             Err(why) => self.declare_fault(FaultKind::ContractMismatch, why.to_string()),
@@ -140,7 +169,7 @@ impl<C: Component> Context<C> {
     /// both, where each was said, and what differs.
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
-        self.anchor.record.environment.topics.publisher(topic)
+        self.anchor.record.environment.topics.publisher_of(topic, self.name().as_str())
     }
 
     /// Starts a task of this component's own, which runs beside its handlers.

@@ -144,7 +144,7 @@ pub use sender::{DEFAULT_DEADLINE, Receiver, Repeatable, RequestError, SendError
 pub use service::{
     OnPartition, Role, ServiceRef, ServiceRow, ServiceSpec, ServiceState, StandbyKind, Stateful,
 };
-pub use topic::Publisher;
+pub use topic::{Publisher, TopicRow};
 pub use variable::{
     Decision, Reading, RestorePolicy, Transaction, ValueState, VariableRef, VariableSpec,
     VariableWatch,

@@ -37,7 +37,7 @@ fn the_wrong_part_of_an_endpoint_is_underlined_in_what_main_prints() {
 
 #[test]
 fn a_node_started_outside_of_the_runtime_is_told_what_to_write() {
-    let plain = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    let plain = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
 
     let refused = plain.block_on(async { Node::builder("n").start().await });
 

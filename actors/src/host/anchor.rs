@@ -14,7 +14,7 @@ use super::watch::Glimpsed;
 use crate::component::{Component, Handle};
 use crate::death_watch::Mourners;
 use crate::lane::{Lane, WhenFull};
-use crate::letter::{Mail, pack, posting_time};
+use crate::letter::{Mail, Times, pack, posting_time};
 use crate::panics::Guarded;
 use crate::platform;
 use crate::reply::{Answer, Reply, Revocable};
@@ -304,14 +304,14 @@ impl<C: Component> Anchor<C> {
     }
 
     /// An event for a component that is busy, or has just been.
-    pub(crate) fn queue_event<M: Contract>(&self, event: M, posted_at: blastema_core::Instant)
+    pub(crate) fn queue_event<M: Contract>(&self, event: M, times: impl Into<Times>)
     where
         C: Handle<M>,
     {
         let refused = match self.record.refusal(None) {
             Some(why) => why,
             None => {
-                let push = self.lane.push_with(event, |m| pack::<C, M>(m, None, None, posted_at));
+                let push = self.lane.push_with(event, |m| pack::<C, M>(m, None, None, times));
                 match push {
                     Ok(None) => return,
                     Ok(Some(oldest)) => return self.return_mail(oldest, Why::Full),

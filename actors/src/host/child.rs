@@ -165,14 +165,14 @@ impl<C: Component> Anchor<C> {
     /// Nobody starts the component again for now: its queue and its subscriptions end.
     pub(crate) fn end(&self) {
         self.close(&Why::Stopped);
-        self.subscriptions().iter().for_each(|subscription| subscription.end());
+        self.subscriptions().iter().for_each(|subscription| subscription.end(self));
     }
 
     /// The same, by the life that ends in order.
     pub(crate) fn end_by(&self, incarnation: Incarnation) {
         if self.lane.owner() == Some(incarnation) {
             self.close_by(incarnation);
-            self.subscriptions().iter().for_each(|subscription| subscription.end());
+            self.subscriptions().iter().for_each(|subscription| subscription.end(self));
         }
     }
 }

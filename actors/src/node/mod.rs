@@ -43,7 +43,7 @@ use crate::lease::{self, ActuatorRow, Commander};
 use crate::reference::ActorRef;
 use crate::sender::Sender;
 use crate::service::{Role, ServiceRef, ServiceRow};
-use crate::topic::Publisher;
+use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
 use actix::Recipient;
 use assembly::{Chain, Networks};
@@ -251,6 +251,11 @@ impl Node {
         self.0.environment.actuators.rows()
     }
 
+    /// The topics that objects of this node have named: who publishes, who listens, and how much.
+    pub fn topics(&self) -> Vec<TopicRow> {
+        self.0.environment.topics.rows()
+    }
+
     /// Commands the actuator of this name, here or on another node, under the name `own`. The lease is
     /// renewed on this thread; a component commands by [`Context::commander`](crate::Context::commander).
     ///
@@ -283,7 +288,7 @@ impl Node {
     /// and what differs.
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
-        self.0.environment.topics.publisher(topic)
+        self.0.environment.topics.publisher_of(topic, self.0.name.as_str())
     }
 
     /// Everything that is watched, each row with its age and incarnation. It can be read at any time,

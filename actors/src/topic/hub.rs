@@ -6,10 +6,10 @@ use crate::host::anchor::Anchor;
 use crate::host::pulse::Pulse;
 use crate::host::pump::{self, Pump};
 use crate::lane::{Lane, Taken, WhenFull};
-use crate::letter;
+use crate::letter::{self, Times};
 use crate::panics::Guarded;
 use crate::platform;
-use blastema_core::{Event, Incarnation, Instant, Why};
+use blastema_core::{Event, Incarnation, Why};
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
@@ -42,6 +42,8 @@ pub(crate) struct HubLane<E> {
     reached: AtomicU64,
     /// Which event that ear is looking at, or serves.
     next: AtomicUsize,
+    /// The number of the last event of a latched topic that was put there.
+    pub(super) newest: AtomicU64,
     /// How often an ear has gone from here, so that the hub need not ask each whether it is still here.
     gone: AtomicU64,
 }
@@ -49,7 +51,7 @@ pub(crate) struct HubLane<E> {
 #[derive(Clone)]
 struct Posted<E> {
     event: E,
-    at: Instant,
+    at: Times,
 }
 
 impl<E> HubLane<E> {
@@ -66,7 +68,7 @@ impl<E> HubLane<E> {
 
     /// Says whether nothing was lost.
     #[inline]
-    pub(super) fn push(&self, event: E, at: Instant) -> bool {
+    pub(super) fn push(&self, event: E, at: Times) -> bool {
         matches!(self.lane.push_with(event, |event| Posted { event, at }), Ok(None))
     }
 }
@@ -105,6 +107,7 @@ impl<E: Event> Topic<E> {
             serving: Mutex::default(),
             reached: AtomicU64::new(0),
             next: AtomicUsize::new(0),
+            newest: AtomicU64::new(0),
             gone: AtomicU64::new(0),
         });
         let hub = Rc::new(Hub {
@@ -171,7 +174,7 @@ impl<E: Event> Hub<E> {
         if let Some(limit) = E::MAX_AGE {
             let now = platform::now();
             events.retain(|posted| {
-                let valid = now - posted.at <= limit;
+                let valid = now - posted.at.captured_at() <= limit;
                 if !valid {
                     ears.iter().for_each(|ear| ear.listener.bury(&Why::Expired));
                 }
@@ -337,6 +340,8 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
     fn attach(&self, anchor: &Arc<Anchor<C>>) {
         static NEXT: AtomicU64 = AtomicU64::new(1);
         let hub = self.topic.hub_here();
+        // No event passes between what it finds and what it is given.
+        let latch = lock(&self.topic.latch);
         let mut lane = lock(&self.lane);
         if lane.as_ref().is_some_and(|lane| lane.id == hub.shared.id) {
             return;
@@ -352,26 +357,60 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
             slot: Cell::new(None),
             listener: Box::new(Resident { anchor: anchor.clone(), pump: RefCell::default() }),
         });
+        let kept = latch.last.as_ref().filter(|_| lane.is_none());
+        let mut given = None;
+        if let Some(kept) = kept {
+            if !hub.shared.has_listeners() && hub.shared.newest.load(Relaxed) != kept.number {
+                // After what still waits there from the time of an earlier listener.
+                hub.shared.push(kept.event.clone(), kept.at);
+            } else if hub.shared.lane.depth() == 0 {
+                given = Some((kept.event.clone(), kept.at));
+            }
+        }
         hub.shared.listeners.fetch_add(1, Relaxed);
         self.present.store(number, Relaxed);
         match lane.replace(hub.shared.clone()) {
-            None => self.topic.count_listener(true),
+            None => self.topic.count_listener(&anchor.record.name, true),
             Some(old) => {
                 old.leave();
             }
         }
+        drop(latch);
+        // The hub's turn comes after this, on this thread.
+        if let Some((event, at)) = given {
+            self.give(anchor, event, at);
+        }
     }
 
-    fn end(&self) {
+    fn catch_up(&self, anchor: &Arc<Anchor<C>>) {
+        let kept = lock(&self.topic.latch).last.as_ref().map(|kept| (kept.event.clone(), kept.at));
+        if let Some((event, at)) = kept {
+            self.give(anchor, event, at);
+        }
+    }
+
+    fn end(&self, anchor: &Anchor<C>) {
         if let Some(lane) = lock(&self.lane).take() {
             self.present.store(0, Relaxed);
             lane.leave();
-            self.topic.count_listener(false);
+            self.topic.count_listener(&anchor.record.name, false);
         }
     }
 }
 
 impl<E: Event> Listening<E> {
+    /// The last event of a latched topic, if it is wanted.
+    fn give<C: Handle<E>>(&self, anchor: &Arc<Anchor<C>>, event: E, at: Times) {
+        let wanted = || self.only_if.as_ref().is_none_or(|wanted| wanted(&event));
+        let guarded = Guarded::enter();
+        // A condition that panics does not want it: it is called again, under the guard, for the next.
+        let wanted = catch_unwind(AssertUnwindSafe(wanted)).unwrap_or(false);
+        drop(guarded);
+        if wanted {
+            anchor.queue_event(event, at);
+        }
+    }
+
     /// What still waits at the hub that the listener leaves: its arbiter is lost, or the listener
     /// moves and would miss it. `ear` is its number there.
     fn bring_along<C: Handle<E>>(&self, anchor: &Arc<Anchor<C>>, old: &HubLane<E>, ear: u64) {

@@ -28,6 +28,7 @@ mod services;
 mod silence;
 mod strategies;
 mod throwers;
+mod topics;
 mod tree;
 mod two_types;
 mod variables;

@@ -311,7 +311,7 @@ impl<C: Component> Pump<C> {
     #[inline]
     fn open(&mut self, mut mail: Mail<C>, cx: &mut task::Context<'_>) -> Progress {
         let brief = mail.brief();
-        if brief.max_age.is_some_and(|limit| platform::now() - brief.posted_at > limit) {
+        if brief.max_age.is_some_and(|limit| platform::now() - brief.captured_at > limit) {
             self.anchor.return_mail(mail, Why::Expired);
             return Progress::More;
         }
@@ -346,6 +346,7 @@ impl<C: Component> Pump<C> {
     #[inline]
     fn begin_message(&mut self, brief: &Brief, mail: &mut dyn Letter<C>) {
         let Some(home) = &self.home else { return };
+        self.life.captured_at.set(Some(brief.captured_at));
         if let Some(at) = self.nests.iter().position(|nested| nested.contract == brief.contract) {
             let nested = &mut self.nests[at];
             self.slot.stamp.begin(nested.label);
