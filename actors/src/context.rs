@@ -24,6 +24,7 @@ use std::cell::RefCell;
 use std::fmt::Debug;
 use std::future::Future;
 use std::ops::RangeBounds;
+use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
@@ -248,7 +249,20 @@ impl<C: Component> Context<C> {
     /// Gives a sign of life. A successful `on_execute` gives one by itself.
     #[inline]
     pub fn alive(&self) {
-        self.life.stamp.give_sign();
+        if !self.anchor.record.injected.is_silent() {
+            self.life.stamp.give_sign();
+        }
+    }
+
+    /// What a test has each handler and hook await before it begins.
+    #[inline]
+    pub(crate) fn before(&self) -> Option<Pin<Box<dyn Future<Output = ()>>>> {
+        self.anchor.record.injected.before()
+    }
+
+    /// Whether a test has this initialisation fail.
+    pub(crate) fn fails_initialization(&self) -> bool {
+        self.anchor.record.injected.fails_initialization()
     }
 
     /// Announces that what is in service takes up to `span`: until the guard that is returned is

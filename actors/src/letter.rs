@@ -226,6 +226,9 @@ pub(crate) fn pack<C: Handle<M>, M: Contract>(
     let make = |home: Rc<Home<C>>, message: M| async move {
         let mut seat = home.seat.borrow_mut();
         let (component, cx) = seat.both();
+        if let Some(injected) = cx.before() {
+            injected.await;
+        }
         component.handle(message, cx).await
     };
     Box::new(seal(make, message, answer, id, times.into()))
@@ -241,6 +244,9 @@ pub(crate) fn pass<C: Handle<M>, M: Contract>(pump: &mut Pump<C>, message: M, ti
     let make = |home: Rc<Home<C>>, message: M| async move {
         let mut seat = home.seat.borrow_mut();
         let (component, cx) = seat.both();
+        if let Some(injected) = cx.before() {
+            injected.await;
+        }
         component.handle(message, cx).await
     };
     pump.serve_at_once(&mut seal(make, message, None, None, times));

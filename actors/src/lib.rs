@@ -123,6 +123,7 @@ pub use serde;
 // Components.
 pub use component::{Component, Failure, Handle};
 pub use context::{Context, LongOperation};
+pub use host::injection::Injection;
 pub use host::life::TimerId;
 pub use host::spec::{ChildSpec, SpecError};
 pub use host::threads::{ThreadKind, ThreadRow, ThreadState};
@@ -200,10 +201,11 @@ pub mod prelude {
     };
 }
 
-/// What [`main`](macro@main) writes; not for use by hand.
+/// What [`main`](macro@main) writes and `blastema-testkit` needs; not for use by hand.
 #[doc(hidden)]
 pub mod program {
     pub use crate::errors::{Fatal, ReportBoxed};
+    pub use crate::host::watch::Running;
 }
 
 /// Runs a future on this thread until it is done, with everything that nodes need around it.

@@ -159,6 +159,7 @@ impl<C: Component> Handler<AreYouAlive> for Inquiries<C> {
         Box::pin(async move {
             loop {
                 if let Some(host) = anchor.control()
+                    && !anchor.record.injected.is_silent()
                     && let Ok(alive) = host.send(question).await
                 {
                     return alive;

@@ -8,6 +8,7 @@ use crate::component::Handle;
 use crate::death_watch::{Down, Ending, Mortal, Mourner};
 use crate::desk::Desk;
 use crate::host::anchor::Anchor;
+use crate::host::injection::Injection;
 use crate::letter::arrived_posting_time;
 use crate::reply::{Answer, Reply};
 use crate::sender::{Inlet, Receiver, RequestError, SendError, Sender};
@@ -544,6 +545,17 @@ impl Registry {
         let inner = self.lock();
         let identities = |entry: &Entry| entry.ports.values().map(|p| p.identity.clone()).collect();
         inner.objects.iter().map(|(name, entry)| (name.clone(), identities(entry))).collect()
+    }
+
+    /// Puts a fault into the object of this name.
+    pub(crate) fn inject(&self, name: &str, injection: Injection) -> Result<(), Why> {
+        let inner = self.lock();
+        let object = ObjectName::new(name).ok();
+        let entry = object.and_then(|object| inner.objects.get(&object));
+        let mortal = entry.ok_or_else(|| inner.misspelt(name))?.mortal.clone();
+        drop(inner);
+        mortal.inject(injection);
+        Ok(())
     }
 
     /// Tells `mourner` whenever a life of this object ends, and at once if it does not live.

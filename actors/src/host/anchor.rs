@@ -6,6 +6,7 @@
 use super::Host;
 use super::arbiters::Seat;
 use super::environment::HostEnvironment;
+use super::injection::Injected;
 use super::life::LifeToken;
 use super::limits::Limits;
 use super::pulse;
@@ -52,6 +53,7 @@ pub(crate) struct Record {
     pub(crate) limits: Limits,
     pub(crate) environment: HostEnvironment,
     pub(crate) mourners: Mourners,
+    pub(crate) injected: Injected,
     gate: AtomicU8,
     state: Mutex<Standing>,
     /// The life that began last.
@@ -96,6 +98,7 @@ impl Record {
             limits,
             environment,
             mourners: Mourners::default(),
+            injected: Injected::default(),
             gate: AtomicU8::new(0),
             state: Mutex::new(Standing { state: Lifecycle::Created, seat: None }),
             incarnation: AtomicU64::new(0),

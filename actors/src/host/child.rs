@@ -1,5 +1,6 @@
 //! What a supervisor does with a hosted component.
 
+use super::injection::Injection;
 use super::anchor::Anchor;
 use super::arbiters::Seat;
 use super::course::Hook;
@@ -178,6 +179,15 @@ impl<C: Component> Anchor<C> {
 }
 
 impl<C: Component> Mortal for Anchor<C> {
+    fn inject(&self, injection: Injection) {
+        self.record.injected.put_in(injection);
+        if injection == Injection::Panic
+            && let Some(host) = self.control()
+        {
+            host.do_send(Control::Panic);
+        }
+    }
+
     fn watch(&self, mourner: Mourner) {
         let mourner = Arc::new(mourner);
         self.record.mourners.join(mourner.clone());

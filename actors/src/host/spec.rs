@@ -120,7 +120,11 @@ pub struct ChildSpec<C: Component> {
     claims: Vec<(String, ClaimPolicy)>,
     /// Contracts of the middleware's own that it takes beside its ports.
     beside: Vec<OpenPort<C>>,
+    more_ports: Vec<MorePorts<C>>,
 }
+
+/// Declares ports that depend on more than the component's type.
+type MorePorts<C> = Box<dyn FnOnce(&mut Ports<C>) + Send>;
 
 impl<C: Component> fmt::Debug for ChildSpec<C> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -143,6 +147,7 @@ impl<C: Component> ChildSpec<C> {
             depends_on: Vec::new(),
             claims: Vec::new(),
             beside: Vec::new(),
+            more_ports: Vec::new(),
         }
     }
 
@@ -152,6 +157,13 @@ impl<C: Component> ChildSpec<C> {
         C: Stateful,
     {
         self.beside = stateful_ports();
+        self
+    }
+
+    /// Declares more ports than `Component::ports` does: those that depend on what only the program knows, such
+    /// as the topic of one of several cameras, or the default of a variable.
+    pub fn with_ports(mut self, declare: impl FnOnce(&mut Ports<C>) + Send + 'static) -> Self {
+        self.more_ports.push(Box::new(declare));
         self
     }
 
@@ -259,6 +271,7 @@ impl<C: Component> ChildSpec<C> {
         }
         let name = ObjectName::new(&self.name)?;
         let mut ports = Ports::<C>::of();
+        self.more_ports.into_iter().for_each(|declare| declare(&mut ports));
         ports.check(&name)?;
         ports.open_beside(self.beside);
         let wanted = |(claimed, policy): &(String, ClaimPolicy)| {

@@ -36,8 +36,10 @@ use crate::chain::supervisor::SupervisorChild;
 use crate::claim::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
 use crate::component::Component;
 use crate::host::environment::HostEnvironment;
+use crate::host::injection::Injection;
 use crate::host::office::DeadLetterOffice;
 use crate::host::spec::{ChildSpec, SpecError};
+use crate::host::watch::Running;
 use crate::host::threads::{self, ThreadRow};
 use crate::lease::{self, ActuatorRow, Commander};
 use crate::reference::ActorRef;
@@ -376,6 +378,21 @@ impl Node {
         if let Some(networks) = &self.0.networks {
             networks.handle.router().do_send(PanicOnPurpose);
         }
+    }
+
+    /// Puts a fault into the component of this name, which need not know of it: for demonstrations and
+    /// tests, as those of `blastema-testkit`.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] or [`Why::Misspelt`] where no component here has the name.
+    pub fn inject(&self, component: &str, injection: Injection) -> Result<(), Why> {
+        self.0.environment.registry.inject(component, injection)
+    }
+
+    /// Tells from outside, without keeping the node, which component is on a thread.
+    #[doc(hidden)]
+    pub fn running(&self) -> Running {
+        Running(self.0.environment.watch_list.clone())
     }
 
     /// What was not delivered here, with the reasons.

@@ -145,6 +145,7 @@ async fn two_nodes() -> (TestNode, TestNode) {
     let (here, there) = (node("module1", "module2").await, node("module2", "module1").await);
     assert!(here.connected("module2", Duration::from_secs(10)).await);
     assert!(there.connected("module1", Duration::from_secs(10)).await);
+    here.advance(1000 * MS).await;
     (here, there)
 }
 

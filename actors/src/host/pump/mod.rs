@@ -406,7 +406,8 @@ impl<C: Component> Pump<C> {
     }
 
     fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
-        if hook == Hook::Execute && result.is_ok() {
+        let silent = self.anchor.record.injected.is_silent();
+        if hook == Hook::Execute && result.is_ok() && !silent {
             self.slot.stamp.give_sign();
         }
         self.course.handle_done(hook, result);
@@ -569,7 +570,11 @@ impl<C: Component> Pump<C> {
 async fn run_hook<C: Component>(home: Rc<Home<C>>, hook: Hook) -> Result<(), Failure> {
     let mut chair = home.seat.borrow_mut();
     let (component, cx) = chair.both();
+    if let Some(injected) = cx.before() {
+        injected.await;
+    }
     match hook {
+        Hook::Initialize if cx.fails_initialization() => Err("it was told to fail".into()),
         Hook::Initialize => component.on_initialize(cx).await,
         Hook::Startup => component.on_startup(cx).await,
         Hook::Activated => component.on_activated(cx).await,
