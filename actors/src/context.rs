@@ -15,6 +15,7 @@ use crate::service::ServiceRef;
 use crate::topic::Publisher;
 use crate::variable::{self, VariableRef};
 use blastema_contract::reports::FaultDeclared;
+use blastema_core::parameters::Parameters;
 use blastema_core::{
     Contract, Event, FaultKind, Incarnation, Instant, Lifecycle, NameError, ObjectName, Request,
     Variable, Why,
@@ -83,6 +84,14 @@ impl<C: Component> Context<C> {
     /// owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
         variable::find(&self.anchor.record.environment.registry, object)
+    }
+
+    /// The component's own parameters as they are now.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where its `ports` declare no such parameters.
+    pub fn parameters<P: Parameters>(&self) -> Result<P, Why> {
+        self.anchor.parameters()
     }
 
     /// Asks the service of this name, whichever node serves it.

@@ -64,6 +64,7 @@
 //! | run components | [`Node`], [`NodeBuilder`], [`ChildSpec`], [`SupervisorSpec`] |
 //! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`Why`], [`Outcome`] |
 //! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`], [`Transaction`] |
+//! | set a component up | [`Parameters`](derive@Parameters), [`NodeBuilder::parameters_from`] |
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
 //! | find whoever it is | [`Node::claim`], [`ChildSpec::claim`], [`Claim`], [`NameWatch`] |
 //! | outlive a node | [`ServiceSpec`], [`Stateful`], [`ServiceRef`] |
@@ -98,6 +99,7 @@ pub mod manual;
 mod net;
 mod node;
 mod panics;
+mod parameters;
 pub mod plain;
 pub mod platform;
 mod ports;
@@ -117,7 +119,10 @@ compile_error!(
 
 // Messages, and what they are made of.
 pub use blastema_core::{Blob, Contract, Described, Event, Request, Variable};
-pub use blastema_macros::{Event, Request, Structure, Variable};
+pub use blastema_core::parameters::{
+    ParameterError, ParameterField, ParameterType, ParameterValue, Parameters,
+};
+pub use blastema_macros::{Event, Parameters, Request, Structure, Variable};
 pub use serde;
 
 // Components.
@@ -196,7 +201,7 @@ pub mod prelude {
     pub use crate::core::recovery::{Ladder, Measure, Plan, Restart, Strategy};
     pub use crate::{
         ActorRef, ChildSpec, Component, Context, Event, Failure, FaultKind, Handle, Node,
-        NodeState, Outcome, Ports, Publisher, Request, Sender, StartError, Structure,
+        NodeState, Outcome, Parameters, Ports, Publisher, Request, Sender, StartError, Structure,
         SupervisorSpec, Variable, VariableRef, VariableSpec, WhenFull, Why, sleep,
     };
 }

@@ -15,6 +15,7 @@ use blastema_contract::child::Child;
 use blastema_core::dependencies::DependencyError;
 use blastema_core::detection::Watch;
 use blastema_core::net::claims::Wanted;
+use blastema_core::parameters::ParameterError;
 use blastema_core::{NameError, ObjectName, Why};
 use std::collections::BTreeSet;
 use std::fmt;
@@ -50,6 +51,14 @@ pub enum SpecError {
         name: ObjectName,
         /// What is wrong.
         why: Why,
+    },
+    /// Its parameters are given a value that they do not take.
+    #[error("parameters of {name}: {error}")]
+    Parameters {
+        /// The component.
+        name: ObjectName,
+        /// What is wrong.
+        error: ParameterError,
     },
     /// One of its actuators cannot be: its safe command is larger than its contract allows.
     #[error("an actuator of {name} cannot be: {why}")]
@@ -282,7 +291,10 @@ impl<C: Component> ChildSpec<C> {
         let record = Record::new(name.clone(), limits, environment.clone());
         record.set_claims(claims?.into_iter());
         let anchor = Arc::new(Anchor::new(record, self.queue, self.factory));
-        let (variables, actuators) = (ports.take_variables(), ports.take_actuators(&anchor));
+        let variables = ports
+            .take_variables(&anchor)
+            .map_err(|error| SpecError::Parameters { name: name.clone(), error })?;
+        let actuators = ports.take_actuators(&anchor);
         environment.registry.claim(&name, ports.doors(&anchor), anchor.clone())?;
         // From here on the child gives the name back when it is dropped.
         let child = HostedChild::new(anchor.clone());

@@ -8,7 +8,7 @@ pub(super) use self::networks::Networks;
 
 use self::chain::{Parts, make_chain};
 use self::networks::{claims_setup, make_networks};
-use super::builder::{NodeBuilder, Placement, StartError};
+use super::builder::{Configuration, NodeBuilder, Placement, StartError};
 use super::checks::{
     check_names, check_networks, check_service, check_service_order, check_settings, dependencies,
 };
@@ -40,6 +40,7 @@ use blastema_core::{
 };
 use std::any::Any;
 use std::collections::BTreeMap;
+use std::fs;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -52,8 +53,11 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     panics::install_hook();
     let mut assembly = Assembly::begin(&mut builder)?;
     assembly.keep_variables(builder.kept_in)?;
+    assembly.read_parameters(builder.parameters)?;
     assembly.lay_networks(builder.networks)?;
     let planting = assembly.plant(builder.root, &builder.own_kinds, &builder.strategies)?;
+    let unused = assembly.environment.parameters.check();
+    unused.map_err(|reason| StartError::Parameters { file: None, reason })?;
     assembly.carry_services(builder.services)?;
     assembly.keep_leases();
     let window = assembly.make_window(builder.shown_at);
@@ -130,6 +134,21 @@ impl Assembly {
         let kept = self.environment.variables.keep_in(file.clone(), failed);
         kept.map_err(|error| StartError::Variables { file, reason: error.to_string() })?;
         self.enrolments.push(middleware(named(KEPT_VARIABLES), None));
+        Ok(())
+    }
+
+    fn read_parameters(&self, configurations: Vec<Configuration>) -> Result<(), StartError> {
+        for configuration in configurations {
+            let (file, text) = match configuration {
+                Configuration::Text(text) => (None, Ok(text)),
+                Configuration::File(file) => {
+                    let text = fs::read_to_string(&file).map_err(|error| error.to_string());
+                    (Some(file), text)
+                }
+            };
+            let taken = text.and_then(|text| self.environment.parameters.take(&text));
+            taken.map_err(|reason| StartError::Parameters { file, reason })?;
+        }
         Ok(())
     }
 

@@ -82,6 +82,14 @@ pub enum StartError {
         /// What stands in the way.
         reason: String,
     },
+    /// The configuration of parameters cannot be read, or gives them to a component that takes none.
+    #[error("parameters{}: {reason}", of_file(.file.as_ref()))]
+    Parameters {
+        /// The file, where it is one.
+        file: Option<PathBuf>,
+        /// What is wrong, and where.
+        reason: String,
+    },
     /// Nobody can look at the node where it was to be shown.
     #[error("the node cannot be shown: {0}")]
     Shown(String),
@@ -100,6 +108,16 @@ pub enum StartError {
         /// Which component, and what it said.
         reason: String,
     },
+}
+
+fn of_file(file: Option<&PathBuf>) -> String {
+    file.map(|file| format!(" in {}", file.display())).unwrap_or_default()
+}
+
+/// Where the values of parameters stand.
+pub(super) enum Configuration {
+    File(PathBuf),
+    Text(String),
 }
 
 /// Where a node's actors live.
@@ -130,6 +148,7 @@ pub struct NodeBuilder {
     pub(super) listeners: Vec<Listener>,
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
+    pub(super) parameters: Vec<Configuration>,
     pub(super) shown_at: Option<PathBuf>,
     /// A strategy whose name was given to another one before.
     pub(super) strategy_twice: Option<String>,
@@ -168,6 +187,7 @@ impl NodeBuilder {
             listeners: Vec::new(),
             state: watch::channel(NodeState::Starting).0,
             kept_in: None,
+            parameters: Vec::new(),
             shown_at: None,
             strategy_twice: None,
         }
@@ -223,6 +243,20 @@ impl NodeBuilder {
     /// absolute; any other is refused at start.
     pub fn keep_variables(mut self, file: impl Into<PathBuf>) -> Self {
         self.kept_in = Some(file.into());
+        self
+    }
+
+    /// Reads the [parameters](crate::manual::parameters) of components from this file at the start. It is TOML,
+    /// with one table for each component: `[arm]`, `["arm/left"]`. Of several files, the later ones prevail.
+    pub fn parameters_from(mut self, file: impl Into<PathBuf>) -> Self {
+        self.parameters.push(Configuration::File(file.into()));
+        self
+    }
+
+    /// Takes the parameters of components from this text, written as in a
+    /// [file](NodeBuilder::parameters_from).
+    pub fn parameters(mut self, toml: &str) -> Self {
+        self.parameters.push(Configuration::Text(toml.to_owned()));
         self
     }
 

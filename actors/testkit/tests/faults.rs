@@ -39,7 +39,7 @@ impl Handle<Where> for Arm {
 }
 
 async fn node() -> TestNode {
-    let arm = ChildSpec::new("arm", || Arm).rate_hz(10.0).max_wait(SECOND).watch(
+    let arm = ChildSpec::new("arm", || Arm).rate_hz(10.0).max_wait(Duration::from_millis(200)).watch(
         blastema::core::detection::Watch::Push(blastema::core::detection::Push {
             interval: Duration::from_millis(100),
             tolerance: 3,
@@ -106,13 +106,13 @@ async fn a_component_that_is_slowed_answers_later_until_it_is_healed() {
     let node = node().await;
     let arm = node.sender("arm").unwrap();
 
-    node.slow("arm", Duration::from_millis(700));
-    let late = arm.ask_within(Where, Duration::from_millis(600)).await;
+    node.slow("arm", Duration::from_millis(150));
+    let late = arm.ask_within(Where, Duration::from_millis(100)).await;
     assert_eq!(late.unwrap_err().why, Why::DeadlinePassed);
     node.heal("arm");
     node.advance(2 * SECOND).await;
 
-    assert!(arm.ask_within(Where, Duration::from_millis(600)).await.is_ok());
+    assert!(arm.ask_within(Where, Duration::from_millis(100)).await.is_ok());
 }
 
 #[blastema_testkit::test]

@@ -189,7 +189,7 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
     }
 }
 
-fn unknown(meta: &ParseNestedMeta<'_>, key: &str, known: &[&str]) -> Error {
+pub(crate) fn unknown(meta: &ParseNestedMeta<'_>, key: &str, known: &[&str]) -> Error {
     let hint = match nearest(key, known) {
         Some(word) => format!("did you mean `{word}`?"),
         None => format!("the keys here are `{}`", known.join("`, `")),
@@ -197,7 +197,11 @@ fn unknown(meta: &ParseNestedMeta<'_>, key: &str, known: &[&str]) -> Error {
     meta.error(format!("unknown key `{key}`: {hint}"))
 }
 
-fn refuse_repetition(seen: &mut Vec<String>, meta: &ParseNestedMeta<'_>, key: &str) -> Result<()> {
+pub(crate) fn refuse_repetition(
+    seen: &mut Vec<String>,
+    meta: &ParseNestedMeta<'_>,
+    key: &str,
+) -> Result<()> {
     if seen.iter().any(|other| other == key) {
         return Err(meta.error(format!("`{key}` is given twice")));
     }
@@ -257,7 +261,7 @@ pub(crate) fn wrong_name(name: &str) -> Option<String> {
 }
 
 /// Reads a unit or a frame.
-fn parse_text(meta: &ParseNestedMeta<'_>, key: &str) -> Result<LitStr> {
+pub(crate) fn parse_text(meta: &ParseNestedMeta<'_>, key: &str) -> Result<LitStr> {
     let literal: LitStr = meta.value()?.parse()?;
     let text = literal.value();
     let reason = if text.trim().is_empty() || text.trim() != text {

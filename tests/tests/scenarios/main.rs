@@ -19,6 +19,7 @@ mod mourning;
 mod names;
 mod networks;
 mod panics;
+mod parameters;
 mod puppet;
 mod refusals;
 mod rest;
