@@ -40,7 +40,8 @@ async fn pursue<M: Contract>(
     let copied = M::IDEMPOTENT && codec::encode(&message, &mut copy).is_ok();
     let (mut message, mut asked) = (message, 0);
     loop {
-        let RequestError { why, message: back, .. } = match attempt(inlet, message, id, until).await {
+        let RequestError { why, message: back, .. } = match attempt(inlet, message, id, until).await
+        {
             Ok(reply) => return Ok(reply),
             Err(error) => error,
         };

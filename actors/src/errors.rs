@@ -76,7 +76,8 @@ mod tests {
     #[test]
     fn a_text_and_a_boxed_error_are_failures_too() {
         let boxed: Box<dyn Error> = "it is dark".into();
-        for failure in ["it is dark".into(), String::from("it is dark").into(), Failure::from(boxed)]
+        for failure in
+            ["it is dark".into(), String::from("it is dark").into(), Failure::from(boxed)]
         {
             assert_eq!(failure.reason, "it is dark");
         }

@@ -69,7 +69,7 @@
 //! | find whoever it is | [`Node::claim`], [`ChildSpec::claim`], [`Claim`], [`NameWatch`] |
 //! | outlive a node | [`ServiceSpec`], [`Stateful`], [`ServiceRef`] |
 //! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`Row`] |
-//! | recover | [`core::recovery::Plan`], [`RecoveryStrategy`] |
+//! | recover | [`recovery::Plan`], [`RecoveryStrategy`] |
 //! | connect nodes | [`Network`], [`Link`], [`medium::FrameMedium`] |
 //!
 //! The [prelude] has what an application usually needs. Tests are written with the crate
@@ -118,10 +118,10 @@ compile_error!(
 );
 
 // Messages, and what they are made of.
-pub use blastema_core::{Blob, Contract, Described, Event, Request, Variable};
 pub use blastema_core::parameters::{
     ParameterError, ParameterField, ParameterType, ParameterValue, Parameters,
 };
+pub use blastema_core::{Blob, Contract, Described, Event, Request, Variable};
 pub use blastema_macros::{Event, Parameters, Request, Structure, Variable};
 pub use serde;
 
@@ -180,7 +180,7 @@ pub use blastema_contract::detector::FaultEvent;
 pub use blastema_core::detection::{
     CheckFailed, Freshness, Invariant, Opinion, Range, Rate, Record, Row, Turn,
 };
-pub use blastema_core::{Fault, FaultKind, Instant, Lifecycle, Place, Severity};
+pub use blastema_core::{Fault, FaultId, FaultKind, Instant, Lifecycle, Place, Severity};
 pub use chain::strategy::{RecoveryStrategy, Tools};
 
 /// What an application needs for a medium of its own; it is given to [`Network::own`].
@@ -192,13 +192,28 @@ pub mod medium {
     pub use bytes::Bytes;
 }
 
-/// The machines behind all of it, and their vocabulary; needed for plans, watches and limits.
+/// Plans, ladders and rules of restarts, and what strategies of an application's own answer.
+pub mod recovery {
+    pub use blastema_core::recovery::{
+        Backoff, Done, Failed, Ladder, Measure, Order, Plan, PlanError, Restart, Step, Strategy,
+    };
+}
+
+/// How components are watched, and what the monitor's table and the record of faults say.
+pub mod detection {
+    pub use blastema_core::detection::{
+        CheckFailed, Current, End, EnrolError, Entry, Freshness, Invariant, ObjectKind, Opinion,
+        Pull, Push, QueueSeen, Range, Rate, Record, Row, Turn, Watch,
+    };
+}
+
+/// The machines behind all of it; for those who work on the middleware, and for what the derives write.
 pub use blastema_core as core;
 
 /// Everything that an application usually needs.
 pub mod prelude {
-    pub use crate::core::detection::Watch;
-    pub use crate::core::recovery::{Ladder, Measure, Plan, Restart, Strategy};
+    pub use crate::detection::Watch;
+    pub use crate::recovery::{Ladder, Measure, Plan, Restart, Strategy};
     pub use crate::{
         ActorRef, ChildSpec, Component, Context, Event, Failure, FaultKind, Handle, Node,
         NodeState, Outcome, Parameters, Ports, Publisher, Request, Sender, StartError, Structure,

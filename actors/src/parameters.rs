@@ -41,7 +41,9 @@ impl Configured {
             };
             let values = table.into_iter().map(|(key, value)| match read(value) {
                 Ok(value) => Ok((key, value)),
-                Err(what) => Err(format!("{component}: `{key}` is {what}, which no parameter takes")),
+                Err(what) => {
+                    Err(format!("{component}: `{key}` is {what}, which no parameter takes"))
+                }
             });
             let values: Result<Values, String> = values.collect();
             inner.given.entry(component).or_default().extend(values?);

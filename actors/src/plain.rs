@@ -139,9 +139,7 @@ impl<M: Contract> Outside<M> {
             return Err(SendError::new(why, message));
         }
         self.relay.try_send(Pass { message, answer }).map_err(|refused| match refused {
-            actix::dev::SendError::Full(Pass { message, .. }) => {
-                SendError::new(Why::Full, message)
-            }
+            actix::dev::SendError::Full(Pass { message, .. }) => SendError::new(Why::Full, message),
             actix::dev::SendError::Closed(Pass { message, .. }) => {
                 SendError::new(Why::Stopped, message)
             }

@@ -386,10 +386,11 @@ impl Inner {
     /// What to say of a name that no object of this node has.
     fn misspelt(&self, name: &str) -> Why {
         let known = self.objects.keys().map(ObjectName::as_str);
+        let object = name.split_once(':').map_or(name, |(_, object)| object);
         let name = name.to_owned();
-        match spelling::nearest(&name, known) {
+        match spelling::nearest(object, known) {
             // It is there, and the wrong one for what is asked.
-            Some(nearest) if nearest == name => Why::Unknown { name },
+            Some(nearest) if nearest == object => Why::Unknown { name },
             Some(nearest) => Why::Misspelt { nearest: nearest.to_owned(), name },
             None => Why::Unknown { name },
         }

@@ -189,7 +189,8 @@ impl<M: Contract + Clone> Repeatable<M> {
     /// As [`Sender::ask`].
     pub async fn ask_within(&self, deadline: Duration) -> Result<M::Reply, RequestError<M>> {
         let (inlet, message) = (&self.sender.0, self.message.clone());
-        let asked = async { inlet.ask(message, Some(self.id), Some(deadline))?.within(deadline).await };
+        let asked =
+            async { inlet.ask(message, Some(self.id), Some(deadline))?.within(deadline).await };
         asked.await.map_err(|error| error.at(|| inlet.receiver()))
     }
 

@@ -220,6 +220,19 @@ fn plain_actix_lets_a_plain_actor_speak_for_a_component() {
 }
 
 #[test]
+fn parameters_are_read_set_and_refused_with_the_reason() {
+    check("parameters", &["begins with 1.5 m/s", "goes on with 0.8 m/s, 3 attempts"]);
+    check(
+        "parameters",
+        &[
+            "refused by a check: `max_speed` is 5.0, and must be in 0.0..=2.0 m/s",
+            "refused by a check: there is no parameter `max_sped`: did you mean `max_speed`?",
+            "parameters of arm: `attempts` is \"many\", and must be a whole number from 0 to 255",
+        ],
+    );
+}
+
+#[test]
 fn variables_of_another_node_are_written_together_and_outlive_their_owner_as_declared() {
     check(
         "variables",

@@ -1,9 +1,9 @@
 //! What a supervisor does with a hosted component.
 
-use super::injection::Injection;
 use super::anchor::Anchor;
 use super::arbiters::Seat;
 use super::course::Hook;
+use super::injection::Injection;
 use super::pump::{Pump, SharedPump};
 use super::{Control, Host, label};
 use crate::component::Component;

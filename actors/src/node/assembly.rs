@@ -15,6 +15,7 @@ use super::checks::{
 use super::keeper::{Keeper, StartRoot};
 use super::network::Network;
 use super::tree::{Ground, Harvest, SupervisorSpec};
+#[cfg(feature = "unix")]
 use super::window::{Show, Window};
 use super::{Node, Root, Shared};
 use crate::chain::strategy::StrategyTable;
@@ -60,10 +61,12 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     unused.map_err(|reason| StartError::Parameters { file: None, reason })?;
     assembly.carry_services(builder.services)?;
     assembly.keep_leases();
+    #[cfg(feature = "unix")]
     let window = assembly.make_window(builder.shown_at);
     let actors = assembly.enrol_all(planting.harvest).await?;
     assembly.look_out(builder.grace)?;
     let node = assembly.into_node(Root::of(&planting.root), planting.dependencies, actors);
+    #[cfg(feature = "unix")]
     node.open(window).await?;
     node.start_root(planting.root).await
 }
@@ -227,6 +230,7 @@ impl Assembly {
     }
 
     /// It is opened when there is something to be seen.
+    #[cfg(feature = "unix")]
     fn make_window(&mut self, path: Option<PathBuf>) -> Option<Addr<Window>> {
         let (name, Parts { guardian, chain, state, .. }) = (named("window"), &self.parts);
         let window = Window::new(path?, state.clone(), self.environment.reports.clone());
@@ -310,6 +314,7 @@ struct Beginning {
 }
 
 impl Beginning {
+    #[cfg(feature = "unix")]
     async fn open(&self, window: Option<Addr<Window>>) -> Result<(), StartError> {
         let Some(window) = window else { return Ok(()) };
         // The fault chain's mailboxes close only when the node has ended.

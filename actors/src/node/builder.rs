@@ -149,6 +149,7 @@ pub struct NodeBuilder {
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
     pub(super) parameters: Vec<Configuration>,
+    #[cfg(feature = "unix")]
     pub(super) shown_at: Option<PathBuf>,
     /// A strategy whose name was given to another one before.
     pub(super) strategy_twice: Option<String>,
@@ -188,6 +189,7 @@ impl NodeBuilder {
             state: watch::channel(NodeState::Starting).0,
             kept_in: None,
             parameters: Vec::new(),
+            #[cfg(feature = "unix")]
             shown_at: None,
             strategy_twice: None,
         }
@@ -265,6 +267,7 @@ impl NodeBuilder {
     /// nothing can be changed from there. It can be seen from the start on, and at safe rest.
     ///
     /// The path is absolute; any other is refused at start, as is one at which nobody can listen.
+    #[cfg(feature = "unix")]
     pub fn shown_at(mut self, path: impl Into<PathBuf>) -> Self {
         self.shown_at = Some(path.into());
         self

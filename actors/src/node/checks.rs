@@ -71,8 +71,9 @@ pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
         let cure = "hand over one strategy of a name";
         return wrong("recovery", format!("{name:?} twice"), cure);
     }
-    builder.kept_in.as_deref().map_or(Ok(()), check_kept_file)?;
-    builder.shown_at.as_deref().map_or(Ok(()), check_window)
+    #[cfg(feature = "unix")]
+    builder.shown_at.as_deref().map_or(Ok(()), check_window)?;
+    builder.kept_in.as_deref().map_or(Ok(()), check_kept_file)
 }
 
 /// The file lies where it is said to lie, and what lies there can be one.
@@ -100,6 +101,7 @@ pub(super) fn check_names<'a>(
 }
 
 /// The window lies where it is said to lie, wherever the program is started.
+#[cfg(feature = "unix")]
 fn check_window(path: &Path) -> Result<(), StartError> {
     if path.is_absolute() {
         return Ok(());

@@ -20,6 +20,7 @@ mod network;
 mod picture;
 mod restart;
 mod tree;
+#[cfg(feature = "unix")]
 mod window;
 
 pub use builder::{NodeBuilder, StartError};
@@ -39,8 +40,8 @@ use crate::host::environment::HostEnvironment;
 use crate::host::injection::Injection;
 use crate::host::office::DeadLetterOffice;
 use crate::host::spec::{ChildSpec, SpecError};
-use crate::host::watch::Running;
 use crate::host::threads::{self, ThreadRow};
+use crate::host::watch::Running;
 use crate::lease::{self, ActuatorRow, Commander};
 use crate::reference::ActorRef;
 use crate::sender::Sender;

@@ -59,11 +59,7 @@ impl<E: Event> Publisher<E> {
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
-    pub fn publish_captured_at(
-        &self,
-        event: E,
-        captured_at: Instant,
-    ) -> Result<(), SendError<E>> {
+    pub fn publish_captured_at(&self, event: E, captured_at: Instant) -> Result<(), SendError<E>> {
         self.publish_stamped(event, Some(captured_at))
     }
 

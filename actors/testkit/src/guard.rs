@@ -4,12 +4,12 @@ use blastema::program::Running;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// How often the guard looks, in real time.
 const LOOK: Duration = Duration::from_millis(100);
-/// One handler that runs for so long in real time does not return: a busy machine is slow, not this slow.
-const LIMIT: Duration = Duration::from_secs(5);
+/// One handler that runs for so many looks, 5 s, does not return: a busy machine is slow, not this slow.
+const LIMIT: u32 = 50;
 /// The status of a test program that has failed.
 const FAILED: i32 = 101;
 
@@ -37,14 +37,14 @@ impl Guard {
 }
 
 fn watch(ended: &AtomicBool, running: &Running, test: &str) {
-    let mut seen = (running.components(), Instant::now());
+    let (mut seen, mut looks) = (running.components(), 0);
     while !ended.load(Relaxed) {
         thread::sleep(LOOK);
         let now = running.components();
-        match now.iter().find(|component| seen.0.contains(component)) {
-            Some((object, during, _)) if seen.1.elapsed() >= LIMIT => end(test, object, during),
-            Some(_) => {}
-            None => seen = (now, Instant::now()),
+        match now.iter().find(|component| seen.contains(component)) {
+            Some((object, during, _)) if looks >= LIMIT => end(test, object, during),
+            Some(_) => looks += 1,
+            None => (seen, looks) = (now, 0),
         }
     }
 }
@@ -52,8 +52,9 @@ fn watch(ended: &AtomicBool, running: &Running, test: &str) {
 #[expect(clippy::print_stderr, reason = "the last words of a test are for who started it")]
 fn end(test: &str, object: &blastema::ObjectName, during: &str) -> ! {
     eprintln!(
-        "test {test} hangs: {object} has kept its thread in {during} for {LIMIT:?}; in virtual time \
-         nothing can take the thread from it"
+        "test {test} hangs: {object} has kept its thread in {during} for {:?}; in virtual time nothing \
+         can take the thread from it",
+        LOOK * LIMIT
     );
     std::process::exit(FAILED)
 }

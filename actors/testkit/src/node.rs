@@ -2,11 +2,10 @@
 
 use crate::guard::Guard;
 use crate::probe::Probe;
-use blastema::core::FaultId;
-use blastema::core::detection::{Record, Row, Turn};
+use blastema::detection::{End, Record, Row, Turn};
 use blastema::{
-    Event, Fault, FaultEvent, FaultEvents, FaultKind, Injection, Lifecycle, Node, NodeBuilder, Place,
-    StartError,
+    Event, Fault, FaultEvent, FaultEvents, FaultId, FaultKind, Injection, Lifecycle, Node,
+    NodeBuilder, Place, StartError,
 };
 use blastema_doubles::PATIENCE;
 use std::collections::BTreeSet;
@@ -105,9 +104,9 @@ impl TestNode {
             test.unread.push(FaultEvent { fault: fault.clone(), at, turn: Turn::Found });
             if let Some((at, end)) = entry.ended {
                 let turn = match end {
-                    blastema::core::detection::End::Recovered => Turn::Recovered,
-                    blastema::core::detection::End::Cleared => Turn::Cleared,
-                    blastema::core::detection::End::GaveUp { reason } => Turn::GaveUp { reason },
+                    End::Recovered => Turn::Recovered,
+                    End::Cleared => Turn::Cleared,
+                    End::GaveUp { reason } => Turn::GaveUp { reason },
                 };
                 test.unread.push(FaultEvent { fault, at, turn });
             }

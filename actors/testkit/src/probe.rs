@@ -1,7 +1,7 @@
 //! A component in the place of any partner of the component under test.
 
-use blastema::{ActuatorSpec, Contract};
 use blastema::prelude::*;
+use blastema::{ActuatorSpec, Contract};
 use blastema_doubles::Record;
 use std::sync::Arc;
 use std::time::Duration;

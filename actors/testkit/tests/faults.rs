@@ -1,5 +1,6 @@
 //! Faults that are put into components by name, and doubles of their partners.
 
+use blastema::detection::{Push, Watch};
 use blastema::prelude::*;
 use blastema_testkit::{Probe, TestNode, owner};
 use std::process::Command;
@@ -39,13 +40,14 @@ impl Handle<Where> for Arm {
 }
 
 async fn node() -> TestNode {
-    let arm = ChildSpec::new("arm", || Arm).rate_hz(10.0).max_wait(Duration::from_millis(200)).watch(
-        blastema::core::detection::Watch::Push(blastema::core::detection::Push {
+    let arm = ChildSpec::new("arm", || Arm)
+        .rate_hz(10.0)
+        .max_wait(Duration::from_millis(200))
+        .watch(Watch::Push(Push {
             interval: Duration::from_millis(100),
             tolerance: 3,
             start_up: SECOND,
-        }),
-    );
+        }));
     TestNode::start(Node::builder("module1").child(arm)).await
 }
 
@@ -150,7 +152,7 @@ struct Stuck;
 impl Component for Stuck {
     async fn on_activated(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
         while std::env::var_os(HANGS).is_some() {
-            std::thread::sleep(SECOND);
+            std::thread::park();
         }
         Ok(())
     }

@@ -175,9 +175,10 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
             "an event is not answered, so that nobody waits or sends it again: remove `idempotent`"
                 .into(),
         ),
-        ("latched", Derive::Request) => {
-            Some("only the last event of a topic can be kept for later listeners: remove `latched`".into())
-        }
+        ("latched", Derive::Request) => Some(
+            "only the last event of a topic can be kept for later listeners: remove `latched`"
+                .into(),
+        ),
         ("latched", Derive::Variable) => {
             Some("a variable gives its value to each reader: remove `latched`".into())
         }

@@ -88,7 +88,10 @@ pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
             }
         });
         arms.push(quote! {
-            #name => self.#ident = #facade::core::parameters::read(key, value)?
+            #name => {
+                self.#ident = #facade::core::parameters::read(key, value)?;
+                ::std::result::Result::Ok(())
+            }
         });
         checks.extend(range.map(|range| {
             quote! {
@@ -125,15 +128,11 @@ pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
                 value: &#facade::core::parameters::ParameterValue,
             ) -> ::std::result::Result<(), #error> {
                 match key {
-                    #(#arms,)*
-                    _ => {
-                        return ::std::result::Result::Err(
-                            #facade::core::parameters::unknown(key, Self::FIELDS),
-                        );
-                    }
+                    #(#arms)*
+                    _ => ::std::result::Result::Err(
+                        #facade::core::parameters::unknown(key, Self::FIELDS),
+                    ),
                 }
-                #[allow(unreachable_code)]
-                ::std::result::Result::Ok(())
             }
 
             fn check(&self) -> ::std::result::Result<(), #error> {

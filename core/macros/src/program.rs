@@ -43,9 +43,8 @@ fn run_in(
                 match ended {
                     ::core::result::Result::Ok(done) => ::std::process::Termination::report(done),
                     ::core::result::Result::Err(error) => {
-                        #[allow(unused_imports)]
-                        use #runtime::program::ReportBoxed as _;
-                        #runtime::program::Fatal(error).report()
+                        use #runtime::program::*;
+                        Fatal(error).report()
                     }
                 }
             }

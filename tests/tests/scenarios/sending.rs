@@ -104,7 +104,10 @@ async fn an_error_names_the_receiver_its_node_the_contract_and_the_limit() {
     let named = full.receiver().expect("it is named");
     assert_eq!(named.to_string(), "module1:arm");
     assert_eq!((named.contract, named.queue), ("test/note", Some(2)));
-    assert!(full.to_string().ends_with("module1:arm was not sent: its queue of 2 is full"), "{full}");
+    assert!(
+        full.to_string().ends_with("module1:arm was not sent: its queue of 2 is full"),
+        "{full}"
+    );
     assert_eq!(late.receiver().expect("it is named").contract, "test/do");
 }
 

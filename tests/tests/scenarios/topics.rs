@@ -179,7 +179,9 @@ async fn an_event_of_another_node_tells_when_its_data_was_captured() {
     images.publish(Image(1)).unwrap();
     there.advance(20 * MS).await;
     let late = Instant::from_nanos(now().as_nanos() - 95_000_000);
-    images.publish_captured_at(Image(2), Instant::from_nanos(now().as_nanos() - 60_000_000)).unwrap();
+    images
+        .publish_captured_at(Image(2), Instant::from_nanos(now().as_nanos() - 60_000_000))
+        .unwrap();
     images.publish_captured_at(Image(3), late).unwrap();
     there.advance(20 * MS).await;
     images.publish_captured_at(Image(4), late).unwrap();
