@@ -40,7 +40,8 @@ async fn pursue<M: Contract>(
     let copied = M::IDEMPOTENT && codec::encode(&message, &mut copy).is_ok();
     let (mut message, mut asked) = (message, 0);
     loop {
-        let RequestError { why, message: back } = match attempt(inlet, message, id, until).await {
+        let RequestError { why, message: back, .. } = match attempt(inlet, message, id, until).await
+        {
             Ok(reply) => return Ok(reply),
             Err(error) => error,
         };
@@ -48,11 +49,11 @@ async fn pursue<M: Contract>(
         let attempt = Attempt { asked, why: &why, idempotent: M::IDEMPOTENT };
         let wait = rule.again(attempt, until.as_nanos());
         let wait = wait.filter(|wait| concerns(&why) && platform::now() + *wait < until);
-        let Some(wait) = wait else { return Err(RequestError { why, message: back }) };
+        let Some(wait) = wait else { return Err(RequestError::new(why, back)) };
         let kept = || codec::decode::<M>(&copy).ok().filter(|_| copied);
         match back.or_else(kept) {
             Some(back) => message = back,
-            None => return Err(RequestError { why, message: None }),
+            None => return Err(RequestError::new(why, None)),
         }
         if !wait.is_zero() {
             tokio::time::sleep(wait).await;

@@ -1,9 +1,10 @@
 //! What a user writes: a component, and what it does with each contract.
 
 use crate::context::Context;
+use crate::errors;
 use crate::ports::Ports;
-use crate::sender::{RequestError, SendError};
-use blastema_core::{Contract, NameError, Why};
+use blastema_core::Contract;
+use std::error::Error;
 use std::fmt;
 use std::future::Future;
 
@@ -115,7 +116,7 @@ pub trait Handle<M: Contract>: Component {
     fn handle(&mut self, message: M, cx: &mut Context<Self>) -> impl Future<Output = M::Reply>;
 }
 
-/// Why a hook failed.
+/// Why a hook failed. Any error becomes one by `?`, with the causes that it names; so does a text.
 ///
 /// ```
 /// use blastema::Failure;
@@ -170,40 +171,10 @@ impl Failure {
     }
 }
 
-impl From<&str> for Failure {
-    fn from(reason: &str) -> Self {
-        Failure { reason: reason.into(), fatal: false, unavailable: false }
-    }
-}
-
-impl From<String> for Failure {
-    fn from(reason: String) -> Self {
-        Failure { reason, fatal: false, unavailable: false }
-    }
-}
-
-// What a hook meets with most often, so that `?` does.
-impl From<Why> for Failure {
-    fn from(why: Why) -> Self {
-        why.to_string().into()
-    }
-}
-
-impl From<NameError> for Failure {
-    fn from(error: NameError) -> Self {
-        error.to_string().into()
-    }
-}
-
-impl<M> From<SendError<M>> for Failure {
-    fn from(error: SendError<M>) -> Self {
-        error.to_string().into()
-    }
-}
-
-impl<M> From<RequestError<M>> for Failure {
-    fn from(error: RequestError<M>) -> Self {
-        error.to_string().into()
+// Errors and texts alike, which two impls could not be.
+impl<E: Into<Box<dyn Error>>> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Failure { reason: errors::with_causes(&*error.into()), fatal: false, unavailable: false }
     }
 }
 

@@ -8,6 +8,7 @@ use crate::host::life::{Life, Rhythm, TimerId};
 use crate::host::pulse;
 use crate::host::stamp::Stamp;
 use crate::lease::{self, Commander};
+use crate::platform;
 use crate::reference::ActorRef;
 use crate::remote_watch;
 use crate::sender::{Detached, Sender};
@@ -15,15 +16,17 @@ use crate::service::ServiceRef;
 use crate::topic::Publisher;
 use crate::variable::{self, VariableRef};
 use blastema_contract::reports::FaultDeclared;
+use blastema_core::parameters::Parameters;
 use blastema_core::{
-    Contract, Event, FaultKind, Incarnation, Lifecycle, NameError, ObjectAddress, ObjectName,
-    Request, Variable, Why,
+    Contract, Event, FaultKind, Incarnation, Instant, Lifecycle, NameError, ObjectAddress,
+    ObjectName, Request, Variable, Why,
 };
 use std::any::{Any, TypeId};
 use std::cell::{Cell, RefCell};
 use std::fmt::Debug;
 use std::future::Future;
 use std::ops::RangeBounds;
+use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
@@ -70,8 +73,8 @@ impl<C: Component> Context<C> {
     /// `module2:arm/left` on another node.
     ///
     /// # Errors
-    /// [`Why::Unknown`] if there is no such object or it takes no such contract,
-    /// [`Why::ContractDiffers`] if it knows another contract by this name.
+    /// [`Why::Misspelt`] or [`Why::Unknown`] if there is no such object, [`Why::NotServed`] if it does not
+    /// serve the contract, [`Why::ContractDiffers`] if it knows another contract by this name.
     pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
         self.anchor.record.environment.registry.sender(name)
     }
@@ -80,9 +83,18 @@ impl<C: Component> Context<C> {
     /// another node.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no object here has the name, or it owns no variables.
+    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where it
+    /// owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
         variable::find(&self.anchor.record.environment.registry, object)
+    }
+
+    /// The component's own parameters as they are now.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] where its `ports` declare no such parameters.
+    pub fn parameters<P: Parameters>(&self) -> Result<P, Why> {
+        self.anchor.parameters()
     }
 
     /// Asks the service of this name, whichever node serves it.
@@ -98,7 +110,8 @@ impl<C: Component> Context<C> {
     /// this life: it ends with the life, and when the component hangs.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no object here has the name, or it is no actuator.
+    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where it
+    /// is no actuator.
     pub fn commander<M: Contract>(&mut self, actuator: &str) -> Result<Commander<M>, Why> {
         let environment = &self.anchor.record.environment;
         let own = environment.registry.full_name(self.name());
@@ -115,20 +128,48 @@ impl<C: Component> Context<C> {
         Sender(Arc::new(detached))
     }
 
+    /// The time now, on the clock that all stamps of this computer share.
+    pub fn now(&self) -> Instant {
+        platform::now()
+    }
+
+    /// When the data in the message that is served, or was served last, was captured: as its publisher
+    /// said by [`publish_captured_at`](Self::publish_captured_at), else when the message was sent, to
+    /// the precision of 10 ms unless its contract has a `max_age`. `None` before the first message.
+    ///
+    /// Judge [freshness](crate::Freshness) and [rates](crate::Rate) by it, so that neither the way nor
+    /// the queue of a message counts as a change of what it tells.
+    pub fn captured_at(&self) -> Option<Instant> {
+        self.life.captured_at.get()
+    }
+
     /// Publishes an event on the topic that has its contract's name. Never waits. While the component
     /// is fenced off or isolated, events are not published but counted among the dead letters under the
     /// topic's name.
     #[track_caller]
     pub fn publish<E: Event>(&self, event: E) {
+        self.publish_stamped(event, None);
+    }
+
+    /// Publishes an event whose data was captured at `captured_at`, such as the exposure of an image:
+    /// `max_age` counts from there, and listeners read it by [`captured_at`](Self::captured_at). A time
+    /// that is still to come counts as now.
+    #[track_caller]
+    pub fn publish_captured_at<E: Event>(&self, event: E, captured_at: Instant) {
+        self.publish_stamped(event, Some(captured_at));
+    }
+
+    #[track_caller]
+    fn publish_stamped<E: Event>(&self, event: E, captured_at: Option<Instant>) {
         let mut publishers = self.publishers.borrow_mut();
         let known = publishers.iter().find(|(of, _)| *of == TypeId::of::<E>());
         if let Some(publisher) = known.and_then(|(_, any)| any.downcast_ref::<Publisher<E>>()) {
-            publisher.publish_or_count(event);
+            publisher.publish_or_count(event, captured_at);
             return;
         }
         match self.publisher::<E>(E::NAME) {
             Ok(publisher) => {
-                publisher.publish_or_count(event);
+                publisher.publish_or_count(event, captured_at);
                 publishers.push((TypeId::of::<E>(), Rc::new(publisher)));
             }
             Err(why) => self.declare_fault(FaultKind::ContractMismatch, why.to_string()),
@@ -143,7 +184,8 @@ impl<C: Component> Context<C> {
     /// both, where each was said, and what differs.
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
-        let publisher = self.anchor.record.environment.topics.publisher(topic)?;
+        let topics = &self.anchor.record.environment.topics;
+        let publisher = topics.publisher_of(topic, self.name().as_str())?;
         Ok(publisher.of(self.life.token.clone()))
     }
 
@@ -223,7 +265,20 @@ impl<C: Component> Context<C> {
     /// Gives a sign of life. A successful `on_execute` gives one by itself.
     #[inline]
     pub fn alive(&self) {
-        self.life.stamp.give_sign();
+        if !self.anchor.record.injected.is_silent() {
+            self.life.stamp.give_sign();
+        }
+    }
+
+    /// What a test has each handler and hook await before it begins.
+    #[inline]
+    pub(crate) fn before(&self) -> Option<Pin<Box<dyn Future<Output = ()>>>> {
+        self.anchor.record.injected.before()
+    }
+
+    /// Whether a test has this initialisation fail.
+    pub(crate) fn fails_initialization(&self) -> bool {
+        self.anchor.record.injected.fails_initialization()
     }
 
     /// Announces that what is in service takes up to `span`: until the guard that is returned is

@@ -1,5 +1,6 @@
 //! Death watch: anyone may ask to be told when a life of an object ends.
 
+use crate::host::injection::Injection;
 use crate::host::life::LifeToken;
 use blastema_contract::reports::Exit;
 use blastema_core::{Incarnation, Lifecycle, NodeName, ObjectName};
@@ -175,4 +176,6 @@ impl Deaths {
 pub(crate) trait Mortal: Send + Sync {
     /// Tells at once if it is not alive, and whenever a life of it ends.
     fn watch(&self, mourner: Mourner);
+    /// Puts a fault into it, where it is a component.
+    fn inject(&self, _: Injection) {}
 }

@@ -34,7 +34,7 @@ impl<M: Contract> Inlet<M> for Desk<M> {
 
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
         if let Some(why) = pulse::forbidden() {
-            return Err(SendError { why, message });
+            return Err(SendError::new(why, message));
         }
         (self.0)(message, Answer::called_back(Box::new(|_| ()), None));
         Ok(())
@@ -51,7 +51,7 @@ impl<M: Contract> Inlet<M> for Desk<M> {
         within: Option<Duration>,
     ) -> Result<Reply<M>, RequestError<M>> {
         if let Some(why) = pulse::forbidden() {
-            return Err(RequestError { why, message: Some(message) });
+            return Err(RequestError::new(why, Some(message)));
         }
         let until = within.map(|within| platform::now() + within);
         let (answer, reply) = Answer::awaited_until(until);

@@ -96,6 +96,11 @@ impl<T> Lane<T> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// How many may wait.
+    pub(crate) fn capacity(&self) -> usize {
+        self.capacity
+    }
+
     pub(crate) fn policy(&self) -> WhenFull {
         self.policy
     }

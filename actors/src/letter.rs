@@ -28,9 +28,33 @@ pub(crate) struct Brief {
     pub(crate) contract: TypeId,
     pub(crate) name: &'static str,
     pub(crate) posted_at: Instant,
+    /// By which its age is judged.
+    pub(crate) captured_at: Instant,
     pub(crate) max_age: Option<Duration>,
     /// Somebody is to be told if the letter brings death.
     pub(crate) is_followed: bool,
+}
+
+/// When a message was posted, and when the data in it was captured, where the sender has said so.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Times {
+    pub(crate) posted_at: Instant,
+    pub(crate) captured_at: Option<Instant>,
+}
+
+impl Times {
+    /// By which the age of the message is judged.
+    #[inline]
+    pub(crate) fn captured_at(self) -> Instant {
+        self.captured_at.unwrap_or(self.posted_at)
+    }
+}
+
+impl From<Instant> for Times {
+    #[inline]
+    fn from(posted_at: Instant) -> Self {
+        Times { posted_at, captured_at: None }
+    }
 }
 
 pub(crate) trait Letter<C: Component> {
@@ -64,8 +88,14 @@ struct Sealed<M: Contract, G> {
     make: G,
     contents: Contents<M>,
     posted_at: Instant,
-    /// Boxed, since few messages have one.
-    id: Option<Box<MessageId>>,
+    /// Boxed, since few messages have it.
+    rare: Option<Box<Rare>>,
+}
+
+/// What few messages have.
+struct Rare {
+    id: Option<MessageId>,
+    captured_at: Option<Instant>,
 }
 
 pin_project! {
@@ -90,8 +120,14 @@ where
             contract: TypeId::of::<M>(),
             name: M::NAME,
             posted_at: self.posted_at,
+            captured_at: self
+                .rare
+                .as_ref()
+                .and_then(|rare| rare.captured_at)
+                .unwrap_or(self.posted_at),
             max_age: M::MAX_AGE,
-            is_followed: self.contents.answer.is_some() || self.id.is_some(),
+            is_followed: self.contents.answer.is_some()
+                || self.rare.as_ref().is_some_and(|rare| rare.id.is_some()),
         }
     }
 
@@ -100,7 +136,7 @@ where
     }
 
     fn id(&self) -> Option<MessageId> {
-        self.id.as_deref().copied()
+        self.rare.as_ref().and_then(|rare| rare.id)
     }
 
     fn revocable(&self) -> Option<Arc<dyn Revocable>> {
@@ -185,14 +221,17 @@ pub(crate) fn pack<C: Handle<M>, M: Contract>(
     message: M,
     answer: Option<Answer<M>>,
     id: Option<MessageId>,
-    posted_at: Instant,
+    times: impl Into<Times>,
 ) -> Mail<C> {
     let make = |home: Rc<Home<C>>, message: M| async move {
         let mut seat = home.seat.borrow_mut();
         let (component, cx) = seat.both();
+        if let Some(injected) = cx.before() {
+            injected.await;
+        }
         component.handle(message, cx).await
     };
-    Box::new(seal(make, message, answer, id, posted_at))
+    Box::new(seal(make, message, answer, id, times.into()))
 }
 
 /// Hands an event to an idle component at once; the pump must be free.
@@ -201,13 +240,16 @@ pub(crate) fn pack<C: Handle<M>, M: Contract>(
     clippy::await_holding_refcell_ref,
     reason = "messages wait while one is served; the control lane does not borrow"
 )]
-pub(crate) fn pass<C: Handle<M>, M: Contract>(pump: &mut Pump<C>, message: M, posted_at: Instant) {
+pub(crate) fn pass<C: Handle<M>, M: Contract>(pump: &mut Pump<C>, message: M, times: Times) {
     let make = |home: Rc<Home<C>>, message: M| async move {
         let mut seat = home.seat.borrow_mut();
         let (component, cx) = seat.both();
+        if let Some(injected) = cx.before() {
+            injected.await;
+        }
         component.handle(message, cx).await
     };
-    pump.serve_at_once(&mut seal(make, message, None, None, posted_at));
+    pump.serve_at_once(&mut seal(make, message, None, None, times));
 }
 
 /// Names the closure's type by inference; neither it nor its future's can be written down.
@@ -217,7 +259,7 @@ fn seal<C, M, G, F>(
     message: M,
     answer: Option<Answer<M>>,
     id: Option<MessageId>,
-    posted_at: Instant,
+    Times { posted_at, captured_at }: Times,
 ) -> Sealed<M, G>
 where
     C: Component,
@@ -226,5 +268,7 @@ where
     F: Future<Output = M::Reply> + 'static,
 {
     let contents = Contents { message: Some(message), answer };
-    Sealed { make, contents, posted_at, id: id.map(Box::new) }
+    let is_rare = id.is_some() || captured_at.is_some();
+    let rare = is_rare.then(|| Box::new(Rare { id, captured_at }));
+    Sealed { make, contents, posted_at, rare }
 }

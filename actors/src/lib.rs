@@ -64,11 +64,12 @@
 //! | run components | [`Node`], [`NodeBuilder`], [`ChildSpec`], [`SupervisorSpec`] |
 //! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`Why`], [`Outcome`] |
 //! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`], [`Transaction`] |
+//! | set a component up | [`Parameters`](derive@Parameters), [`NodeBuilder::parameters_from`] |
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
 //! | find whoever it is | [`Node::claim`], [`ChildSpec::claim`], [`Claim`], [`NameWatch`] |
 //! | outlive a node | [`ServiceSpec`], [`Stateful`], [`ServiceRef`] |
 //! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`Row`] |
-//! | recover | [`core::recovery::Plan`], [`RecoveryStrategy`] |
+//! | recover | [`recovery::Plan`], [`RecoveryStrategy`] |
 //! | connect nodes | [`Network`], [`Link`], [`medium::FrameMedium`] |
 //!
 //! The [prelude] has what an application usually needs. Tests are written with the crate
@@ -88,6 +89,7 @@ mod context;
 mod death_watch;
 mod desk;
 mod drive;
+mod errors;
 mod fault_log;
 mod guardian;
 mod host;
@@ -100,6 +102,7 @@ pub mod manual;
 mod net;
 mod node;
 mod panics;
+mod parameters;
 pub mod plain;
 pub mod platform;
 mod ports;
@@ -120,13 +123,17 @@ compile_error!(
 );
 
 // Messages, and what they are made of.
+pub use blastema_core::parameters::{
+    ParameterError, ParameterField, ParameterType, ParameterValue, Parameters,
+};
 pub use blastema_core::{Blob, Contract, Described, Event, Request, Variable};
-pub use blastema_macros::{Event, Request, Structure, Variable};
+pub use blastema_macros::{Event, Parameters, Request, Structure, Variable};
 pub use serde;
 
 // Components.
 pub use component::{Component, Failure, Handle};
 pub use context::{Context, LongOperation};
+pub use host::injection::Injection;
 pub use host::life::TimerId;
 pub use host::spec::{ChildSpec, SpecError};
 pub use host::threads::{ThreadKind, ThreadRow, ThreadState};
@@ -144,11 +151,11 @@ pub use death_watch::{Down, Ending};
 pub use host::office::DeadLetterOffice;
 pub use lease::{ActuatorRow, ActuatorSpec, Commander};
 pub use reference::ActorRef;
-pub use sender::{DEFAULT_DEADLINE, Repeatable, RequestError, SendError, Sender};
+pub use sender::{DEFAULT_DEADLINE, Receiver, Repeatable, RequestError, SendError, Sender};
 pub use service::{
     OnPartition, Role, ServiceRef, ServiceRow, ServiceSpec, ServiceState, StandbyKind, Stateful,
 };
-pub use topic::Publisher;
+pub use topic::{Publisher, TopicRow};
 pub use variable::{
     Decision, Reading, RestorePolicy, Transaction, ValueState, VariableRef, VariableSpec,
     VariableWatch,
@@ -178,7 +185,7 @@ pub use blastema_contract::detector::FaultEvent;
 pub use blastema_core::detection::{
     CheckFailed, FaultStatus, Freshness, Invariant, Opinion, Range, Rate, Record, Row, Turn,
 };
-pub use blastema_core::{Fault, FaultKind, Instant, Lifecycle, Place, Severity};
+pub use blastema_core::{Fault, FaultId, FaultKind, Instant, Lifecycle, Place, Severity};
 pub use chain::strategy::{RecoveryStrategy, Tools};
 
 /// What an application needs for a medium of its own; it is given to [`Network::own`].
@@ -190,18 +197,41 @@ pub mod medium {
     pub use bytes::Bytes;
 }
 
-/// The machines behind all of it, and their vocabulary; needed for plans, watches and limits.
+/// Plans, ladders and rules of restarts, and what strategies of an application's own answer.
+pub mod recovery {
+    pub use blastema_core::recovery::{
+        Backoff, Done, Failed, Ladder, Measure, Order, Plan, PlanError, Restart, Step, Strategy,
+        WhenExceeded,
+    };
+}
+
+/// How components are watched, and what the monitor's table and the record of faults say.
+pub mod detection {
+    pub use blastema_core::detection::{
+        CheckFailed, Current, EnrolError, Entry, FaultStatus, Freshness, Invariant, ObjectKind,
+        Opinion, Pull, Push, QueueSeen, Range, Rate, Record, Row, Turn, Watch,
+    };
+}
+
+/// The machines behind all of it; for those who work on the middleware, and for what the derives write.
 pub use blastema_core as core;
 
 /// Everything that an application usually needs.
 pub mod prelude {
-    pub use crate::core::detection::Watch;
-    pub use crate::core::recovery::{Ladder, Measure, Plan, Restart, Strategy, WhenExceeded};
+    pub use crate::detection::Watch;
+    pub use crate::recovery::{Ladder, Measure, Plan, Restart, Strategy, WhenExceeded};
     pub use crate::{
         ActorRef, ChildSpec, Component, Context, Event, Failure, FaultKind, Handle, Node,
-        NodeState, Outcome, Ports, Publisher, Request, Sender, StartError, Structure,
+        NodeState, Outcome, Parameters, Ports, Publisher, Request, Sender, StartError, Structure,
         SupervisorSpec, Variable, VariableRef, VariableSpec, WhenFull, Why, sleep,
     };
+}
+
+/// What [`main`](macro@main) writes and `blastema-testkit` needs; not for use by hand.
+#[doc(hidden)]
+pub mod program {
+    pub use crate::errors::{Fatal, ReportBoxed};
+    pub use crate::host::watch::Running;
 }
 
 /// Runs a future on this thread until it is done, with everything that nodes need around it.

@@ -136,14 +136,12 @@ struct Outside<M: Contract> {
 impl<M: Contract> Outside<M> {
     fn pass(&self, message: M, answer: Option<Answer<M>>) -> Result<(), SendError<M>> {
         if let Some(why) = pulse::forbidden() {
-            return Err(SendError { why, message });
+            return Err(SendError::new(why, message));
         }
         self.relay.try_send(Pass { message, answer }).map_err(|refused| match refused {
-            actix::dev::SendError::Full(Pass { message, .. }) => {
-                SendError { why: Why::Full, message }
-            }
+            actix::dev::SendError::Full(Pass { message, .. }) => SendError::new(Why::Full, message),
             actix::dev::SendError::Closed(Pass { message, .. }) => {
-                SendError { why: Why::Stopped, message }
+                SendError::new(Why::Stopped, message)
             }
         })
     }

@@ -4,9 +4,11 @@ use crate::component::{Component, Handle};
 use crate::host::anchor::Anchor;
 use crate::host::spec::SpecError;
 use crate::lease::{self, ActuatorSpec};
+use crate::parameters::{self, DeclareParameters};
 use crate::registry::{Doorway, Port};
 use crate::topic::{Condition, Listening, Subscription, Subscriptions, Topics};
 use crate::variable::{Declared, VariableSpec};
+use blastema_core::parameters::{ParameterError, Parameters};
 use blastema_core::{Contract, Event, ObjectName, Request, Variable, Why};
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::Location;
@@ -23,6 +25,7 @@ pub struct Ports<C: Component> {
     taken: Vec<&'static str>,
     listen: Vec<Bind<C>>,
     variables: Vec<Declared>,
+    parameters: Vec<(&'static str, DeclareParameters<C>)>,
     actuators: Vec<(lease::Declared, OpenPort<C>)>,
 }
 
@@ -34,6 +37,7 @@ impl<C: Component> Ports<C> {
             taken: Vec::new(),
             listen: Vec::new(),
             variables: Vec::new(),
+            parameters: Vec::new(),
             actuators: Vec::new(),
         };
         C::ports(&mut ports);
@@ -77,6 +81,18 @@ impl<C: Component> Ports<C> {
         self
     }
 
+    /// Has parameters, with the values that the [configuration](crate::NodeBuilder::parameters_from) gives
+    /// them, or their defaults. The component reads them by
+    /// [`Context::parameters`](crate::Context::parameters) in `on_initialize`, and is handed them anew by its
+    /// handler whenever one is set. A component has one set of parameters.
+    pub fn parameters<P: Parameters>(&mut self) -> &mut Self
+    where
+        C: Handle<P>,
+    {
+        self.parameters.push((P::NAME, parameters::declare::<C, P>));
+        self
+    }
+
     /// Takes commands from whoever holds the lease, and from nobody else; when its commander goes, the
     /// component gets the safe command.
     pub fn actuator<M: Contract>(&mut self, spec: ActuatorSpec<M>) -> &mut Self
@@ -111,7 +127,10 @@ impl<C: Component> Ports<C> {
                 return twice(contract, "both by actuator");
             }
         }
-        let mut variables = BTreeSet::new();
+        if let [_, (contract, _), ..] = self.parameters[..] {
+            return twice(contract, "a component has one set of parameters");
+        }
+        let mut variables: BTreeSet<_> = self.parameters.iter().map(|(name, _)| *name).collect();
         match self.variables.iter().map(Declared::name).find(|name| !variables.insert(*name)) {
             Some(contract) => twice(contract, "both by variable"),
             None => Ok(()),
@@ -132,9 +151,16 @@ impl<C: Component> Ports<C> {
         self.open.extend(beside);
     }
 
-    /// The variables that were declared.
-    pub(crate) fn take_variables(&mut self) -> Vec<Declared> {
-        std::mem::take(&mut self.variables)
+    /// The variables that were declared, its parameters among them.
+    pub(crate) fn take_variables(
+        &mut self,
+        anchor: &Arc<Anchor<C>>,
+    ) -> Result<Vec<Declared>, ParameterError> {
+        let configured = &anchor.record.environment.parameters;
+        for (_, declare) in std::mem::take(&mut self.parameters) {
+            self.variables.push(declare(anchor, configured)?);
+        }
+        Ok(std::mem::take(&mut self.variables))
     }
 
     /// The doors by which others find the component, by contract.

@@ -37,7 +37,8 @@ impl<C: Component> ActorRef<C> {
     where
         C: Handle<M>,
     {
-        Inlet::tell(&*self.0, message)
+        let told = Inlet::tell(&*self.0, message);
+        told.map_err(|error| error.at(|| Inlet::<M>::receiver(&*self.0)))
     }
 
     /// Hands the message to the component's queue, and waits while it has no room.
@@ -48,7 +49,8 @@ impl<C: Component> ActorRef<C> {
     where
         C: Handle<M>,
     {
-        deliver(&*self.0, message).await
+        let delivered = deliver(&*self.0, message).await;
+        delivered.map_err(|error| error.at(|| Inlet::<M>::receiver(&*self.0)))
     }
 
     /// Asks, and waits for the reply for one second at most.
@@ -75,10 +77,13 @@ impl<C: Component> ActorRef<C> {
     where
         C: Handle<M>,
     {
-        if M::IDEMPOTENT {
-            return asking::ask_idempotent::<M>(&*self.0, message, deadline).await;
-        }
-        Inlet::ask(&*self.0, message, None, Some(deadline))?.within(deadline).await
+        let asked = async {
+            if M::IDEMPOTENT {
+                return asking::ask_idempotent::<M>(&*self.0, message, deadline).await;
+            }
+            Inlet::ask(&*self.0, message, None, Some(deadline))?.within(deadline).await
+        };
+        asked.await.map_err(|error| error.at(|| Inlet::<M>::receiver(&*self.0)))
     }
 
     /// The same for one contract only, with the component's type hidden.
@@ -154,6 +159,7 @@ impl<C: Component> Handler<AreYouAlive> for Inquiries<C> {
         Box::pin(async move {
             loop {
                 if let Some(host) = anchor.control()
+                    && !anchor.record.injected.is_silent()
                     && let Ok(alive) = host.send(question).await
                 {
                     return alive;

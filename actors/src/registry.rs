@@ -8,16 +8,17 @@ use crate::component::Handle;
 use crate::death_watch::{Deaths, Down, Ending, Mortal, Mourner};
 use crate::desk::Desk;
 use crate::host::anchor::Anchor;
+use crate::host::injection::Injection;
 use crate::host::watch::Glimpsed;
 use crate::letter::arrived_posting_time;
 use crate::panics;
 use crate::reply::{Answer, Reply};
-use crate::sender::{Inlet, RequestError, SendError, Sender};
+use crate::sender::{Inlet, Receiver, RequestError, SendError, Sender};
 use blastema_contract::reports::FaultMended;
 use blastema_core::net::NodeId;
 use blastema_core::{
     Contract, ContractIdentity, FaultKind, Former, Incarnation, Instant, Lifecycle, MessageId,
-    NodeName, ObjectAddress, ObjectName, Parcel, PeerIdentity, Why, codec,
+    NodeName, ObjectAddress, ObjectName, Parcel, PeerIdentity, Why, codec, spelling,
 };
 use bytes::Bytes;
 use std::any::{Any, type_name};
@@ -295,6 +296,7 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
 /// Messages of one contract to an object of another node.
 struct Outlet<M: Contract> {
     door: Arc<dyn RemoteDoor>,
+    to: ObjectAddress,
     sends: PhantomData<fn(M)>,
 }
 
@@ -320,7 +322,12 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
     }
 
     fn offer(&self, mut message: M) -> Result<(), SendError<M>> {
-        self.send(&mut message, None).map_err(|why| SendError { why, message })
+        self.send(&mut message, None).map_err(|why| SendError::new(why, message))
+    }
+
+    fn receiver(&self) -> Option<Receiver> {
+        let ObjectAddress { node, object } = self.to.clone();
+        Some(Receiver { node: Some(node), object, contract: M::NAME, queue: None })
     }
 
     fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
@@ -355,7 +362,7 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
         let asked = Asked { id, within, reply_to: Box::new(reply_to) };
         match self.send(&mut message, Some(asked)) {
             Ok(()) => Ok(reply),
-            Err(why) => Err(RequestError { why, message: Some(message) }),
+            Err(why) => Err(RequestError::new(why, Some(message))),
         }
     }
 }
@@ -371,6 +378,16 @@ pub struct NameTaken {
 struct Entry {
     ports: BTreeMap<&'static str, Port>,
     mortal: Arc<dyn Mortal>,
+}
+
+impl Entry {
+    fn not_served(&self, object: &ObjectName, contract: &str) -> Why {
+        Why::NotServed {
+            object: object.to_string(),
+            contract: contract.to_owned(),
+            served: self.ports.keys().map(|&name| name.to_owned()).collect(),
+        }
+    }
 }
 
 #[derive(Default)]
@@ -389,6 +406,21 @@ struct Inner {
     names: Option<Names>,
     /// Where objects that are not components can be watched.
     deaths: Deaths,
+}
+
+impl Inner {
+    /// What to say of a name that no object of this node has.
+    fn misspelt(&self, name: &str) -> Why {
+        let known = self.objects.keys().map(ObjectName::as_str);
+        let object = name.split_once(':').map_or(name, |(_, object)| object);
+        let name = name.to_owned();
+        match spelling::nearest(object, known) {
+            // It is there, and the wrong one for what is asked.
+            Some(nearest) if nearest == object => Why::Unknown { name },
+            Some(nearest) => Why::Misspelt { nearest: nearest.to_owned(), name },
+            None => Why::Unknown { name },
+        }
+    }
 }
 
 /// The names of one node. Clones share them.
@@ -464,7 +496,7 @@ impl Registry {
         let unknown = || Why::Unknown { name: name.to_owned() };
         let inner = self.lock();
         let object = match name.split_once(':') {
-            None => ObjectName::new(name).map_err(|_| unknown())?,
+            None => ObjectName::new(name).map_err(|_| inner.misspelt(name))?,
             Some((ANY_NODE, claimed)) => {
                 let name = ObjectName::new(claimed).map_err(|_| unknown())?;
                 let names = inner.names.clone().ok_or_else(unknown)?;
@@ -475,14 +507,15 @@ impl Registry {
                 if inner.node.as_ref() != Some(&address.node) {
                     let remote = inner.remote.clone().ok_or_else(unknown)?;
                     drop(inner);
-                    let door = remote.door(address, ContractIdentity::of::<M>());
-                    return Ok(Sender(Arc::new(Outlet::<M> { door, sends: PhantomData })));
+                    let door = remote.door(address.clone(), ContractIdentity::of::<M>());
+                    let outlet = Outlet::<M> { door, to: address, sends: PhantomData };
+                    return Ok(Sender(Arc::new(outlet)));
                 }
                 address.object
             }
         };
-        let port = inner.objects.get(&object).and_then(|entry| entry.ports.get(M::NAME));
-        let port = port.ok_or_else(unknown)?;
+        let entry = inner.objects.get(&object).ok_or_else(|| inner.misspelt(name))?;
+        let port = entry.ports.get(M::NAME).ok_or_else(|| entry.not_served(&object, M::NAME))?;
         match port.sender.downcast_ref::<Sender<M>>() {
             Some(sender) => Ok(sender.clone()),
             None => {
@@ -501,10 +534,24 @@ impl Registry {
         contract: &str,
     ) -> Result<(ContractIdentity, Arc<dyn Doorway>), Why> {
         let inner = self.lock();
-        let port = inner.objects.get(object).and_then(|entry| entry.ports.get(contract));
+        let entry = inner.objects.get(object);
+        let port = entry.and_then(|entry| entry.ports.get(contract));
         let port = port.or_else(|| inner.hidden.get(object));
-        let port = port.ok_or_else(|| Why::Unknown { name: object.to_string() })?;
+        let port = port.ok_or_else(|| match entry {
+            Some(entry) => entry.not_served(object, contract),
+            None => Why::Unknown { name: object.to_string() },
+        })?;
         Ok((port.identity.clone(), port.doorway.clone()))
+    }
+
+    /// What to say of a name that no object of this node has.
+    pub(crate) fn misspelt(&self, name: &str) -> Why {
+        self.lock().misspelt(name)
+    }
+
+    /// The node whose names these are, once that is known.
+    pub(crate) fn node(&self) -> Option<NodeName> {
+        self.lock().node.clone()
     }
 
     /// The object's name with its node's in front, where that is known.
@@ -530,6 +577,17 @@ impl Registry {
         let inner = self.lock();
         let identities = |entry: &Entry| entry.ports.values().map(|p| p.identity.clone()).collect();
         inner.objects.iter().map(|(name, entry)| (name.clone(), identities(entry))).collect()
+    }
+
+    /// Puts a fault into the object of this name.
+    pub(crate) fn inject(&self, name: &str, injection: Injection) -> Result<(), Why> {
+        let inner = self.lock();
+        let object = ObjectName::new(name).ok();
+        let entry = object.and_then(|object| inner.objects.get(&object));
+        let mortal = entry.ok_or_else(|| inner.misspelt(name))?.mortal.clone();
+        drop(inner);
+        mortal.inject(injection);
+        Ok(())
     }
 
     /// Tells `mourner` whenever a life of this object ends, and at once if it does not live.

@@ -75,7 +75,7 @@ impl<M: Contract> ReplySlot<M> {
 
 impl<M: Contract> Revocable for ReplySlot<M> {
     fn revoke(&self, why: Why) {
-        self.resolve(Err(RequestError { why, message: None }));
+        self.resolve(Err(RequestError::new(why, None)));
     }
 }
 
@@ -114,7 +114,7 @@ impl<M: Contract> Answer<M> {
     /// Says that there will be no reply, and gives the message back where it was not taken up.
     pub(crate) fn refuse(mut self, why: Why, message: Option<M>) {
         if let Some(slot) = self.0.take() {
-            slot.resolve(Err(RequestError { why, message }));
+            slot.resolve(Err(RequestError::new(why, message)));
         }
     }
 

@@ -3,7 +3,7 @@
 use crate::asking;
 use crate::host::life::LifeToken;
 use crate::reply::Reply;
-use blastema_core::{Contract, MessageId, Outcome, RetryRule, Why};
+use blastema_core::{Contract, MessageId, NodeName, ObjectName, Outcome, RetryRule, Why};
 use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
@@ -32,6 +32,34 @@ pub(crate) trait Inlet<M: Contract>: Send + Sync {
         id: Option<MessageId>,
         within: Option<Duration>,
     ) -> Result<Reply<M>, RequestError<M>>;
+
+    /// Whom its errors name.
+    fn receiver(&self) -> Option<Receiver> {
+        None
+    }
+}
+
+/// The receiver that a failed message was for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Receiver {
+    /// Its node, where that is known.
+    pub node: Option<NodeName>,
+    /// Its name there.
+    pub object: ObjectName,
+    /// The contract of the message.
+    pub contract: &'static str,
+    /// How many messages its queue holds; `None` for a receiver on another node.
+    pub queue: Option<usize>,
+}
+
+impl fmt::Display for Receiver {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.node {
+            Some(node) => write!(f, "{node}:{}", self.object),
+            None => write!(f, "{}", self.object),
+        }
+    }
 }
 
 /// Where messages of contract `M` can be sent. It outlives the receiver's restarts; local and remote
@@ -61,7 +89,7 @@ impl<M: Contract> Sender<M> {
     /// # Errors
     /// The reason, and the message as it was.
     pub fn tell(&self, message: M) -> Result<(), SendError<M>> {
-        self.0.tell(message)
+        self.0.tell(message).map_err(|error| error.at(|| self.0.receiver()))
     }
 
     /// Hands the message to the receiver's queue, and waits while it has no room. What goes to another
@@ -71,7 +99,7 @@ impl<M: Contract> Sender<M> {
     /// The reason, and the message as it was; never [`Why::Full`], [`Why::WayFull`] or
     /// [`Why::Restarting`].
     pub async fn deliver(&self, message: M) -> Result<(), SendError<M>> {
-        deliver(&*self.0, message).await
+        deliver(&*self.0, message).await.map_err(|error| error.at(|| self.0.receiver()))
     }
 
     /// Asks, and waits for the reply for one second at most.
@@ -97,10 +125,13 @@ impl<M: Contract> Sender<M> {
         message: M,
         deadline: Duration,
     ) -> Result<M::Reply, RequestError<M>> {
-        if M::IDEMPOTENT {
-            return asking::ask_idempotent(&*self.0, message, deadline).await;
-        }
-        self.0.ask(message, None, Some(deadline))?.within(deadline).await
+        let asked = async {
+            if M::IDEMPOTENT {
+                return asking::ask_idempotent(&*self.0, message, deadline).await;
+            }
+            self.0.ask(message, None, Some(deadline))?.within(deadline).await
+        };
+        asked.await.map_err(|error| error.at(|| self.0.receiver()))
     }
 
     /// Asks, and asks again by this rule where the request was not taken up, or, if its contract is
@@ -119,7 +150,8 @@ impl<M: Contract> Sender<M> {
     /// # Errors
     /// What stood in the way of the last attempt.
     pub async fn ask_by(&self, message: M, rule: &RetryRule) -> Result<M::Reply, RequestError<M>> {
-        asking::ask_by(&*self.0, message, rule).await
+        let asked = asking::ask_by(&*self.0, message, rule).await;
+        asked.map_err(|error| error.at(|| self.0.receiver()))
     }
 
     /// Prepares a request that may be sent more than once and stays the same message: if it has
@@ -156,8 +188,10 @@ impl<M: Contract + Clone> Repeatable<M> {
     /// # Errors
     /// As [`Sender::ask`].
     pub async fn ask_within(&self, deadline: Duration) -> Result<M::Reply, RequestError<M>> {
-        let message = self.message.clone();
-        self.sender.0.ask(message, Some(self.id), Some(deadline))?.within(deadline).await
+        let (inlet, message) = (&self.sender.0, self.message.clone());
+        let asked =
+            async { inlet.ask(message, Some(self.id), Some(deadline))?.within(deadline).await };
+        asked.await.map_err(|error| error.at(|| inlet.receiver()))
     }
 
     /// Its identity.
@@ -184,6 +218,7 @@ pub(crate) async fn deliver<M: Contract>(
             Err(SendError {
                 why: why @ (Why::Full | Why::WayFull { .. } | Why::Restarting),
                 message: back,
+                ..
             }) => {
                 message = back;
                 why
@@ -203,14 +238,14 @@ pub(crate) struct Detached<M: Contract> {
 impl<M: Contract> Inlet<M> for Detached<M> {
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
         match self.life.forbidden() {
-            Some(why) => Err(SendError { why, message }),
+            Some(why) => Err(SendError::new(why, message)),
             None => self.inner.0.tell(message),
         }
     }
 
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
         match self.life.forbidden() {
-            Some(why) => Err(SendError { why, message }),
+            Some(why) => Err(SendError::new(why, message)),
             None => self.inner.0.offer(message),
         }
     }
@@ -226,9 +261,13 @@ impl<M: Contract> Inlet<M> for Detached<M> {
         within: Option<Duration>,
     ) -> Result<Reply<M>, RequestError<M>> {
         match self.life.forbidden() {
-            Some(why) => Err(RequestError { why, message: Some(message) }),
+            Some(why) => Err(RequestError::new(why, Some(message))),
             None => self.inner.0.ask(message, id, within),
         }
+    }
+
+    fn receiver(&self) -> Option<Receiver> {
+        self.inner.0.receiver()
     }
 }
 
@@ -239,6 +278,26 @@ pub struct SendError<M> {
     pub why: Why,
     /// The message as it was.
     pub message: M,
+    // An error that is passed on through every call is better small.
+    receiver: Option<Box<Receiver>>,
+}
+
+impl<M> SendError<M> {
+    pub(crate) fn new(why: Why, message: M) -> Self {
+        SendError { why, message, receiver: None }
+    }
+
+    /// Names the receiver.
+    #[cold]
+    pub(crate) fn at(mut self, receiver: impl FnOnce() -> Option<Receiver>) -> Self {
+        self.receiver = receiver().map(Box::new);
+        self
+    }
+
+    /// Whom the message was for, where that is known.
+    pub fn receiver(&self) -> Option<&Receiver> {
+        self.receiver.as_deref()
+    }
 }
 
 /// A request without a reply.
@@ -248,9 +307,26 @@ pub struct RequestError<M> {
     pub why: Why,
     /// The message as it was, where the receiver did not take it up.
     pub message: Option<M>,
+    receiver: Option<Box<Receiver>>,
 }
 
 impl<M> RequestError<M> {
+    pub(crate) fn new(why: Why, message: Option<M>) -> Self {
+        RequestError { why, message, receiver: None }
+    }
+
+    /// Names the receiver.
+    #[cold]
+    pub(crate) fn at(mut self, receiver: impl FnOnce() -> Option<Receiver>) -> Self {
+        self.receiver = receiver().map(Box::new);
+        self
+    }
+
+    /// Whom the request was for, where that is known.
+    pub fn receiver(&self) -> Option<&Receiver> {
+        self.receiver.as_deref()
+    }
+
     /// What is known of the request: whether it took effect, did not, or may have.
     pub fn outcome(&self) -> Outcome {
         match self.message {
@@ -279,13 +355,32 @@ impl<M> fmt::Debug for RequestError<M> {
 
 impl<M> fmt::Display for SendError<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the message was not sent: {}", self.why)
+        describe(f, self.receiver(), "was not sent", &self.why)
     }
 }
 
 impl<M> fmt::Display for RequestError<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the request failed: {}", self.why)
+        describe(f, self.receiver(), "failed", &self.why)
+    }
+}
+
+/// Says which message to whom met with what, with the limit that the receiver alone does not know.
+fn describe(
+    f: &mut fmt::Formatter<'_>,
+    receiver: Option<&Receiver>,
+    what: &str,
+    why: &Why,
+) -> fmt::Result {
+    match receiver {
+        None => write!(f, "the message {what}: {why}"),
+        Some(to) => {
+            write!(f, "`{}` to {to} {what}: ", to.contract)?;
+            match (why, to.queue) {
+                (Why::Full, Some(limit)) => write!(f, "its queue of {limit} is full"),
+                _ => write!(f, "{why}"),
+            }
+        }
     }
 }
 
@@ -294,6 +389,6 @@ impl<M> std::error::Error for RequestError<M> {}
 
 impl<M> From<SendError<M>> for RequestError<M> {
     fn from(error: SendError<M>) -> Self {
-        RequestError { why: error.why, message: Some(error.message) }
+        RequestError::new(error.why, Some(error.message))
     }
 }

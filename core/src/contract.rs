@@ -39,6 +39,9 @@ pub trait Contract: Described + Send + 'static {
     /// it is not known whether it took effect.
     const IDEMPOTENT: bool = false;
 
+    /// The last event on a topic is kept, and given to each listener that joins.
+    const LATCHED: bool = false;
+
     /// The earlier versions that a receiver still understands, the latest first.
     fn former() -> Vec<Former<Self>>
     where

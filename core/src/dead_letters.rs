@@ -92,7 +92,9 @@ impl From<&Why> for DeadReason {
             Why::Quarantined { .. } => DeadReason::Quarantined,
             Why::Isolated => DeadReason::Isolated,
             Why::ContractDiffers { .. } => DeadReason::ContractDiffers,
-            Why::Unknown { .. } => DeadReason::Unknown,
+            Why::Unknown { .. } | Why::Misspelt { .. } | Why::NotServed { .. } => {
+                DeadReason::Unknown
+            }
             Why::TooLarge { .. } | Why::TooLargeForSession { .. } => DeadReason::TooLarge,
             Why::Undecodable { .. } => DeadReason::Undecodable,
             _ => DeadReason::Refused,

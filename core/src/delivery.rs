@@ -73,8 +73,8 @@ pub enum Why {
     /// The message was older than its contract allows.
     #[error("the message is older than its contract allows")]
     Expired,
-    /// No object of this name is known, or it takes no such contract.
-    #[error("no object {name} takes this contract")]
+    /// No object of this name is known.
+    #[error("no object is called `{name}`")]
     Unknown {
         /// The name that was looked for.
         name: String,
@@ -210,6 +210,32 @@ pub enum Why {
         /// The message is bulk: what is small may find room.
         bulk: bool,
     },
+    /// The object is there, and does not serve this contract. Declare it in the object's `ports`, or
+    /// send to another object.
+    #[error("{object} does not serve `{contract}`: {}", listed(.served))]
+    NotServed {
+        /// The object.
+        object: String,
+        /// The contract that it does not serve.
+        contract: String,
+        /// The contracts that it serves.
+        served: Vec<String>,
+    },
+    /// No object of this name is known, and one of a similar name is.
+    #[error("no object is called `{name}`: did you mean `{nearest}`?")]
+    Misspelt {
+        /// The name that was looked for.
+        name: String,
+        /// The known name that is spelt most like it.
+        nearest: String,
+    },
+}
+
+fn listed(served: &[String]) -> String {
+    match served {
+        [] => "it serves no contract".to_owned(),
+        served => format!("it serves `{}`", served.join("`, `")),
+    }
 }
 
 fn of_what(bulk: &bool) -> &'static str {
@@ -238,6 +264,8 @@ impl Why {
             | Why::Quarantined { .. }
             | Why::Expired
             | Why::Unknown { .. }
+            | Why::Misspelt { .. }
+            | Why::NotServed { .. }
             | Why::Unreachable { .. }
             | Why::Undelivered { .. }
             | Why::TooLarge { .. }

@@ -27,6 +27,7 @@ pub mod machine;
 pub mod name;
 pub mod net;
 pub mod occupancy;
+pub mod parameters;
 pub mod parcel;
 pub mod quarantine;
 pub mod random;

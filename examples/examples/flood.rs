@@ -65,7 +65,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let careful: Sender<Reading> = node.sender("careful")?;
     let refused = (1..=1000).find_map(|number| careful.tell(Reading { number }).err());
     if let Some(refused) = refused {
-        println!("careful: a reading came back: {}", refused.why);
+        println!("careful: a reading came back: {refused}");
         careful.deliver(refused.message).await?;
         println!("careful: it was taken when there was room");
     }

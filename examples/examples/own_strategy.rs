@@ -2,8 +2,8 @@
 //! told to grasp anew, and is restarted only if that does not help.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
-use blastema::core::recovery::{Done, Failed, Order};
 use blastema::prelude::*;
+use blastema::recovery::{Done, Failed, Order};
 use blastema::{RecoveryStrategy, Tools, Turn};
 
 /// The application's own kind of fault.

@@ -5,9 +5,8 @@
 //! as `/dev/serial/by-id/…`.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
-use blastema::core::net::LinkState;
 use blastema::prelude::*;
-use blastema::{Direction, FaultEvents, Link, Network};
+use blastema::{Direction, FaultEvents, Link, LinkState, Network};
 use blastema_ptys::Cable;
 use std::net::UdpSocket;
 use std::path::Path;

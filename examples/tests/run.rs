@@ -66,7 +66,8 @@ fn hello_outlives_the_death_of_its_laser() {
     check(
         "hello",
         &[
-            "the request failed: the receiver died in its life #1 while it served this message",
+            "`laser/nearest` to module1:laser failed: the receiver died in its life #1 while it served \
+             this message",
             "0.8 m",
         ],
     );
@@ -133,7 +134,8 @@ fn death_watch_tells_the_tool_changer_of_the_arm() {
         "death_watch",
         &[
             "may release: true",
-            "the request failed: the receiver died in its life #1 while it served this message",
+            "`arm/move` to module1:arm failed: the receiver died in its life #1 while it served this \
+             message",
             "may release: false",
         ],
     );
@@ -148,7 +150,8 @@ fn flood_loses_only_what_its_queue_says() {
         &[
             "newest: reading 1000 was the last",
             "newest: some gave way: true",
-            "careful: a reading came back: the receiver's queue is full",
+            "careful: a reading came back: `sensor/reading` to module1:careful was not sent: its \
+             queue of 8 is full",
             "careful: it was taken when there was room",
             "newest: removed with 0 waiting",
         ],
@@ -214,6 +217,19 @@ fn own_medium_carries_requests_over_two_fifos() {
 fn plain_actix_lets_a_plain_actor_speak_for_a_component() {
     check("plain_actix", &["0.1 N: warned: false", "3.5 N: warned: true"]);
     check("plain_actix", &["I was touched with 3.5 N"]);
+}
+
+#[test]
+fn parameters_are_read_set_and_refused_with_the_reason() {
+    check("parameters", &["begins with 1.5 m/s", "goes on with 0.8 m/s, 3 attempts"]);
+    check(
+        "parameters",
+        &[
+            "refused by a check: `max_speed` is 5.0, and must be in 0.0..=2.0 m/s",
+            "refused by a check: there is no parameter `max_sped`: did you mean `max_speed`?",
+            "parameters of arm: `attempts` is \"many\", and must be a whole number from 0 to 255",
+        ],
+    );
 }
 
 #[test]

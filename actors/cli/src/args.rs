@@ -334,7 +334,7 @@ mod tests {
             json: false,
             within: Duration::from_secs(10),
         };
-        let list = |options| Ok(Job::Fault(FaultJob::List(options)));
+        let list = |options| Ok(Subcommand::Fault(FaultJob::List(options)));
         assert_eq!(parse("blastema fault list /a /b"), list(options(&["/a", "/b"], None)));
         let rest = FaultListOptions {
             all: true,

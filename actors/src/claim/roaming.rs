@@ -45,14 +45,14 @@ impl<M: Contract> Inlet<M> for Roaming<M> {
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
         match self.present() {
             Ok(sender) => sender.0.tell(message),
-            Err(why) => Err(SendError { why, message }),
+            Err(why) => Err(SendError::new(why, message)),
         }
     }
 
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
         match self.present() {
             Ok(sender) => sender.0.offer(message),
-            Err(why) => Err(SendError { why, message }),
+            Err(why) => Err(SendError::new(why, message)),
         }
     }
 
@@ -78,7 +78,7 @@ impl<M: Contract> Inlet<M> for Roaming<M> {
     ) -> Result<Reply<M>, RequestError<M>> {
         match self.present() {
             Ok(sender) => sender.0.ask(message, id, within),
-            Err(why) => Err(RequestError { why, message: Some(message) }),
+            Err(why) => Err(RequestError::new(why, Some(message))),
         }
     }
 }

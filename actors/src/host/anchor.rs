@@ -6,6 +6,7 @@
 use super::Host;
 use super::arbiters::Seat;
 use super::environment::HostEnvironment;
+use super::injection::Injected;
 use super::life::LifeToken;
 use super::limits::Limits;
 use super::pulse;
@@ -14,11 +15,11 @@ use super::watch::Glimpsed;
 use crate::component::{Component, Handle};
 use crate::death_watch::{Down, Mourners};
 use crate::lane::{Lane, WhenFull};
-use crate::letter::{Mail, pack, posting_time};
+use crate::letter::{Mail, Times, pack, posting_time};
 use crate::panics;
 use crate::platform;
 use crate::reply::{Answer, Reply, Revocable};
-use crate::sender::{Inlet, RequestError, SendError};
+use crate::sender::{Inlet, Receiver, RequestError, SendError};
 use crate::topic::Subscriptions;
 use actix::Addr;
 use blastema_contract::child::StandingOrder;
@@ -52,6 +53,7 @@ pub(crate) struct Record {
     pub(crate) limits: Limits,
     pub(crate) environment: HostEnvironment,
     pub(crate) mourners: Mourners,
+    pub(crate) injected: Injected,
     gate: AtomicU8,
     state: Mutex<Standing>,
     /// The life that began last.
@@ -105,6 +107,7 @@ impl Record {
             limits,
             environment,
             mourners: Mourners::default(),
+            injected: Injected::default(),
             gate: AtomicU8::new(0),
             state: Mutex::new(Standing { state: Lifecycle::Created, seat: None }),
             incarnation: AtomicU64::new(0),
@@ -376,14 +379,14 @@ impl<C: Component> Anchor<C> {
     }
 
     /// An event for a component that is busy, or has just been.
-    pub(crate) fn queue_event<M: Contract>(&self, event: M, posted_at: blastema_core::Instant)
+    pub(crate) fn queue_event<M: Contract>(&self, event: M, times: impl Into<Times>)
     where
         C: Handle<M>,
     {
         let refused = match self.record.refusal(None) {
             Some(why) => why,
             None => {
-                let push = self.lane.push_with(event, |m| pack::<C, M>(m, None, None, posted_at));
+                let push = self.lane.push_with(event, |m| pack::<C, M>(m, None, None, times));
                 match push {
                     Ok(None) => return,
                     Ok(Some(oldest)) => return self.return_mail(oldest, Why::Full),
@@ -417,6 +420,15 @@ impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
         Box::pin(self.lane.room())
     }
 
+    fn receiver(&self) -> Option<Receiver> {
+        Some(Receiver {
+            node: self.record.environment.registry.node(),
+            object: self.record.name.clone(),
+            contract: M::NAME,
+            queue: Some(self.lane.capacity()),
+        })
+    }
+
     #[inline]
     fn ask(
         &self,
@@ -428,7 +440,7 @@ impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
         let (answer, reply) = Answer::awaited();
         match self.post(message, answer, id) {
             Ok(()) => Ok(reply),
-            Err(SendError { why, message }) => Err(RequestError { why, message: Some(message) }),
+            Err(error) => Err(error.into()),
         }
     }
 }
@@ -445,7 +457,7 @@ impl<C: Component> Anchor<C> {
         C: Handle<M>,
     {
         match self.offer_at(message, posted_at) {
-            Err(SendError { why: why @ (Why::Full | Why::Restarting), message })
+            Err(SendError { why: why @ (Why::Full | Why::Restarting), message, .. })
                 if self.lane.policy() == WhenFull::DropNewest =>
             {
                 self.record.bury(M::NAME, &why);
@@ -466,7 +478,7 @@ impl<C: Component> Anchor<C> {
         C: Handle<M>,
     {
         if let Err(why) = self.admit(None) {
-            return Err(SendError { why, message });
+            return Err(SendError::new(why, message));
         }
         match self.lane.push_with(message, |m| pack::<C, M>(m, None, None, posted_at)) {
             Ok(None) => Ok(()),
@@ -474,7 +486,7 @@ impl<C: Component> Anchor<C> {
                 self.return_mail(oldest, Why::Full);
                 Ok(())
             }
-            Err((message, why)) => Err(SendError { why, message }),
+            Err((message, why)) => Err(SendError::new(why, message)),
         }
     }
 
@@ -510,7 +522,7 @@ impl<C: Component> Anchor<C> {
                 if let Some(answer) = answer {
                     answer.refuse(why.clone(), None);
                 }
-                Err(SendError { why, message })
+                Err(SendError::new(why, message))
             }
         }
     }

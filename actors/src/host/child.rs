@@ -3,6 +3,7 @@
 use super::anchor::Anchor;
 use super::arbiters::Seat;
 use super::course::Hook;
+use super::injection::Injection;
 use super::pump::{Pump, SharedPump};
 use super::{Control, Host, label};
 use crate::component::Component;
@@ -168,19 +169,28 @@ impl<C: Component> Anchor<C> {
     /// Nobody starts the component again for now: its queue and its subscriptions end.
     pub(crate) fn end(&self) {
         self.close(&Why::Stopped);
-        self.subscriptions().iter().for_each(|subscription| subscription.end());
+        self.subscriptions().iter().for_each(|subscription| subscription.end(self));
     }
 
     /// The same, by the life that ends in order.
     pub(crate) fn end_by(&self, incarnation: Incarnation) {
         if self.lane.owner() == Some(incarnation) {
             self.close_by(incarnation);
-            self.subscriptions().iter().for_each(|subscription| subscription.end());
+            self.subscriptions().iter().for_each(|subscription| subscription.end(self));
         }
     }
 }
 
 impl<C: Component> Mortal for Anchor<C> {
+    fn inject(&self, injection: Injection) {
+        self.record.injected.put_in(injection);
+        if injection == Injection::Panic
+            && let Some(host) = self.control()
+        {
+            host.do_send(Control::Panic);
+        }
+    }
+
     fn watch(&self, mourner: Mourner) {
         let mourner = Arc::new(mourner);
         self.record.mourners.join(mourner.clone());

@@ -5,6 +5,7 @@ use super::office::DeadLetterOffice;
 use super::watch::WatchList;
 use crate::claim::Names;
 use crate::lease::Yard;
+use crate::parameters::Configured;
 use crate::registry::Registry;
 use crate::service::Roster;
 use crate::topic::Topics;
@@ -36,6 +37,7 @@ pub(crate) struct HostEnvironment {
     pub(crate) dead_letters: DeadLetterOffice,
     pub(crate) watch_list: WatchList,
     pub(crate) variables: Store,
+    pub(crate) parameters: Configured,
     pub(crate) actuators: Yard,
     pub(crate) services: Roster,
     pub(crate) names: Names,
@@ -54,6 +56,7 @@ impl Reports {
     }
 
     /// What was [declared](Reports::declare) of one of the middleware's own objects is over.
+    #[cfg(feature = "unix")]
     pub(crate) fn mend(&self, object: &str) {
         if let (Some(mended), Ok(object)) = (&self.mended, ObjectName::new(object)) {
             let (incarnation, kind) =
@@ -105,6 +108,7 @@ impl HostEnvironment {
             dead_letters,
             watch_list: WatchList::default(),
             variables: Store::default(),
+            parameters: Configured::default(),
             actuators: Yard::default(),
             services: Roster::default(),
             names: Names::default(),

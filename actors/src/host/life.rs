@@ -4,7 +4,7 @@ use super::stamp::Stamp;
 use crate::component::{Component, Failure};
 use crate::context::Context;
 use crate::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use blastema_core::{Incarnation, Why};
+use blastema_core::{Incarnation, Instant, Why};
 use std::cell::{Cell, RefCell};
 use std::future::Future;
 use std::pin::Pin;
@@ -90,6 +90,8 @@ pub(crate) struct Life<C: Component> {
     pub(crate) incarnation: Incarnation,
     pub(crate) token: Arc<LifeToken>,
     pub(crate) stamp: &'static Stamp,
+    /// Of the message that is served, or was last.
+    pub(crate) captured_at: Cell<Option<Instant>>,
     wishes: RefCell<Wishes<C>>,
     wished: Cell<bool>,
     next_timer: Cell<u64>,
@@ -101,6 +103,7 @@ impl<C: Component> Life<C> {
             incarnation,
             token: Arc::default(),
             stamp,
+            captured_at: Cell::new(None),
             wishes: RefCell::default(),
             wished: Cell::new(false),
             next_timer: Cell::new(0),

@@ -26,6 +26,7 @@ pub(crate) mod child;
 mod chores;
 mod course;
 pub(crate) mod environment;
+pub(crate) mod injection;
 pub(crate) mod label;
 pub(crate) mod life;
 pub(crate) mod limits;
@@ -70,6 +71,8 @@ pub(crate) enum Control {
     Activate(bool),
     /// Look again: something was decided elsewhere.
     Wake,
+    /// A test has it panic.
+    Panic,
 }
 
 impl<C: Component> Host<C> {
@@ -105,6 +108,7 @@ impl<C: Component> Handler<Control> for Host<C> {
             Control::Activate(active) => pump.activate(active),
             // Whatever arrives here, the pump is polled next.
             Control::Wake => {}
+            Control::Panic => pump.die_of(Box::new("it was told to panic"), "an injected fault"),
         }
     }
 }

@@ -16,6 +16,7 @@ use blastema_contract::child::Child;
 use blastema_core::dependencies::DependencyError;
 use blastema_core::detection::Watch;
 use blastema_core::net::claims::Wanted;
+use blastema_core::parameters::ParameterError;
 use blastema_core::{NameError, ObjectName, Why};
 use std::collections::BTreeSet;
 use std::fmt;
@@ -51,6 +52,14 @@ pub enum SpecError {
         name: ObjectName,
         /// What is wrong.
         why: Why,
+    },
+    /// Its parameters are given a value that they do not take.
+    #[error("parameters of {name}: {error}")]
+    Parameters {
+        /// The component.
+        name: ObjectName,
+        /// What is wrong.
+        error: ParameterError,
     },
     /// One of its actuators cannot be: its safe command is larger than its contract allows.
     #[error("an actuator of {name} cannot be: {why}")]
@@ -130,7 +139,11 @@ pub struct ChildSpec<C: Component> {
     essential: bool,
     /// Contracts of the middleware's own that it takes beside its ports.
     beside: Vec<OpenPort<C>>,
+    more_ports: Vec<MorePorts<C>>,
 }
+
+/// Declares ports that depend on more than the component's type.
+type MorePorts<C> = Box<dyn FnOnce(&mut Ports<C>) + Send>;
 
 impl<C: Component> fmt::Debug for ChildSpec<C> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -154,6 +167,7 @@ impl<C: Component> ChildSpec<C> {
             claims: Vec::new(),
             essential: false,
             beside: Vec::new(),
+            more_ports: Vec::new(),
         }
     }
 
@@ -163,6 +177,13 @@ impl<C: Component> ChildSpec<C> {
         C: Stateful,
     {
         self.beside = stateful_ports();
+        self
+    }
+
+    /// Declares more ports than `Component::ports` does: those that depend on what only the program knows, such
+    /// as the topic of one of several cameras, or the default of a variable.
+    pub fn with_ports(mut self, declare: impl FnOnce(&mut Ports<C>) + Send + 'static) -> Self {
+        self.more_ports.push(Box::new(declare));
         self
     }
 
@@ -283,6 +304,7 @@ impl<C: Component> ChildSpec<C> {
         let name = ObjectName::new(&self.name)?;
         let mut ports = panics::caught(Ports::<C>::of)
             .map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
+        self.more_ports.into_iter().for_each(|declare| declare(&mut ports));
         ports.check(&name)?;
         ports.open_beside(self.beside);
         let wanted = |(claimed, policy): &(String, ClaimPolicy)| {
@@ -293,7 +315,10 @@ impl<C: Component> ChildSpec<C> {
         let record = Record::new(name.clone(), limits, environment.clone());
         record.set_claims(claims?.into_iter());
         let anchor = Arc::new(Anchor::new(record, self.queue, self.factory));
-        let (variables, actuators) = (ports.take_variables(), ports.take_actuators(&anchor));
+        let variables = ports
+            .take_variables(&anchor)
+            .map_err(|error| SpecError::Parameters { name: name.clone(), error })?;
+        let actuators = ports.take_actuators(&anchor);
         environment.registry.claim(&name, ports.doors(&anchor), anchor.clone())?;
         // From here on the child gives the name back when it is dropped.
         let child = HostedChild::new(anchor.clone());

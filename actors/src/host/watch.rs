@@ -191,6 +191,28 @@ impl WatchList {
     }
 }
 
+/// Tells from outside which component is on a thread of a node; it keeps nothing of the node.
+#[derive(Clone)]
+pub struct Running(pub(crate) WatchList);
+
+impl std::fmt::Debug for Running {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_list().entries(self.components()).finish()
+    }
+}
+
+impl Running {
+    /// The components that are on a thread now, each with what it does and the number of its turn.
+    pub fn components(&self) -> Vec<(ObjectName, &'static str, u64)> {
+        let on_thread = |(slot, watched): (&u32, &Watched)| {
+            let reading = watched.stamp.read();
+            let running = watched.pulse.running() == Some(*slot);
+            running.then(|| (watched.object.clone(), label::name(reading.during), reading.turn))
+        };
+        self.0.lock().iter().filter_map(on_thread).collect()
+    }
+}
+
 /// Ends the watch when dropped.
 pub(crate) struct WatchGuard {
     ended: Arc<AtomicBool>,

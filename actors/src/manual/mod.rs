@@ -11,6 +11,7 @@
 //! | [sending] | tell, deliver, ask; what every error means and what to do |
 //! | [events] | publish and subscribe: conditions and topics |
 //! | [variables] | values that outlive restarts: read, written and watched from any node |
+//! | [parameters] | settings with defaults, units and ranges: from a file, and set while a component runs |
 //! | [commanding] | actuators that come to rest by themselves when their commander goes |
 //! | [services] | services that a standby on another node takes over |
 //! | [supervision] | who is restarted with whom, how often, and what follows then |
@@ -44,6 +45,9 @@ pub mod events {}
 
 #[doc = include_str!("variables.md")]
 pub mod variables {}
+
+#[doc = include_str!("parameters.md")]
+pub mod parameters {}
 
 #[doc = include_str!("commanding.md")]
 pub mod commanding {}

@@ -325,14 +325,14 @@ impl Gateway {
         let (gate, gateway) = (known.gate.clone(), context.address());
         let (delivery, losses) = (by.1, self.losses(known, &key));
         let unsent = losses.clone();
-        let forward: Forward = Arc::new(move |event: &Parcel| {
+        let forward: Forward = Arc::new(move |event: &Parcel, sent| {
             let freight = Freight::of(delivery, event.len());
             // Publishing never waits: what a peer cannot take now is not sent.
             // Of which only the newest counts, nothing waits behind what does.
             let open = if newest { gate.has_session() } else { gate.is_open(freight) };
             match open.then(|| gate.lend_to_event(event.len(), freight)).flatten() {
                 Some(credit) => {
-                    let (event, sent) = (event.clone(), platform::now());
+                    let event = event.clone();
                     gateway.do_send(Published { peer, subscription, event, sent, credit });
                 }
                 None => unsent.take(gate.why_not()),

@@ -10,7 +10,7 @@ pub(super) use self::networks::Networks;
 
 use self::chain::{Parts, callbacks_of, make_chain, reports};
 use self::networks::{claims_setup, make_networks};
-use super::builder::{NodeBuilder, Placement, StartError};
+use super::builder::{Configuration, NodeBuilder, Placement, StartError};
 use super::checks::{
     check_names, check_networks, check_service, check_service_order, check_settings, dependencies,
 };
@@ -18,6 +18,7 @@ use super::keeper::{Keeper, StartRoot};
 use super::network::Network;
 use super::tree::{Ground, Harvest, SupervisorSpec};
 use super::watchdogs::ProcessWatchdogs;
+#[cfg(feature = "unix")]
 use super::window::{Show, Window};
 use super::{Node, Root, Shared};
 use crate::chain::strategy::StrategyTable;
@@ -44,6 +45,7 @@ use blastema_core::{
 };
 use std::any::Any;
 use std::collections::BTreeMap;
+use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
@@ -51,20 +53,28 @@ use std::time::Duration;
 
 /// Puts a node together, and starts it.
 pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
+    if actix_rt::System::try_current().is_none() {
+        return Err(StartError::Runtime);
+    }
     panics::install_hook();
     let mut assembly = Assembly::begin(&mut builder)?;
     #[cfg(feature = "journal")]
     assembly.keep_journal(builder.journal).await?;
     assembly.keep_variables(builder.kept_in)?;
+    assembly.read_parameters(builder.parameters)?;
     assembly.lay_networks(builder.networks)?;
     let planting = assembly.plant(builder.root, &builder.own_kinds, &builder.strategies)?;
+    let unused = assembly.environment.parameters.check();
+    unused.map_err(|reason| StartError::Parameters { file: None, reason })?;
     assembly.carry_services(builder.services)?;
     assembly.keep_leases();
+    #[cfg(feature = "unix")]
     let window = assembly.make_window(builder.shown_at);
     let actors = assembly.enrol_all(planting.harvest).await?;
     assembly.look_out(builder.grace)?;
     let manager = assembly.watch_chain(builder.process_watchdogs)?;
     let node = assembly.into_node(Root::of(&planting.root), planting.dependencies, actors, manager);
+    #[cfg(feature = "unix")]
     node.open(window).await?;
     if builder.handles_signals {
         node.node.apply_safe_outputs_on_signals()?;
@@ -138,6 +148,21 @@ impl Assembly {
         let kept = self.environment.variables.keep_in(file.clone(), failed);
         kept.map_err(|error| StartError::Variables { file, reason: error.to_string() })?;
         self.enrolments.push(middleware(named(KEPT_VARIABLES), None));
+        Ok(())
+    }
+
+    fn read_parameters(&self, configurations: Vec<Configuration>) -> Result<(), StartError> {
+        for configuration in configurations {
+            let (file, text) = match configuration {
+                Configuration::Text(text) => (None, Ok(text)),
+                Configuration::File(file) => {
+                    let text = fs::read_to_string(&file).map_err(|error| error.to_string());
+                    (Some(file), text)
+                }
+            };
+            let taken = text.and_then(|text| self.environment.parameters.take(&text));
+            taken.map_err(|reason| StartError::Parameters { file, reason })?;
+        }
         Ok(())
     }
 
@@ -216,6 +241,7 @@ impl Assembly {
     }
 
     /// It is opened when there is something to be seen.
+    #[cfg(feature = "unix")]
     fn make_window(&mut self, path: Option<PathBuf>) -> Option<Addr<Window>> {
         let (name, Parts { guardian, chain, state, .. }) = (named("window"), &self.parts);
         let window = Window::new(path?, state.clone(), self.environment.reports.clone());
@@ -316,6 +342,7 @@ struct Beginning {
 }
 
 impl Beginning {
+    #[cfg(feature = "unix")]
     async fn open(&self, window: Option<Addr<Window>>) -> Result<(), StartError> {
         let Some(window) = window else { return Ok(()) };
         // The fault chain's mailboxes close only when the node has ended.

@@ -94,12 +94,26 @@ pub enum StartError {
         /// What stands in the way, and what to do.
         reason: String,
     },
+    /// The configuration of parameters cannot be read, or gives them to a component that takes none.
+    #[error("parameters{}: {reason}", of_file(.file.as_ref()))]
+    Parameters {
+        /// The file, where it is one.
+        file: Option<PathBuf>,
+        /// What is wrong, and where.
+        reason: String,
+    },
     /// Nobody can look at the node where it was to be shown.
     #[error("the node cannot be shown: {0}")]
     Shown(String),
     /// A watchdog of the process cannot be used.
     #[error("the process cannot be watched: {0}")]
     ProcessWatchdog(String),
+    /// The node was started outside of Blastema's runtime, as by `#[tokio::main]`.
+    #[error(
+        "a node starts only in Blastema's runtime: write `#[blastema::main]` in place of \
+         `#[tokio::main]`, or run the program by `blastema::run(async {{ .. }})`"
+    )]
+    Runtime,
     /// The operating system has no thread left.
     #[error("a thread could not be started: {0}")]
     Thread(#[from] io::Error),
@@ -109,6 +123,16 @@ pub enum StartError {
         /// Which component, and what it said.
         reason: String,
     },
+}
+
+fn of_file(file: Option<&PathBuf>) -> String {
+    file.map(|file| format!(" in {}", file.display())).unwrap_or_default()
+}
+
+/// Where the values of parameters stand.
+pub(super) enum Configuration {
+    File(PathBuf),
+    Text(String),
 }
 
 /// Where a node's actors live.
@@ -142,6 +166,8 @@ pub struct NodeBuilder {
     pub(super) listeners: Vec<Listener>,
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
+    pub(super) parameters: Vec<Configuration>,
+    #[cfg(feature = "unix")]
     pub(super) shown_at: Option<PathBuf>,
     #[cfg(feature = "journal")]
     pub(super) journal: Option<PathBuf>,
@@ -185,6 +211,8 @@ impl NodeBuilder {
             listeners: Vec::new(),
             state: watch::channel(NodeState::Starting).0,
             kept_in: None,
+            parameters: Vec::new(),
+            #[cfg(feature = "unix")]
             shown_at: None,
             #[cfg(feature = "journal")]
             journal: None,
@@ -252,11 +280,26 @@ impl NodeBuilder {
         self
     }
 
+    /// Reads the [parameters](crate::manual::parameters) of components from this file at the start. It is TOML,
+    /// with one table for each component: `[arm]`, `["arm/left"]`. Of several files, the later ones prevail.
+    pub fn parameters_from(mut self, file: impl Into<PathBuf>) -> Self {
+        self.parameters.push(Configuration::File(file.into()));
+        self
+    }
+
+    /// Takes the parameters of components from this text, written as in a
+    /// [file](NodeBuilder::parameters_from).
+    pub fn parameters(mut self, toml: &str) -> Self {
+        self.parameters.push(Configuration::Text(toml.to_owned()));
+        self
+    }
+
     /// Shows the node to `blastema monitor`, and to whatever else connects to a Unix socket at this path: its
     /// [`picture`](Node::picture) as JSON, and the end. Only processes of the same user may look, and
     /// nothing can be changed from there. It can be seen from the start on, and at safe rest.
     ///
     /// The path is absolute; any other is refused at start, as is one at which nobody can listen.
+    #[cfg(feature = "unix")]
     pub fn shown_at(mut self, path: impl Into<PathBuf>) -> Self {
         self.shown_at = Some(path.into());
         self

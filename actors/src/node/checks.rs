@@ -83,7 +83,9 @@ pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
     builder.kept_in.as_deref().map_or(Ok(()), check_kept_file)?;
     #[cfg(feature = "journal")]
     builder.journal.as_deref().map_or(Ok(()), check_journal)?;
-    builder.shown_at.as_deref().map_or(Ok(()), check_window)
+    #[cfg(feature = "unix")]
+    builder.shown_at.as_deref().map_or(Ok(()), check_window)?;
+    Ok(())
 }
 
 /// The watchdogs of the process can depend on the fault chain, and lie where they are said to lie.
@@ -141,6 +143,7 @@ pub(super) fn check_names<'a>(
 }
 
 /// The window lies where it is said to lie, wherever the program is started.
+#[cfg(feature = "unix")]
 fn check_window(path: &Path) -> Result<(), StartError> {
     if path.is_absolute() {
         return Ok(());

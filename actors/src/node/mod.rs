@@ -23,6 +23,7 @@ mod safety;
 mod signs;
 mod tree;
 mod watchdogs;
+#[cfg(feature = "unix")]
 mod window;
 
 pub use builder::{NodeBuilder, StartError};
@@ -39,15 +40,17 @@ use crate::chain::supervisor::SupervisorChild;
 use crate::claim::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
 use crate::component::Component;
 use crate::host::environment::HostEnvironment;
+use crate::host::injection::Injection;
 use crate::host::office::DeadLetterOffice;
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::host::threads::{self, ThreadRow};
+use crate::host::watch::Running;
 use crate::lease::{self, ActuatorRow, Commander};
 use crate::platform::systemd::Systemd;
 use crate::reference::ActorRef;
 use crate::sender::Sender;
 use crate::service::{Role, ServiceRef, ServiceRow};
-use crate::topic::Publisher;
+use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
 use actix::Recipient;
 use assembly::{Chain, Networks};
@@ -179,8 +182,8 @@ impl Node {
     /// [claimed](crate::manual::names) by whichever node, such as `*:map`.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no object here has the name, or it does not take the contract;
-    /// [`Why::ContractDiffers`] shows field by field what differs. Whether an object of another node
+    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where
+    /// it does not serve the contract; [`Why::ContractDiffers`] shows field by field what differs. Whether an object of another node
     /// takes it is found out when the first message is sent.
     pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
         self.0.environment.registry.sender(name)
@@ -190,7 +193,8 @@ impl Node {
     /// another node has it is found out when it is used.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no object here has the name, or it owns no variables.
+    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where it
+    /// owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
         variable::find(&self.0.environment.registry, object)
     }
@@ -264,11 +268,17 @@ impl Node {
         self.0.environment.actuators.rows()
     }
 
+    /// The topics that objects of this node have named: who publishes, who listens, and how much.
+    pub fn topics(&self) -> Vec<TopicRow> {
+        self.0.environment.topics.rows()
+    }
+
     /// Commands the actuator of this name, here or on another node, under the name `own`. The lease is
     /// renewed on this thread; a component commands by [`Context::commander`](crate::Context::commander).
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no object here has the name, or it is no actuator.
+    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where it
+    /// is no actuator.
     pub fn commander<M: Contract>(&self, actuator: &str, own: &str) -> Result<Commander<M>, Why> {
         let who = (format!("{}:{own}", self.0.name), self.0.incarnation);
         let (commander, renewing) = lease::commander(&self.0.environment.registry, actuator, who)?;
@@ -279,9 +289,10 @@ impl Node {
     /// A reference to a component here whose type is known.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no component of this type has the name.
+    /// [`Why::Unknown`] where no component of this type has the name, [`Why::Misspelt`] where one has a
+    /// similar name.
     pub fn actor<C: Component>(&self, name: &str) -> Result<ActorRef<C>, Why> {
-        let unknown = || Why::Unknown { name: name.to_owned() };
+        let unknown = || self.0.environment.registry.misspelt(name);
         let name = ObjectName::new(name).map_err(|_| unknown())?;
         let actors = self.0.actors.lock().unwrap_or_else(PoisonError::into_inner);
         actors.get(&name).and_then(|actor| actor.downcast_ref()).cloned().ok_or_else(unknown)
@@ -294,7 +305,7 @@ impl Node {
     /// and what differs.
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
-        self.0.environment.topics.publisher(topic)
+        self.0.environment.topics.publisher_of(topic, self.0.name.as_str())
     }
 
     /// Everything that is watched, each row with its age and incarnation. It can be read at any time,
@@ -392,6 +403,21 @@ impl Node {
         }
     }
 
+    /// Puts a fault into the component of this name, which need not know of it: for demonstrations and
+    /// tests, as those of `blastema-testkit`.
+    ///
+    /// # Errors
+    /// [`Why::Unknown`] or [`Why::Misspelt`] where no component here has the name.
+    pub fn inject(&self, component: &str, injection: Injection) -> Result<(), Why> {
+        self.0.environment.registry.inject(component, injection)
+    }
+
+    /// Tells from outside, without keeping the node, which component is on a thread.
+    #[doc(hidden)]
+    pub fn running(&self) -> Running {
+        Running(self.0.environment.watch_list.clone())
+    }
+
     /// What was not delivered here, with the reasons.
     pub fn dead_letters(&self) -> &DeadLetterOffice {
         &self.0.environment.dead_letters
@@ -445,9 +471,9 @@ impl Node {
     /// Stops a component that stands directly under the root supervisor, and forgets it.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where the root keeps no such component.
+    /// [`Why::Unknown`] or [`Why::Misspelt`] where the root keeps no such component.
     pub async fn remove_child(&self, name: &str) -> Result<(), Why> {
-        let unknown = || Why::Unknown { name: name.to_owned() };
+        let unknown = || self.0.environment.registry.misspelt(name);
         let object = ObjectName::new(name).map_err(|_| unknown())?;
         let removed = self.0.root.removals.send(RemoveChild { object: object.clone() }).await;
         if !matches!(removed, Ok(Ok(_))) {

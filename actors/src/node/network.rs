@@ -1,5 +1,7 @@
 //! The networks of a node as they are described.
 
+#[cfg(feature = "ip")]
+mod beacons;
 mod checks;
 mod laying;
 
@@ -9,9 +11,9 @@ use blastema_contract::transport::{
     Cut, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults, Restore,
 };
 use blastema_transports::frame_medium::FrameMedium;
-use blastema_transports::{
-    Endpoint, EndpointError, Faulty, FrameTransport, MemoryConfig, TcpConfig, UdpConfig,
-};
+use blastema_transports::{Endpoint, EndpointError, Faulty, FrameTransport, MemoryConfig};
+#[cfg(feature = "ip")]
+use blastema_transports::{TcpConfig, UdpConfig};
 use std::fmt;
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -60,6 +62,19 @@ enum Medium {
     Own(Box<dyn FnOnce() -> FrameTransport + Send>),
 }
 
+impl Medium {
+    /// The interface and the address that its socket is bound to.
+    fn socket(&self) -> Option<(Option<&str>, SocketAddr)> {
+        match self {
+            #[cfg(feature = "ip")]
+            Medium::At(Endpoint::Udp(config)) => Some((config.interface.as_deref(), config.bind)),
+            #[cfg(feature = "ip")]
+            Medium::At(Endpoint::Tcp(config)) => Some((config.interface.as_deref(), config.bind)),
+            _ => None,
+        }
+    }
+}
+
 impl fmt::Debug for Network {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Network").field("name", &self.name).field("links", &self.links).finish()
@@ -82,6 +97,7 @@ impl Network {
     }
 
     /// UDP, at this address of our own, which is no group's. Links name the neighbours; nobody else is listened to.
+    #[cfg(feature = "ip")]
     pub fn udp(name: &str, bind: SocketAddr) -> Self {
         Network::udp_with(name, {
             let mut config = UdpConfig::default();
@@ -91,11 +107,13 @@ impl Network {
     }
 
     /// UDP with every setting.
+    #[cfg(feature = "ip")]
     pub fn udp_with(name: &str, config: UdpConfig) -> Self {
         Network::over(name, Medium::At(Endpoint::Udp(config)))
     }
 
     /// TCP, at this address of our own, with one connection to each neighbour.
+    #[cfg(feature = "ip")]
     pub fn tcp(name: &str, bind: SocketAddr) -> Self {
         Network::tcp_with(name, {
             let mut config = TcpConfig::default();
@@ -105,6 +123,7 @@ impl Network {
     }
 
     /// TCP with every setting.
+    #[cfg(feature = "ip")]
     pub fn tcp_with(name: &str, config: TcpConfig) -> Self {
         Network::over(name, Medium::At(Endpoint::Tcp(config)))
     }
@@ -117,13 +136,10 @@ impl Network {
 
     fn over(name: &str, medium: Medium) -> Self {
         // A socket that is bound to one address uses the interface that has it.
-        let (named, bind) = match &medium {
-            Medium::At(Endpoint::Udp(config)) => (config.interface.clone(), Some(config.bind)),
-            Medium::At(Endpoint::Tcp(config)) => (config.interface.clone(), Some(config.bind)),
-            _ => (None, None),
-        };
-        let by_address = || Interface::of(bind?.ip());
-        let interface = named.map(Interface::Named).or_else(by_address);
+        let interface = medium.socket().and_then(|(named, bind)| match named {
+            Some(named) => Some(Interface::Named(named.to_owned())),
+            None => Interface::of(bind.ip()),
+        });
         Network {
             name: name.to_owned(),
             medium,

@@ -6,6 +6,7 @@ use crate::host::threads::{ThreadRow, ThreadState};
 use crate::lease::ActuatorRow;
 use crate::platform;
 use crate::service::ServiceRow;
+use crate::topic::TopicRow;
 use blastema_contract::link::LinkRow;
 use blastema_contract::session::SessionRow;
 use blastema_core::detection::{Entry, ObjectKind, Record, Row};
@@ -46,6 +47,8 @@ pub struct Picture {
     pub services: Vec<ServiceRow>,
     /// The node's actuators, and who commands each.
     pub actuators: Vec<ActuatorRow>,
+    /// The topics that objects of the node have named.
+    pub topics: Vec<TopicRow>,
     /// The record of faults.
     pub faults: Option<Record>,
 }
@@ -70,6 +73,7 @@ impl Picture {
             claims: node.claims(),
             services: node.services(),
             actuators: node.actuators(),
+            topics: node.topics(),
             faults,
             seen_at: platform::now(),
         }
@@ -98,6 +102,7 @@ impl Picture {
             "claims": rows_of(&self.claims, claim),
             "services": rows_of(&self.services, service),
             "actuators": rows_of(&self.actuators, actuator),
+            "topics": rows_of(&self.topics, topic),
             "faults": faults.map(|record| rows_of(&record.entries, entry)),
             "faults_dropped": faults.map(|record| record.dropped),
         });
@@ -244,6 +249,21 @@ fn actuator(row: &ActuatorRow) -> Value {
     })
 }
 
+fn topic(row: &TopicRow) -> Value {
+    json!({
+        "topic": row.topic,
+        "contract": row.contract,
+        "latched": row.latched,
+        "publishers": row.publishers,
+        "listeners": rows_of(&row.listeners, |name| name.as_str().into()),
+        "nodes": row.nodes,
+        "events": row.events,
+        "rate_hz": row.rate_hz,
+        "bytes": row.bytes,
+        "similar": row.similar,
+    })
+}
+
 fn fault(entry: &Entry, now: Instant) -> Value {
     let fault = &entry.fault;
     json!({
@@ -292,6 +312,7 @@ mod tests {
                 claims: Vec::new(),
                 services: Vec::new(),
                 actuators: Vec::new(),
+                topics: Vec::new(),
                 faults: in_time(future::pending()).await,
             };
 

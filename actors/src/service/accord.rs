@@ -48,7 +48,9 @@ impl ReplicaBody {
             let now = platform::now();
             match answer.map_err(|error| error.why) {
                 Ok(theirs) => body.machine.handle_terms(&with, &theirs, now),
-                Err(Why::Unknown { .. }) => body.machine.handle_no_terms(&with, now),
+                Err(Why::Unknown { .. } | Why::NotServed { .. }) => {
+                    body.machine.handle_no_terms(&with, now)
+                }
                 Err(Why::Left { .. }) => body.machine.handle_left(&with, now),
                 // It is asked again.
                 Err(_) => {}

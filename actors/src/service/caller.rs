@@ -152,11 +152,11 @@ impl<M: Request> ServiceRef<M> {
         let mut payload = Vec::new();
         if codec::encode(&message, &mut payload).is_err() {
             let why = Why::TooLarge { limit: M::MAX_SIZE };
-            return Err(RequestError { why, message: Some(message) });
+            return Err(RequestError::new(why, Some(message)));
         }
         let task = Task { identity: ContractIdentity::of::<M>().brief().encode(), payload };
         let until = platform::now() + rule.within;
-        let failed = |why| RequestError { why, message: None };
+        let failed = |why| RequestError::new(why, None);
         for asked in 1.. {
             // That a request has failed is remembered: asked again, it is another one.
             let (id, settled, _open) = Open::begin();

@@ -417,7 +417,7 @@ impl Body for ReplicaBody {
 
 /// The component was stopped, isolated or removed, and not only restarted.
 fn takes_nothing(why: &Why) -> bool {
-    matches!(why, Why::Stopped | Why::Isolated | Why::Unknown { .. })
+    matches!(why, Why::Stopped | Why::Isolated | Why::Unknown { .. } | Why::NotServed { .. })
 }
 
 answers_the_monitor!(ReplicaBody);

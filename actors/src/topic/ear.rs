@@ -7,8 +7,8 @@ use crate::host::anchor::Anchor;
 use crate::host::pulse::Pulse;
 use crate::host::pump::{self, Pump};
 use crate::host::stamp::Place;
-use crate::letter;
-use blastema_core::{Event, Instant, Why};
+use crate::letter::{self, Times};
+use blastema_core::{Event, Why};
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::hint::black_box;
@@ -38,7 +38,7 @@ impl<E> Ear<E> {
 /// The component behind an ear.
 pub(super) trait Listener<E> {
     /// Serves the event, or queues it where the component is busy. Answers where the component is.
-    fn take(&self, event: E, at: Instant, pulse: &Pulse, ear: &Ear<E>) -> Option<Place>;
+    fn take(&self, event: E, at: Times, pulse: &Pulse, ear: &Ear<E>) -> Option<Place>;
     /// Where the component is.
     fn place(&self) -> Option<Place>;
     /// Brings what it consists of nearer to the processor, while the one before it is served.
@@ -71,7 +71,7 @@ impl<C: Component> Resident<C> {
 
 impl<C: Handle<E>, E: Event> Listener<E> for Resident<C> {
     #[inline]
-    fn take(&self, event: E, at: Instant, pulse: &Pulse, ear: &Ear<E>) -> Option<Place> {
+    fn take(&self, event: E, at: Times, pulse: &Pulse, ear: &Ear<E>) -> Option<Place> {
         let mut event = Some(event);
         let place = self.with_pump(|pump| {
             let place = pump.place();

@@ -5,7 +5,7 @@
 //! its turn and goes on from there in the next.
 
 use super::ear::{Ear, Resident};
-use super::{Condition, Hubs, Subscription, Topic, lock};
+use super::{Condition, Hubs, Latch, Latched, Subscription, Topic, lock};
 use crate::component::Handle;
 use crate::host::anchor::Anchor;
 use crate::host::label::label;
@@ -13,9 +13,10 @@ use crate::host::pulse::Pulse;
 use crate::host::stamp::Place;
 use crate::host::turn_budget::TurnBudget;
 use crate::lane::{Lane, Pushed, Taken, WhenFull};
+use crate::letter::Times;
 use crate::panics::Guarded;
 use crate::platform;
-use blastema_core::{Event, Incarnation, Instant, Why};
+use blastema_core::{Event, Incarnation, Why};
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
@@ -69,7 +70,7 @@ struct Serving<E> {
 #[derive(Clone)]
 pub(super) struct Posted<E> {
     event: E,
-    at: Instant,
+    at: Times,
     /// Counts the topic's events.
     number: u64,
 }
@@ -77,7 +78,7 @@ pub(super) struct Posted<E> {
 impl<E> HubLane<E> {
     /// Hands an event over; a hub drops its oldest one where it has no room.
     #[inline]
-    pub(super) fn push(&self, event: E, at: Instant, number: u64) -> Pushed<Posted<E>> {
+    pub(super) fn push(&self, event: E, at: Times, number: u64) -> Pushed<Posted<E>> {
         let pushed = self.lane.push_quietly(event, |event| Posted { event, at, number });
         // Refused only where the hub has retired, which publishers no longer know.
         pushed.unwrap_or(Pushed { displaced: None, parked: None })
@@ -221,6 +222,25 @@ impl<E: Event> Topic<E> {
     }
 }
 
+impl<E: Event> Topic<E> {
+    /// What the topic keeps, for a listener that joins.
+    fn kept(&self, latch: &Latch<E>) -> Vec<Posted<E>> {
+        let _guarded = Guarded::enter();
+        let kept = catch_unwind(AssertUnwindSafe(|| {
+            let posted = |kept: &Latched<E>| Posted {
+                event: kept.event.clone(),
+                at: kept.at,
+                number: 0, // It is for one ear, which is asked no number.
+            };
+            latch.iter().map(posted).collect()
+        }));
+        kept.unwrap_or_else(|payload| {
+            self.complain(payload);
+            Vec::new()
+        })
+    }
+}
+
 impl<E: Event> Drop for Topic<E> {
     fn drop(&mut self) {
         // The hubs' tasks end, each on its own arbiter.
@@ -308,7 +328,7 @@ impl<E: Event> Hub<E> {
         let mut stale = Vec::new();
         if let Some(limit) = E::MAX_AGE {
             let now = platform::now();
-            stale.extend(events.extract_if(.., |posted| now - posted.at > limit));
+            stale.extend(events.extract_if(.., |posted| now - posted.at.captured_at() > limit));
         }
         let events = Arc::new(events);
         reached.store(0, Relaxed);
@@ -486,6 +506,8 @@ impl<E: Event> Listening<E> {
 impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
     fn attach(&self, anchor: &Arc<Anchor<C>>) {
         static NEXT: AtomicU64 = AtomicU64::new(1);
+        // No event passes between what the topic keeps and what the listener gets from here on.
+        let latch = lock(&self.topic.latch);
         let mut at = lock(&self.hub);
         let mut hubs = lock(&self.topic.hubs);
         let hub = self.topic.hub_here(&mut hubs);
@@ -507,11 +529,11 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
             }
             None => {
                 leave();
-                Vec::new()
+                self.topic.kept(&latch)
             }
         };
         hub.shared.listeners.fetch_add(1, Relaxed);
-        drop(hubs);
+        drop((hubs, latch));
         let mut newcomers = hub.newcomers.borrow_mut();
         newcomers.retain(Ear::is_present);
         newcomers.push(Ear {
@@ -528,16 +550,26 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
             hub.shared.lane.wake();
         }
         match at.replace(At { lane: hub.shared.clone(), since }) {
-            None => self.topic.count_listener(true),
+            None => self.topic.count_listener(&anchor.record.name, true),
             Some(old) => self.topic.leave(&old.lane),
         }
     }
 
-    fn end(&self) {
+    fn catch_up(&self, _: &Arc<Anchor<C>>) {
+        let left = self.topic.kept(&lock(&self.topic.latch));
+        if let Some(At { lane, .. }) = &*lock(&self.hub)
+            && !left.is_empty()
+        {
+            lock(&lane.serving).brought.push_back((self.present.load(Relaxed), left));
+            lane.lane.wake();
+        }
+    }
+
+    fn end(&self, anchor: &Anchor<C>) {
         if let Some(At { lane, .. }) = lock(&self.hub).take() {
             self.present.store(0, Relaxed);
             self.topic.leave(&lane);
-            self.topic.count_listener(false);
+            self.topic.count_listener(&anchor.record.name, false);
         }
     }
 }

@@ -17,21 +17,26 @@
 
 mod ear;
 mod hub;
+mod publisher;
+mod traffic;
 
 pub(crate) use hub::Listening;
+pub use publisher::Publisher;
+pub use traffic::TopicRow;
 
 use crate::component::Component;
 use crate::host::anchor::Anchor;
 use crate::host::environment::Reports;
-use crate::host::life::LifeToken;
 use crate::host::office::DeadLetterOffice;
 use crate::host::pulse;
 use crate::lane::Pushed;
-use crate::letter::{arrived_posting_time, posting_time};
+use crate::letter::{Times, posting_time};
 use crate::panics::{self, Guarded};
+use crate::platform;
 use crate::registry::difference;
-use crate::sender::SendError;
-use blastema_core::{ContractIdentity, Event, Former, ObjectName, Parcel, Why, codec};
+use blastema_core::{
+    ContractIdentity, Event, Former, Instant, ObjectName, Parcel, Why, codec, spelling,
+};
 use bytes::Bytes;
 use hub::HubLane;
 use std::any::{Any, type_name};
@@ -39,14 +44,16 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, Location, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
+use tokio::sync::watch;
 use tracing::error;
+use traffic::Traffic;
 
 /// Says whether a listener wants an event.
 pub(crate) type Condition<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
-/// Ships an encoded event out of the process. Must not wait.
-pub(crate) type Forward = Arc<dyn Fn(&Parcel) + Send + Sync>;
+/// Ships an encoded event out of the process, with the time by which its age is judged. Must not wait.
+pub(crate) type Forward = Arc<dyn Fn(&Parcel, Instant) + Send + Sync>;
 /// Hears which topics this node listens to.
 pub(crate) type Interest = Arc<dyn Fn(&TopicKey, bool) + Send + Sync>;
 
@@ -54,8 +61,11 @@ pub(crate) type Interest = Arc<dyn Fn(&TopicKey, bool) + Send + Sync>;
 pub(crate) trait Subscription<C: Component>: Send + Sync {
     /// From now on events are delivered by the hub of the present arbiter.
     fn attach(&self, anchor: &Arc<Anchor<C>>);
+    /// Another incarnation of the component has begun where the one before it ended: it is given what
+    /// the topic keeps for those who join.
+    fn catch_up(&self, anchor: &Arc<Anchor<C>>);
     /// From now on none are.
-    fn end(&self);
+    fn end(&self, anchor: &Anchor<C>);
 }
 
 /// A component's subscriptions.
@@ -79,6 +89,16 @@ impl TopicKey {
     }
 }
 
+/// The last event of a topic that keeps it.
+struct Latched<E> {
+    event: E,
+    at: Times,
+    /// It came from another node.
+    is_foreign: bool,
+}
+
+type Latch<E> = Option<Latched<E>>;
+
 /// One topic of this node.
 pub(crate) struct Topic<E: Event> {
     key: TopicKey,
@@ -87,6 +107,12 @@ pub(crate) struct Topic<E: Event> {
     forwards: Mutex<Arc<[Forward]>>,
     is_forwarded: AtomicBool,
     listeners: AtomicU64,
+    /// Held while an event of a latched topic is handed out, so that who joins gets it once.
+    latch: Mutex<Latch<E>>,
+    traffic: Traffic,
+    /// Listeners here, and other nodes that have some.
+    matched: watch::Sender<usize>,
+    all: Weak<Mutex<Inner>>,
     dead_letters: DeadLetterOffice,
     reports: Reports,
     /// It is known that its events panic.
@@ -111,16 +137,64 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl<E: Event> Topic<E> {
-    fn publish(&self, event: E) {
+    fn publish(&self, event: E, captured_at: Option<Instant>) {
         let posted_at = posting_time::<E>();
-        if self.is_forwarded.load(Relaxed) {
-            self.forward(&event);
+        // What is still to come was captured now at the latest.
+        let captured_at = captured_at.map(|at| at.min(platform::now()));
+        let times = Times { posted_at, captured_at };
+        self.traffic.count();
+        if self.traffic.is_to_be_measured() {
+            self.measure(&event);
         }
-        self.spread(event, posted_at);
+        if self.is_forwarded.load(Relaxed) {
+            self.forward(&event, captured_at.unwrap_or_else(platform::now));
+        } else if self.listeners.load(Relaxed) == 0 && !self.traffic.was_judged() {
+            self.suggest();
+        }
+        self.hand_out(event, times, false);
+    }
+
+    /// To the listeners of this node, now and later.
+    fn hand_out(&self, event: E, times: Times, is_foreign: bool) {
+        if !E::LATCHED {
+            return self.spread(event, times);
+        }
+        let mut latch = lock(&self.latch);
+        let kept = Latched { event: event.clone(), at: times, is_foreign };
+        let earlier = latch.replace(kept).map(|earlier| earlier.event);
+        self.spread(event, times);
+        drop(latch);
+        self.discard(earlier);
+    }
+
+    /// How large the events are is measured where somebody wants to know.
+    fn measure(&self, event: &E) {
+        let mut bytes = Vec::new();
+        if codec::encode(event, &mut bytes).is_ok() {
+            self.traffic.measured(bytes.len());
+        }
+    }
+
+    /// Publishes to nobody: where a topic of a similar name has listeners and no publisher, that may have
+    /// been meant.
+    #[cold]
+    fn suggest(&self) {
+        if !self.traffic.is_time_to_judge(pulse::rough_now()) {
+            return;
+        }
+        let Some(all) = self.all.upgrade() else { return };
+        let Some(nearest) = lock(&all).lonely_like(&self.key) else { return };
+        tracing::warn!(
+            topic = &*self.key.topic,
+            nearest = &*nearest,
+            "a topic has publishers and no listeners, and one of a similar name has listeners and no \
+             publishers: is the name right?"
+        );
+        self.traffic.suggest(nearest);
     }
 
     /// To the listeners of this node.
-    fn spread(&self, event: E, posted_at: blastema_core::Instant) {
+    fn spread(&self, event: E, times: Times) {
         let mut copies = Vec::new();
         loop {
             let mut hubs = lock(&self.hubs);
@@ -133,9 +207,9 @@ impl<E: Event> Topic<E> {
             }
             let mut pushed = Vec::new();
             for (hub, copy) in others.iter().zip(copies.drain(..others.len())) {
-                pushed.push(hub.push(copy, posted_at, hubs.next));
+                pushed.push(hub.push(copy, times, hubs.next));
             }
-            let last = last.push(event, posted_at, hubs.next);
+            let last = last.push(event, times, hubs.next);
             hubs.next += 1;
             drop(hubs);
             pushed.into_iter().chain([last]).for_each(|pushed| self.pushed(pushed));
@@ -182,10 +256,10 @@ impl<E: Event> Topic<E> {
         }
     }
 
-    fn forward(&self, event: &E) {
+    fn forward(&self, event: &E, sent: Instant) {
         let forwards = lock(&self.forwards).clone();
         match codec::encode_parcel(event) {
-            Ok(parcel) => forwards.iter().for_each(|forward| forward(&parcel)),
+            Ok(parcel) => forwards.iter().for_each(|forward| forward(&parcel, sent)),
             Err(_) => self.bury(&Why::TooLarge { limit: E::MAX_SIZE }),
         }
     }
@@ -198,17 +272,38 @@ impl<E: Event> Topic<E> {
     }
 
     /// One listener more or less.
-    fn count_listener(&self, more: bool) {
+    fn count_listener(&self, name: &ObjectName, more: bool) {
         let first_or_last = if more {
             self.listeners.fetch_add(1, Relaxed) == 0
         } else {
             self.listeners.fetch_sub(1, Relaxed) == 1
         };
+        self.traffic.listens(name, more);
+        self.renew_matched();
         let interest = lock(&self.interest).clone();
         if let Some(interest) = interest.filter(|_| first_or_last) {
             interest(&self.key, more);
         }
+        if E::LATCHED && first_or_last && !more {
+            // Other nodes send their last one anew when there is a listener again.
+            let mut latch = lock(&self.latch);
+            let foreign = latch.take_if(|last| last.is_foreign).map(|last| last.event);
+            drop(latch);
+            self.discard(foreign);
+        }
     }
+
+    fn renew_matched(&self) {
+        self.matched.send_modify(|matched| {
+            let here = self.listeners.load(Relaxed);
+            let elsewhere = lock(&self.forwards).len();
+            *matched = usize::try_from(here).unwrap_or(usize::MAX).saturating_add(elsewhere);
+        });
+    }
+}
+
+fn nanos(span: Duration) -> u64 {
+    u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// A topic whose type is not known.
@@ -219,6 +314,10 @@ trait AnyTopic: Send + Sync {
     fn forward_to(&self, forwards: Arc<[Forward]>);
     fn inject(&self, form: usize, event: &Bytes, age: Duration) -> Result<(), Why>;
     fn has_listeners(&self) -> bool;
+    /// Gives it the event that the topic keeps for who joins.
+    fn catch_up(&self, forward: &Forward);
+    fn has_publishers(&self) -> bool;
+    fn row(&self, now: Instant) -> TopicRow;
 }
 
 impl<E: Event> AnyTopic for Topic<E> {
@@ -234,6 +333,25 @@ impl<E: Event> AnyTopic for Topic<E> {
     fn forward_to(&self, forwards: Arc<[Forward]>) {
         self.is_forwarded.store(!forwards.is_empty(), Relaxed);
         *lock(&self.forwards) = forwards;
+        self.renew_matched();
+    }
+
+    fn catch_up(&self, forward: &Forward) {
+        let latch = lock(&self.latch);
+        if let Some(Latched { event, at, is_foreign: false }) = &*latch
+            && let Ok(parcel) = codec::encode_parcel(event)
+        {
+            forward(&parcel, at.captured_at());
+        }
+    }
+
+    fn has_publishers(&self) -> bool {
+        self.traffic.has_publishers()
+    }
+
+    fn row(&self, now: Instant) -> TopicRow {
+        let nodes = lock(&self.forwards).len();
+        self.traffic.row(&self.key, E::LATCHED, nodes, now)
     }
 
     fn inject(&self, form: usize, event: &Bytes, age: Duration) -> Result<(), Why> {
@@ -248,7 +366,11 @@ impl<E: Event> AnyTopic for Topic<E> {
         }
         match read.and_then(|read| read.map_err(|error| error.to_string())) {
             Ok(event) => {
-                self.spread(event, arrived_posting_time::<E>(age));
+                let now = platform::now();
+                let captured_at = now.as_nanos().saturating_sub(nanos(age));
+                let captured_at = Some(Instant::from_nanos(captured_at));
+                self.traffic.count();
+                self.hand_out(event, Times { posted_at: now, captured_at }, true);
                 Ok(())
             }
             Err(reason) => {
@@ -333,6 +455,10 @@ impl Topics {
             forwards: Mutex::new(Arc::new([])),
             is_forwarded: AtomicBool::new(false),
             listeners: AtomicU64::new(0),
+            latch: Mutex::default(),
+            traffic: Traffic::new(platform::now()),
+            matched: watch::Sender::new(0),
+            all: Arc::downgrade(&self.inner),
             dead_letters: self.dead_letters.clone(),
             reports: self.reports.clone(),
             complained: AtomicBool::new(false),
@@ -356,8 +482,27 @@ impl Topics {
 
     /// A way to publish on the topic of this name.
     #[track_caller]
+    #[cfg(test)]
     pub(crate) fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
-        Ok(Publisher { topic: self.topic(topic, Location::caller())?, life: None })
+        self.publisher_of(topic, "")
+    }
+
+    /// The same, for the object of this name.
+    #[track_caller]
+    pub(crate) fn publisher_of<E: Event>(
+        &self,
+        topic: &str,
+        object: &str,
+    ) -> Result<Publisher<E>, Why> {
+        Ok(Publisher::new(self.topic(topic, Location::caller())?, object))
+    }
+
+    /// The topics that anybody here has named.
+    pub(crate) fn rows(&self) -> Vec<TopicRow> {
+        let topics: Vec<Arc<dyn AnyTopic>> =
+            lock(&self.inner).topics.values().map(|known| known.erased.clone()).collect();
+        let now = platform::now();
+        topics.iter().map(|topic| topic.row(now)).collect()
     }
 
     /// Ships every event that is published here on this topic, from now on, also if the topic does
@@ -366,8 +511,13 @@ impl Topics {
         let mut inner = lock(&self.inner);
         let id = inner.next_forward;
         inner.next_forward += 1;
-        inner.forwards.entry(key.clone()).or_default().insert(id, forward);
+        inner.forwards.entry(key.clone()).or_default().insert(id, forward.clone());
         inner.renew_forwards(key);
+        let topic = inner.topics.get(key).map(|known| known.erased.clone());
+        drop(inner);
+        if let Some(topic) = topic {
+            topic.catch_up(&forward);
+        }
         ForwardId { key: key.clone(), id }
     }
 
@@ -417,6 +567,19 @@ impl Topics {
 }
 
 impl Inner {
+    /// The topic of the most similar name that has listeners, here or on other nodes, and no publisher.
+    fn lonely_like(&self, key: &TopicKey) -> Option<Arc<str>> {
+        let elsewhere = self.forwards.iter().filter(|(_, forwards)| !forwards.is_empty());
+        let here = self.topics.iter().filter(|(_, known)| known.erased.has_listeners());
+        let listened = elsewhere.map(|(key, _)| key).chain(here.map(|(key, _)| key));
+        let is_lonely = |other: &&TopicKey| {
+            let known = self.topics.get(*other);
+            *other != key && known.is_none_or(|known| !known.erased.has_publishers())
+        };
+        let names = listened.filter(is_lonely).map(|other| &*other.topic);
+        spelling::nearest(&key.topic, names).map(Arc::from)
+    }
+
     fn renew_forwards(&self, key: &TopicKey) {
         if let (Some(known), Some(forwards)) = (self.topics.get(key), self.forwards.get(key)) {
             known.erased.forward_to(forwards.values().cloned().collect());
@@ -429,61 +592,4 @@ impl Inner {
 pub(crate) struct ForwardId {
     key: TopicKey,
     id: u64,
-}
-
-/// A way to publish events on one topic.
-///
-/// A publisher that a component got from its [`Context`](crate::Context) belongs to that incarnation of
-/// the component, also when it is moved to a thread or a blocking task: once the incarnation has ended,
-/// [`publish`](Self::publish) fails with [`Why::Fenced`].
-pub struct Publisher<E: Event> {
-    topic: Arc<Topic<E>>,
-    /// The incarnation that publishes, if it is a component's.
-    life: Option<Arc<LifeToken>>,
-}
-
-impl<E: Event> Clone for Publisher<E> {
-    fn clone(&self) -> Self {
-        Publisher { topic: self.topic.clone(), life: self.life.clone() }
-    }
-}
-
-impl<E: Event> fmt::Debug for Publisher<E> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Publisher of {} on {}", E::NAME, self.topic.key.topic)
-    }
-}
-
-impl<E: Event> Publisher<E> {
-    /// The same, for as long as this incarnation of a component lasts.
-    pub(crate) fn of(mut self, life: Arc<LifeToken>) -> Self {
-        self.life = Some(life);
-        self
-    }
-
-    /// Hands the event to everyone who listens and wants it. Never waits.
-    ///
-    /// # Errors
-    /// [`Why::Fenced`] if the component that publishes is fenced off, or the incarnation that made this
-    /// publisher has ended; [`Why::Isolated`] if the component is isolated. The event comes back, and is
-    /// not counted among the dead letters.
-    #[inline]
-    pub fn publish(&self, event: E) -> Result<(), SendError<E>> {
-        let ended = || self.life.as_ref().and_then(|life| life.forbidden());
-        match pulse::forbidden().or_else(ended) {
-            Some(why) => Err(SendError { why, message: event }),
-            None => {
-                self.topic.publish(event);
-                Ok(())
-            }
-        }
-    }
-
-    /// The same, where the refusal cannot be returned: it is counted among the dead letters under the
-    /// topic's name.
-    pub(crate) fn publish_or_count(&self, event: E) {
-        if let Err(refused) = self.publish(event) {
-            self.topic.bury(&refused.why);
-        }
-    }
 }

@@ -22,6 +22,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Says whether bytes are a value that the owner takes.
 type Check = Arc<dyn Fn(&[u8]) -> Result<(), Why> + Send + Sync>;
+/// Told of each new value.
+type Observer = Arc<dyn Fn(&[u8]) + Send + Sync>;
 /// Somebody who waits, and what is told.
 type Told = (Answer<Access>, Accessed);
 
@@ -31,6 +33,7 @@ pub(crate) struct Declared {
     default: Result<Bytes, Why>,
     policy: RestorePolicy,
     check: Check,
+    observer: Option<Observer>,
 }
 
 impl Declared {
@@ -56,7 +59,14 @@ impl Declared {
         // What a restart puts in place must be right as well.
         let default = encoded(default).map(Bytes::from);
         let default = default.and_then(|bytes| check(&bytes).map(|()| bytes));
-        Declared { identity: ContractIdentity::of::<V>(), default, policy, check: Arc::new(check) }
+        let (identity, check) = (ContractIdentity::of::<V>(), Arc::new(check));
+        Declared { identity, default, policy, check, observer: None }
+    }
+
+    /// The owner is told of each value that is written, on the thread of whoever writes.
+    pub(crate) fn observed(mut self, observer: impl Fn(&[u8]) + Send + Sync + 'static) -> Self {
+        self.observer = Some(Arc::new(observer));
+        self
     }
 
     /// The contract's name.
@@ -76,6 +86,7 @@ pub(crate) fn encoded<V: Variable>(value: &V) -> Result<Vec<u8>, Why> {
 struct Facts {
     identity: ContractIdentity,
     check: Check,
+    observer: Option<Observer>,
 }
 
 struct Inner {
@@ -108,6 +119,15 @@ impl Inner {
                 None
             }
         }
+    }
+
+    /// The new values of these variables, and who is told of them.
+    fn observed(&self, variables: &[VariableKey]) -> Vec<(Observer, Bytes)> {
+        let observed = |key: &VariableKey| {
+            let observer = self.facts.get(key)?.observer.clone()?;
+            Some((observer, self.machine.read(key, platform::now()).ok()?.value))
+        };
+        variables.iter().filter_map(observed).collect()
     }
 
     /// All that the next process is to find.
@@ -187,10 +207,10 @@ impl Store {
         is_isolated: impl Fn() -> bool + Send + Sync + 'static,
     ) -> Result<Port, Why> {
         let mut inner = self.lock();
-        for Declared { identity, default, policy, check } in declared {
+        for Declared { identity, default, policy, check, observer } in declared {
             let key = (object.clone(), identity.name.to_owned());
             let declaration = Declaration { default: default?, policy };
-            let facts = Facts { identity, check };
+            let facts = Facts { identity, check, observer };
             let kept = inner.restored(&key, &facts);
             inner.machine.handle_declared(key.clone(), declaration, kept, platform::now());
             inner.facts.insert(key, facts);
@@ -246,15 +266,17 @@ impl Store {
             },
             Access::Write { writes } => match self.checked(writes) {
                 Ok(writes) => {
+                    let written = writes.iter().map(|write| write.variable.clone()).collect();
                     let write = |machine: &mut Variables| machine.handle_write(writes, now);
-                    return self.change(write, answer);
+                    return self.change(written, write, answer);
                 }
                 Err(refused) => Err(refused),
             },
             Access::Choose { variable, choice } => match self.chosen(&variable, choice.into()) {
                 Ok((key, choice)) => {
+                    let chosen = vec![key.clone()];
                     let choose = |machine: &mut Variables| machine.handle_choice(&key, choice, now);
-                    return self.change(choose, answer);
+                    return self.change(chosen, choose, answer);
                 }
                 Err(refused) => Err(refused),
             },
@@ -287,6 +309,7 @@ impl Store {
     /// Changes something. Where values are kept, whoever wanted it is answered when it is on the disk.
     fn change(
         &self,
+        variables: Vec<VariableKey>,
         change: impl FnOnce(&mut Variables) -> Result<u64, Why>,
         answer: Answer<Access>,
     ) {
@@ -296,6 +319,7 @@ impl Store {
             return answer.give(Accessed::refused(&Why::Full));
         }
         let changed = change(&mut inner.machine);
+        let observed = changed.as_ref().map(|_| inner.observed(&variables)).unwrap_or_default();
         let told = match (changed, &inner.file) {
             (Ok(revision), Some(file)) => {
                 let then: Then = Box::new(move |kept| {
@@ -312,9 +336,16 @@ impl Store {
             (Err(why), _) => Some((answer, Accessed::refused(&why))),
         };
         self.answer(inner);
+        observed.into_iter().for_each(|(observer, value)| observer(&value));
         if let Some((answer, accessed)) = told {
             answer.give(accessed);
         }
+    }
+
+    /// The value of a variable of this object, as it is now.
+    pub(crate) fn value(&self, object: &ObjectName, name: &str) -> Result<Bytes, Why> {
+        let key = (object.clone(), name.to_owned());
+        self.lock().machine.read(&key, platform::now()).map(|report| report.value)
     }
 
     fn chosen(&self, wanted: &Wanted, choice: Choice) -> Result<(VariableKey, Choice), Accessed> {

@@ -8,9 +8,15 @@
 //! | [`test`](macro@test), [`run`] | a test in virtual time |
 //! | [`Harness`] | one component on a bench |
 //! | [`TestNode`] | a whole node, with its supervisors and its fault chain |
-//! | [`Probe`] | a component in the place of the partners of the one under test |
+//! | [`Probe`] | a component in the place of the partners of the one under test: a listener, a target of commands, a server, an actuator |
+//! | [`owner`] | a component that owns a variable, in the place of its real owner |
 //! | [`advance`], [`settle`], [`now`] | the clock |
 //! | [`doubles`] | for those who work on the middleware: its transports and plain actors |
+//!
+//! Faults are put into a component of a [`TestNode`] by its name, and it need not know of it:
+//! [`kill`](TestNode::kill), [`hang`](TestNode::hang), [`silence`](TestNode::silence),
+//! [`fail_init`](TestNode::fail_init), [`slow`](TestNode::slow). A handler that never returns keeps the only
+//! thread there is: the test program ends then, with the component's name.
 //!
 //! What needs real threads is not to be had in virtual time, since every thread has a clock of its own:
 //! recovery from a handler that blocks its thread, processes, and sockets.
@@ -49,6 +55,7 @@
 //! # );
 //! ```
 
+mod guard;
 mod harness;
 mod node;
 mod probe;
@@ -58,7 +65,7 @@ pub use blastema_doubles::{PATIENCE, advance, settle};
 pub use blastema_macros::test;
 pub use harness::Harness;
 pub use node::TestNode;
-pub use probe::{Listener, Probe, Server, Target};
+pub use probe::{Actuator, Listener, Owner, Probe, Server, Target, owner};
 
 pub use blastema::platform::now;
 

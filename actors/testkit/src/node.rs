@@ -1,11 +1,11 @@
 //! A whole node under a test's clock.
 
+use crate::guard::Guard;
 use crate::probe::Probe;
-use blastema::core::FaultId;
-use blastema::core::detection::{Record, Row, Turn};
+use blastema::detection::{Record, Row, Turn};
 use blastema::{
-    Event, Fault, FaultEvent, FaultEvents, FaultKind, Lifecycle, Node, NodeBuilder, Place,
-    StartError,
+    Event, Fault, FaultEvent, FaultEvents, FaultId, FaultKind, Injection, Lifecycle, Node,
+    NodeBuilder, Place, StartError,
 };
 use blastema_doubles::PATIENCE;
 use std::collections::BTreeSet;
@@ -59,6 +59,7 @@ pub struct TestNode {
     unread: Vec<FaultEvent>,
     awaited: BTreeSet<FaultId>,
     probes: usize,
+    _guard: Guard,
 }
 
 impl Deref for TestNode {
@@ -95,7 +96,8 @@ impl TestNode {
         let events = node.fault_events();
         let Record { entries, .. } = node.faults().await;
         let (awaited, unread, probes) = (BTreeSet::new(), Vec::new(), 0);
-        let mut test = TestNode { node, events, unread, awaited, probes };
+        let _guard = Guard::of(node.running());
+        let mut test = TestNode { node, events, unread, awaited, probes, _guard };
         // What happened while it started.
         for entry in entries {
             let (at, fault) = (entry.fault.found_at, entry.fault);
@@ -157,6 +159,46 @@ impl TestNode {
         match event.turn {
             Turn::GaveUp { reason } => reason,
             _ => String::new(),
+        }
+    }
+
+    /// Has the component of this name panic, whatever it is doing.
+    ///
+    /// # Panics
+    /// When no component has the name, like all that puts faults in.
+    pub fn kill(&self, component: &str) {
+        self.put_in(component, Injection::Panic);
+    }
+
+    /// Has the next handler or hook of the component await for ever, until it is taken for hanging.
+    pub fn hang(&self, component: &str) {
+        self.put_in(component, Injection::Hang);
+    }
+
+    /// From now on the component works without giving signs of life.
+    pub fn silence(&self, component: &str) {
+        self.put_in(component, Injection::Silence);
+    }
+
+    /// So many initialisations of the component fail from now on; [`kill`](Self::kill) it to see the first.
+    pub fn fail_init(&self, component: &str, times: u32) {
+        self.put_in(component, Injection::FailedInitializations(times));
+    }
+
+    /// From now on each handler and hook of the component takes this much longer.
+    pub fn slow(&self, component: &str, by: Duration) {
+        self.put_in(component, Injection::Delay(by));
+    }
+
+    /// Takes out of the component what was put in and still acts.
+    pub fn heal(&self, component: &str) {
+        self.put_in(component, Injection::Nothing);
+    }
+
+    #[track_caller]
+    fn put_in(&self, component: &str, injection: Injection) {
+        if let Err(why) = self.node.inject(component, injection) {
+            panic!("{injection:?} cannot be put in: {why}");
         }
     }
 

@@ -1,7 +1,7 @@
 //! A component in the place of any partner of the component under test.
 
-use blastema::Contract;
 use blastema::prelude::*;
+use blastema::{ActuatorSpec, Contract};
 use blastema_doubles::Record;
 use std::sync::Arc;
 use std::time::Duration;
@@ -100,6 +100,18 @@ impl<E: Event> Probe<E> {
     }
 }
 
+impl<E: Event> Probe<E> {
+    /// An actuator in the place of a real one: it records the commands that its lease lets through, and
+    /// `safe` when its commander has gone.
+    pub fn actuator(&self, name: &str, safe: E) -> ChildSpec<Actuator<E>> {
+        let record = self.0.clone();
+        let spec = ChildSpec::new(name, move || Actuator { record: record.clone() });
+        spec.with_ports(|ports| {
+            ports.actuator(ActuatorSpec::new(safe));
+        })
+    }
+}
+
 impl<M: Request> Probe<M> {
     /// A component that serves this request as the closure says. A closure that panics is a component
     /// that does.
@@ -146,6 +158,32 @@ impl<E: Event> Handle<E> for Target<E> {
         self.record.push(event);
     }
 }
+
+/// The component of [`Probe::actuator`].
+pub struct Actuator<E> {
+    record: Record<E>,
+}
+
+impl<E: Event> Component for Actuator<E> {}
+
+impl<E: Event> Handle<E> for Actuator<E> {
+    async fn handle(&mut self, event: E, _: &mut Context<Self>) -> E::Reply {
+        self.record.push(event);
+    }
+}
+
+/// A component of this name that owns the variable, which has this value until it is written. The test
+/// reads and writes it by [`Node::variable`], as everybody does.
+pub fn owner<V: Variable>(name: &str, value: V) -> ChildSpec<Owner> {
+    ChildSpec::new(name, || Owner).with_ports(|ports| {
+        ports.variable(VariableSpec::new(value));
+    })
+}
+
+/// The component of [`owner`].
+pub struct Owner;
+
+impl Component for Owner {}
 
 type Answer<M> = Arc<dyn Fn(&M) -> <M as Contract>::Reply + Send + Sync>;
 

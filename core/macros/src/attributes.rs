@@ -10,8 +10,18 @@ const NAME_LIMIT: usize = 128;
 /// The longest unit or frame in bytes; a description with a longer one is not taken by a peer.
 const TEXT_LIMIT: usize = 128;
 
-const TYPE_KEYS: &[&str] =
-    &["name", "version", "from", "max_size", "max_age", "delivery", "idempotent", "reply", "crate"];
+const TYPE_KEYS: &[&str] = &[
+    "name",
+    "version",
+    "from",
+    "max_size",
+    "max_age",
+    "delivery",
+    "idempotent",
+    "latched",
+    "reply",
+    "crate",
+];
 /// How a contract's messages may travel, and the variant that says so.
 const DELIVERIES: &[(&str, &str)] =
     &[("reliable", "Reliable"), ("newest", "Newest"), ("redundant", "Redundant")];
@@ -38,6 +48,7 @@ pub(crate) struct TypeAttributes {
     /// A variant of `Delivery`.
     pub(crate) delivery: Option<Ident>,
     pub(crate) idempotent: bool,
+    pub(crate) latched: bool,
     /// Where the facade is to be found.
     pub(crate) facade: Path,
 }
@@ -61,6 +72,7 @@ impl TypeAttributes {
             from: None,
             delivery: None,
             idempotent: false,
+            latched: false,
             facade: parse_quote!(::blastema),
         };
         let mut seen = Vec::new();
@@ -77,6 +89,7 @@ impl TypeAttributes {
                 "from" => parsed.from = Some(meta.value()?.parse()?),
                 "delivery" => parsed.delivery = Some(parse_delivery(&meta, derive)?),
                 "idempotent" => parsed.idempotent = true,
+                "latched" => parsed.latched = true,
                 "reply" => parsed.reply = Some(meta.value()?.parse()?),
                 "crate" => parsed.facade = meta.value()?.parse::<LitStr>()?.parse()?,
                 _ => return Err(unknown(&meta, key, TYPE_KEYS)),
@@ -162,6 +175,13 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
             "an event is not answered, so that nobody waits or sends it again: remove `idempotent`"
                 .into(),
         ),
+        ("latched", Derive::Request) => Some(
+            "only the last event of a topic can be kept for later listeners: remove `latched`"
+                .into(),
+        ),
+        ("latched", Derive::Variable) => {
+            Some("a variable gives its value to each reader: remove `latched`".into())
+        }
         (key, Derive::Structure) if TYPE_KEYS.contains(&key) => Some(format!(
             "a structure is part of contracts and has none of its own: derive `Event` or `Request` \
              instead, or remove `{key}`"
@@ -170,7 +190,7 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
     }
 }
 
-fn unknown(meta: &ParseNestedMeta<'_>, key: &str, known: &[&str]) -> Error {
+pub(crate) fn unknown(meta: &ParseNestedMeta<'_>, key: &str, known: &[&str]) -> Error {
     let hint = match nearest(key, known) {
         Some(word) => format!("did you mean `{word}`?"),
         None => format!("the keys here are `{}`", known.join("`, `")),
@@ -178,7 +198,11 @@ fn unknown(meta: &ParseNestedMeta<'_>, key: &str, known: &[&str]) -> Error {
     meta.error(format!("unknown key `{key}`: {hint}"))
 }
 
-fn refuse_repetition(seen: &mut Vec<String>, meta: &ParseNestedMeta<'_>, key: &str) -> Result<()> {
+pub(crate) fn refuse_repetition(
+    seen: &mut Vec<String>,
+    meta: &ParseNestedMeta<'_>,
+    key: &str,
+) -> Result<()> {
     if seen.iter().any(|other| other == key) {
         return Err(meta.error(format!("`{key}` is given twice")));
     }
@@ -238,7 +262,7 @@ pub(crate) fn wrong_name(name: &str) -> Option<String> {
 }
 
 /// Reads a unit or a frame.
-fn parse_text(meta: &ParseNestedMeta<'_>, key: &str) -> Result<LitStr> {
+pub(crate) fn parse_text(meta: &ParseNestedMeta<'_>, key: &str) -> Result<LitStr> {
     let literal: LitStr = meta.value()?.parse()?;
     let text = literal.value();
     let reason = if text.trim().is_empty() || text.trim() != text {

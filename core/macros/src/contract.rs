@@ -103,6 +103,11 @@ fn contract(
             const IDEMPOTENT: bool = true;
         )
     });
+    let latched = attributes.latched.then(|| {
+        quote!(
+            const LATCHED: bool = true;
+        )
+    });
     let former = from.as_ref().map(|from| {
         // At the earlier version's name, so that a missing conversion is reported there.
         let chain = quote_spanned!(from.span()=> #facade::core::Former::<Self>::chain::<#from>());
@@ -124,6 +129,7 @@ fn contract(
             #age
             #delivery
             #idempotent
+            #latched
             #former
         }
     })

@@ -7,6 +7,7 @@
 mod attributes;
 mod contract;
 mod foreign;
+mod parameters;
 mod program;
 mod spelling;
 mod structure;
@@ -44,6 +45,7 @@ pub fn structure(input: TokenStream) -> TokenStream {
 /// | `from = PoseV1` | the version before, which a receiver converts by `From`; a request's reply is converted back | none |
 /// | `delivery = "redundant"` | how it travels between nodes: `reliable`, `newest`, `redundant` | `reliable` |
 /// | `max_age = "100ms"` | older ones are not delivered but counted | no limit |
+/// | `latched` | the last event of a topic is kept, and given to each listener that joins | not kept |
 ///
 /// ```text
 /// /// One sweep of the laser.
@@ -96,6 +98,30 @@ pub fn request(input: TokenStream) -> TokenStream {
 pub fn variable(input: TokenStream) -> TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
     tokens(contract::derive_variable(&input))
+}
+
+/// Makes a struct the parameters of a component: settings with defaults, units and ranges. It is a
+/// [`Variable`] as well, and gets `Default`.
+///
+/// | key of `#[parameter(..)]` | meaning | if left out |
+/// | --- | --- | --- |
+/// | `default = 0.5` | the value unless another is given | the type's `Default` |
+/// | `range = 0.0..=2.0` | a value outside of it is refused | no bounds |
+/// | `unit = "m/s"` | shown in errors, and compared when parties bind | none |
+///
+/// Parameters are `bool`, whole numbers up to 64 bits, `f32`, `f64` and `String`.
+///
+/// ```text
+/// #[derive(Clone, Debug, Parameters)]
+/// struct ArmParameters {
+///     #[parameter(default = 0.5, range = 0.0..=2.0, unit = "m/s")]
+///     max_speed: f64,
+/// }
+/// ```
+#[proc_macro_derive(Parameters, attributes(parameter, contract, serde))]
+pub fn parameters(input: TokenStream) -> TokenStream {
+    let input = parse_macro_input!(input as DeriveInput);
+    tokens(parameters::derive(&input))
 }
 
 /// Runs an async `main` in the middleware's runtime, by `::blastema::run`.

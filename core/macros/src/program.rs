@@ -2,7 +2,7 @@
 
 use proc_macro2::TokenStream;
 use quote::quote;
-use syn::{Error, ItemFn, Path, Result};
+use syn::{Error, ItemFn, Path, Result, ReturnType, Type, parse_quote};
 
 pub(crate) fn main(function: ItemFn, facade: &Path) -> Result<TokenStream> {
     run_in(function, facade, None)
@@ -27,7 +27,29 @@ fn run_in(
     if let Some(parameter) = function.sig.generics.params.first() {
         return Err(Error::new_spanned(parameter, format!("`{name}` cannot be generic")));
     }
-    let ItemFn { attrs, vis, sig, block } = &function;
+    let fails = attribute.is_none() && returns_result(&function.sig.output);
+    let ItemFn { attrs, vis, sig, block } = &mut function;
+    if fails {
+        // Else the standard library prints the error by `Debug`.
+        let ReturnType::Type(_, output) = std::mem::replace(&mut sig.output, ReturnType::Default)
+        else {
+            return Err(Error::new(sig.ident.span(), "a result is returned"));
+        };
+        sig.output = parse_quote!(-> ::std::process::ExitCode);
+        return Ok(quote! {
+            #(#attrs)*
+            #vis #sig {
+                let ended: #output = #runtime::run(async move #block);
+                match ended {
+                    ::core::result::Result::Ok(done) => ::std::process::Termination::report(done),
+                    ::core::result::Result::Err(error) => {
+                        use #runtime::program::*;
+                        Fatal(error).report()
+                    }
+                }
+            }
+        });
+    }
     Ok(quote! {
         #attribute
         #(#attrs)*
@@ -35,4 +57,11 @@ fn run_in(
             #runtime::run(async move #block)
         }
     })
+}
+
+/// Whether the function is written to return a `Result`, by whichever path or alias of this name.
+fn returns_result(output: &ReturnType) -> bool {
+    let ReturnType::Type(_, output) = output else { return false };
+    let Type::Path(path) = &**output else { return false };
+    path.path.segments.last().is_some_and(|last| last.ident == "Result")
 }

@@ -24,7 +24,7 @@ const SECOND: Incarnation = Incarnation(2);
 
 fn lane(capacity: usize) -> Arc<Lane<u32>> {
     let lane = Lane::new(capacity, WhenFull::Wait);
-    lane.give_to(Some(FIRST));
+    lane.begin(FIRST);
     Arc::new(lane)
 }
 
@@ -90,7 +90,7 @@ fn change_of_owner() {
         })
     };
 
-    lane.give_to(Some(SECOND));
+    lane.begin(SECOND);
     push(&lane, 2).expect("there is room");
     let by_new = take(&lane, SECOND, 1, &bell());
 
@@ -110,7 +110,7 @@ fn death_and_abandonment() {
     let third = Incarnation(3);
     let given_up = lane.leave(FIRST);
     if given_up {
-        lane.give_to(Some(third));
+        lane.begin(third);
     }
 
     let passed_on = dying.join().expect("it does not panic");

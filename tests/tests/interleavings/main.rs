@@ -51,6 +51,12 @@ mod sender {
         pub(crate) why: blastema_core::Why,
         pub(crate) message: Option<M>,
     }
+
+    impl<M> RequestError<M> {
+        pub(crate) fn new(why: blastema_core::Why, message: Option<M>) -> Self {
+            RequestError { why, message }
+        }
+    }
 }
 
 /// Stands for what a life is the life of.

@@ -17,7 +17,7 @@ pub(crate) const MODELS: [Model; 3] = [
 fn told_of_the_end() {
     let token = Arc::new(LifeToken::default());
     let reports = Arc::new(Lane::<u32>::new(1, WhenFull::Refuse));
-    reports.give_to(Some(Incarnation::FIRST));
+    reports.begin(Incarnation::FIRST);
     let pump = {
         let (token, reports) = (token.clone(), reports.clone());
         thread::spawn(move || {
@@ -70,7 +70,7 @@ fn fenced_before_the_successor() {
             // As `HostedChild::abandon` and `start` do.
             queue.leave(Incarnation(1));
             token.end();
-            queue.give_to(Some(Incarnation(2)));
+            queue.begin(Incarnation(2));
             if let Taken::Got(n) = queue.take(Incarnation(2), std::task::Waker::noop()) {
                 out.push_with(n, |n| n).expect("there is room");
             }
@@ -87,6 +87,6 @@ fn fenced_before_the_successor() {
 
 fn lane() -> Arc<Lane<u32>> {
     let lane = Lane::new(1, WhenFull::Refuse);
-    lane.give_to(Some(Incarnation(1)));
+    lane.begin(Incarnation(1));
     Arc::new(lane)
 }

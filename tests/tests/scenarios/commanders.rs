@@ -107,7 +107,7 @@ async fn a_commander_holds_the_wheels_for_as_long_as_it_lives_and_gives_them_bac
 async fn nobody_commands_the_wheels_past_their_lease() {
     let robot = Robot::start().await;
     let around = robot.here.sender::<Drive>("module2:wheels").unwrap().ask(Drive(9.0)).await;
-    assert!(matches!(around.unwrap_err().why, Why::Unknown { .. }));
+    assert!(matches!(around.unwrap_err().why, Why::NotServed { .. }));
     assert_eq!(robot.speeds(), [0.0; 0]);
 }
 

@@ -89,6 +89,28 @@ async fn who_is_unknown_is_told_before_anything_is_sent() {
 #[contract(name = "test/unheard")]
 struct Unheard;
 
+#[blastema_testkit::test]
+async fn an_error_names_the_receiver_its_node_the_contract_and_the_limit() {
+    let strings = Strings::default();
+    let spec = strings.spec("arm").queue(2, WhenFull::Refuse);
+    let node = TestNode::start(Node::builder("module1").child(spec)).await;
+    let (arm, notes) = (node.sender::<Do>("arm").unwrap(), node.sender::<Note>("arm").unwrap());
+    arm.tell(Do(Deed::Await(1000))).unwrap();
+    node.settle().await;
+
+    let full = (0..).find_map(|n| notes.tell(Note(n)).err()).expect("queues are bounded");
+    let late = arm.ask_within(Do(Deed::Nothing), Duration::ZERO).await.expect_err("it is full");
+
+    let named = full.receiver().expect("it is named");
+    assert_eq!(named.to_string(), "module1:arm");
+    assert_eq!((named.contract, named.queue), ("test/note", Some(2)));
+    assert!(
+        full.to_string().ends_with("module1:arm was not sent: its queue of 2 is full"),
+        "{full}"
+    );
+    assert_eq!(late.receiver().expect("it is named").contract, "test/do");
+}
+
 /// What `Note` might be in another program.
 #[derive(Clone, Debug, Event)]
 #[contract(name = "test/note")]
@@ -104,7 +126,7 @@ async fn who_takes_no_such_contract_or_another_one_says_so() {
     let unknown = node.sender::<Unheard>("arm").expect_err("it does not take it");
     let differs = node.sender::<OtherNote>("arm").expect_err("it is another contract");
 
-    assert!(matches!(unknown, Why::Unknown { .. }), "{unknown}");
+    assert!(matches!(unknown, Why::NotServed { .. }), "{unknown}");
     let Why::ContractDiffers { difference } = differs else { panic!("{differs}") };
     assert!(difference.contains("test/note"), "{difference}");
     assert!(OtherNote { text: String::new() }.text.is_empty());

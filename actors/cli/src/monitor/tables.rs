@@ -8,7 +8,7 @@ use std::fmt::Write;
 pub(crate) type Column = (&'static str, &'static str);
 
 /// The tables in their order: the title, the key in the snapshot, the columns.
-const TABLES: [(&str, &str, &[Column]); 8] = [
+const TABLES: [(&str, &str, &[Column]); 9] = [
     (
         "objects",
         "table",
@@ -123,6 +123,22 @@ const TABLES: [(&str, &str, &[Column]); 8] = [
         ],
     ),
     (
+        "topics",
+        "topics",
+        &[
+            ("topic", "topic"),
+            ("contract", "contract"),
+            ("publishers", "publishers"),
+            ("listeners", "listeners"),
+            ("other nodes", "nodes"),
+            ("events", "events"),
+            ("in a second", "rate_hz"),
+            ("bytes", "bytes"),
+            ("latched", "latched"),
+            ("similar name", "similar"),
+        ],
+    ),
+    (
         "faults",
         "faults",
         &[
@@ -194,6 +210,9 @@ fn cell(name: &str, value: &Value) -> String {
         Value::Number(number) if name.ends_with("_ms") => span(number.as_f64().unwrap_or_default()),
         Value::Number(number) if name == "busy" => {
             format!("{:.0} %", number.as_f64().unwrap_or_default() * 100.0)
+        }
+        Value::Number(number) if name == "rate_hz" => {
+            format!("{:.1}", number.as_f64().unwrap_or_default())
         }
         Value::Number(number) => number.to_string(),
         Value::String(text) => plain(text),

@@ -66,6 +66,8 @@ impl<C: Component> Pump<C> {
                 self.course = Course::new(self.course.is_starting());
                 self.start_failed = false;
                 self.begin_life();
+                let subscriptions = self.anchor.subscriptions();
+                subscriptions.iter().for_each(|subscription| subscription.catch_up(&self.anchor));
             }
             None => self.over = true,
         }

@@ -353,7 +353,7 @@ impl<C: Component> Pump<C> {
     #[inline]
     fn open(&mut self, mut mail: Mail<C>, cx: &mut task::Context<'_>) -> Progress {
         let brief = mail.brief();
-        if brief.max_age.is_some_and(|limit| platform::now() - brief.posted_at > limit) {
+        if brief.max_age.is_some_and(|limit| platform::now() - brief.captured_at > limit) {
             self.anchor.return_mail(mail, Why::Expired);
             return Progress::More;
         }
@@ -388,6 +388,7 @@ impl<C: Component> Pump<C> {
     #[inline]
     fn begin_message(&mut self, brief: &Brief, mail: &mut dyn Letter<C>) {
         let Some(home) = &self.home else { return };
+        self.life.captured_at.set(Some(brief.captured_at));
         if let Some(at) = self.nests.iter().position(|nested| nested.contract == brief.contract) {
             let nested = &mut self.nests[at];
             self.slot.stamp.begin(nested.label);
@@ -447,7 +448,8 @@ impl<C: Component> Pump<C> {
     }
 
     fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
-        if hook == Hook::Execute && result.is_ok() {
+        let silent = self.anchor.record.injected.is_silent();
+        if hook == Hook::Execute && result.is_ok() && !silent {
             self.slot.stamp.give_sign();
         }
         self.course.handle_done(hook, result);
@@ -583,7 +585,11 @@ impl<C: Component> Pump<C> {
 async fn run_hook<C: Component>(home: Rc<Home<C>>, hook: Hook) -> Result<(), Failure> {
     let mut chair = home.seat.borrow_mut();
     let (component, cx) = chair.both();
+    if let Some(injected) = cx.before() {
+        injected.await;
+    }
     match hook {
+        Hook::Initialize if cx.fails_initialization() => Err("it was told to fail".into()),
         Hook::Initialize => component.on_initialize(cx).await,
         Hook::Startup => component.on_startup(cx).await,
         Hook::Activated => component.on_activated(cx).await,

@@ -166,7 +166,14 @@ fn who_looks_for_what_is_not_there_is_told_what_is() {
             let why = registry.sender::<Add>(unknown).unwrap_err();
             assert_eq!(why, Why::Unknown { name: unknown.into() });
         }
-        assert!(matches!(registry.sender::<Missing>("acc"), Err(Why::Unknown { .. })));
+        for misspelt in ["acx", "here:acx", "Acc"] {
+            let why = registry.sender::<Add>(misspelt).unwrap_err();
+            assert_eq!(why, Why::Misspelt { name: misspelt.into(), nearest: "acc".into() });
+        }
+        let why = registry.sender::<Missing>("acc").unwrap_err();
+        let Why::NotServed { object, contract, served } = why else { panic!("{why}") };
+        assert_eq!((&*object, &*contract), ("acc", Missing::NAME));
+        assert!(served.iter().any(|name| name == Add::NAME), "{served:?}");
         if other::Add::NAME == Add::NAME {
             let why = registry.sender::<other::Add>("acc").unwrap_err();
             assert!(matches!(why, Why::ContractDiffers { .. }), "{why}");

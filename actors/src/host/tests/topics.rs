@@ -210,8 +210,8 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         let key = TopicKey::new("other", Sample::NAME);
         let shipped = Arc::new(Mutex::new(vec![]));
         let kept = shipped.clone();
-        let forward =
-            topics.forward(&key, Arc::new(move |bytes| kept.lock().unwrap().push(bytes.clone())));
+        let forward = topics
+            .forward(&key, Arc::new(move |bytes, _| kept.lock().unwrap().push(bytes.clone())));
         assert!(matches!(
             topics.inject(&key, 0, &Bytes::from_static(&[1]), Duration::ZERO),
             Err(Why::Unknown { .. })

@@ -6,7 +6,6 @@ use crate::net::Interface;
 use crate::node::builder::StartError;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::NodeName;
-use blastema_transports::Endpoint;
 use blastema_transports::endpoint::is_interface;
 use std::ops::RangeInclusive;
 use std::time::Duration;
@@ -70,11 +69,7 @@ impl Network {
                 "{name:?} is no name of an interface: write one as in eth0, 1 to 15 letters without slash"
             ));
         }
-        let bound_to = match &self.medium {
-            Medium::At(Endpoint::Udp(config)) => config.interface.as_ref(),
-            Medium::At(Endpoint::Tcp(config)) => config.interface.as_ref(),
-            _ => None,
-        };
+        let bound_to = self.medium.socket().and_then(|(named, _)| named);
         let other = bound_to.filter(|bound_to| *bound_to != name)?;
         Some(format!(
             "its endpoint says interface={other}, and interface() says {name}: say one of them only"

@@ -9,11 +9,15 @@ use actix::prelude::*;
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::Admission;
 use blastema_core::{NodeName, ObjectName};
+#[cfg(feature = "unix")]
+use blastema_transports::Unix;
+use blastema_transports::endpoint::{CanConfig, SlcanConfig};
 use blastema_transports::{
-    CanConfig, Endpoint, EndpointError, Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig,
-    MemoryMedium, SerialLine, SlcanBus, SlcanConfig, Tcp, Udp, UdpConfig, Unix,
+    Endpoint, EndpointError, Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig,
+    MemoryMedium,
 };
-use std::net::{IpAddr, SocketAddr};
+#[cfg(feature = "ip")]
+use blastema_transports::{Tcp, Udp};
 use std::time::Duration;
 
 /// A network whose transport runs.
@@ -46,9 +50,13 @@ impl Medium {
     /// How neighbours' addresses are written where they can be told to others.
     fn learned_by(&self) -> Option<&'static str> {
         match self {
+            #[cfg(feature = "ip")]
             Medium::At(Endpoint::Udp(config)) if config.group.is_some() => None,
+            #[cfg(feature = "ip")]
             Medium::At(Endpoint::Udp(_)) => Some("udp"),
+            #[cfg(feature = "ip")]
             Medium::At(Endpoint::Tcp(_)) => Some("tcp"),
+            #[cfg(feature = "unix")]
             Medium::At(Endpoint::Unix(_)) => Some("unix"),
             Medium::At(Endpoint::Memory(_)) | Medium::Memory(_) => Some("memory"),
             _ => None,
@@ -72,34 +80,39 @@ impl Medium {
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Transport, StartError> {
         Ok(match self {
+            #[cfg(feature = "ip")]
             Medium::At(Endpoint::Udp(config)) => {
                 let make = move |_: &mut Context<Udp>| Udp::new(config);
                 Transport::from(guardian.start(object, arbiter, make))
             }
+            #[cfg(feature = "ip")]
             Medium::At(Endpoint::Tcp(config)) => {
                 let make = move |_: &mut Context<Tcp>| Tcp::new(config);
                 Transport::from(guardian.start(object, arbiter, make))
             }
+            #[cfg(feature = "unix")]
             Medium::At(Endpoint::Unix(config)) => {
                 let make = move |_: &mut Context<Unix>| Unix::new(config);
                 Transport::from(guardian.start(object, arbiter, make))
             }
+            #[cfg(feature = "serial")]
             Medium::At(Endpoint::Serial(config)) => {
                 let make = move |_: &mut Context<FrameTransport>| {
-                    FrameTransport::new(SerialLine::new(config, platform::now))
+                    FrameTransport::new(blastema_transports::SerialLine::new(config, platform::now))
                 };
                 Transport::from(guardian.start(object, arbiter, make))
             }
-            #[cfg(target_os = "linux")]
+            #[cfg(all(feature = "can", target_os = "linux"))]
             Medium::At(Endpoint::Can(config)) => {
                 let make = move |_: &mut Context<FrameTransport>| {
                     FrameTransport::new(blastema_transports::CanBus::new(config, platform::now))
                 };
                 Transport::from(guardian.start(object, arbiter, make))
             }
+            #[cfg(feature = "slcan")]
             Medium::At(Endpoint::Slcan(config)) => {
                 let make = move |_: &mut Context<FrameTransport>| {
-                    FrameTransport::new(SlcanBus::new(config, platform::now))
+                    FrameTransport::new(blastema_transports::SlcanBus::new(config, platform::now))
                 };
                 Transport::from(guardian.start(object, arbiter, make))
             }
@@ -123,27 +136,6 @@ impl Medium {
                 return Err(StartError::Endpoint { network: network.to_owned(), error });
             }
         })
-    }
-}
-
-/// Where beacons are sent from, and heard: the interface that the network itself uses.
-fn beacon_config(
-    network: &str,
-    (ip, interface): (IpAddr, Option<String>),
-    group: &str,
-) -> Result<UdpConfig, StartError> {
-    match format!("udp://{group}").parse() {
-        Ok(Endpoint::Udp(mut config)) if config.group.is_some() => {
-            (config.bind, config.interface) = (SocketAddr::new(ip, 0), interface);
-            Ok(config)
-        }
-        Ok(_) => {
-            let text = format!(
-                "network {network}: {group} is no multicast group: write one, as in 239.255.0.1:7399"
-            );
-            Err(StartError::Network(text))
-        }
-        Err(error) => Err(StartError::Endpoint { network: network.to_owned(), error }),
     }
 }
 
@@ -185,16 +177,13 @@ impl Network {
         }
         let mut transports = vec![object.clone()];
         let learned = medium.learned_by();
-        let at = match &medium {
-            Medium::At(Endpoint::Udp(config)) => Some((config.bind.ip(), config.interface.clone())),
-            Medium::At(Endpoint::Tcp(config)) => Some((config.bind.ip(), config.interface.clone())),
-            _ => None,
-        };
-        let beacons = match (beacons, at) {
-            (Some(group), Some(at)) => {
+        let beacons = match (beacons, medium.socket()) {
+            #[cfg(feature = "ip")]
+            (Some(group), Some((interface, bind))) => {
                 let object = ObjectName::new(&format!("beacons/{name}"))
                     .map_err(StartError::name_of(format!("the name of network {name:?}")))?;
-                let config = beacon_config(&name, at, &group)?;
+                let at = (bind.ip(), interface.map(str::to_owned));
+                let config = super::beacons::config(&name, at, &group)?;
                 let group = config.group;
                 let make = move |_: &mut Context<Udp>| Udp::new(config);
                 transports.push(object.clone());

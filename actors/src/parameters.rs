@@ -1,0 +1,137 @@
+//! The parameters of a node's components: read from a file at the start, set while they run.
+//!
+//! They are a variable of their component, so that they are read, written and watched as variables are;
+//! this adds where their first values come from, and that the component is told of every change.
+
+use crate::component::{Component, Handle};
+use crate::host::anchor::Anchor;
+use crate::host::pulse;
+use crate::variable::{Declared, RestorePolicy, VariableRef};
+use blastema_core::parameters::{ParameterError, ParameterValue, Parameters};
+use blastema_core::{ObjectName, Why, codec, spelling};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, PoisonError};
+use toml::{Table, Value};
+
+/// The values that one component is given.
+type Values = BTreeMap<String, ParameterValue>;
+
+/// The values that the robot's configuration gives to the components of a node. Clones share them.
+#[derive(Clone, Default)]
+pub(crate) struct Configured(Arc<Mutex<Inner>>);
+
+#[derive(Default)]
+struct Inner {
+    given: BTreeMap<String, Values>,
+    /// Components that have parameters.
+    takers: BTreeSet<String>,
+}
+
+impl Configured {
+    /// Takes the values of a configuration in TOML: one table for each component.
+    pub(crate) fn take(&self, text: &str) -> Result<(), String> {
+        let document: Table = text.parse().map_err(|error| format!("{error}"))?;
+        let mut inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        for (component, table) in document {
+            let Value::Table(table) = table else {
+                return Err(format!(
+                    "`{component}` stands outside of a table: write it below the name of its \
+                     component, as in [arm]"
+                ));
+            };
+            let values = table.into_iter().map(|(key, value)| match read(value) {
+                Ok(value) => Ok((key, value)),
+                Err(what) => {
+                    Err(format!("{component}: `{key}` is {what}, which no parameter takes"))
+                }
+            });
+            let values: Result<Values, String> = values.collect();
+            inner.given.entry(component).or_default().extend(values?);
+        }
+        Ok(())
+    }
+
+    /// The parameters of this component, which has some.
+    fn parameters<P: Parameters>(&self, component: &ObjectName) -> Result<P, ParameterError> {
+        let mut inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        inner.takers.insert(component.to_string());
+        let given = inner.given.get(component.as_str()).into_iter().flatten();
+        P::from_values(given.map(|(key, value)| (key.as_str(), value)))
+    }
+
+    /// Finds values for a component that takes none.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        let inner = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(wrong) = inner.given.keys().find(|name| !inner.takers.contains(*name)) else {
+            return Ok(());
+        };
+        let takers = inner.takers.iter().map(String::as_str);
+        Err(match spelling::nearest(wrong, takers) {
+            Some(nearest) => {
+                format!("no component `{wrong}` has parameters: did you mean `{nearest}`?")
+            }
+            None => format!("no component `{wrong}` has parameters"),
+        })
+    }
+}
+
+fn read(value: Value) -> Result<ParameterValue, &'static str> {
+    match value {
+        Value::Boolean(value) => Ok(ParameterValue::Bool(value)),
+        Value::Integer(value) => Ok(ParameterValue::Integer(value)),
+        Value::Float(value) => Ok(ParameterValue::Float(value)),
+        Value::String(value) => Ok(ParameterValue::Text(value)),
+        Value::Array(_) => Err("a list"),
+        Value::Table(_) => Err("a table"),
+        Value::Datetime(_) => Err("a date"),
+    }
+}
+
+/// Makes the variable that holds a component's parameters.
+pub(crate) type DeclareParameters<C> =
+    fn(&Arc<Anchor<C>>, &Configured) -> Result<Declared, ParameterError>;
+
+/// The parameters `P` of a component.
+pub(crate) fn declare<C: Handle<P>, P: Parameters>(
+    anchor: &Arc<Anchor<C>>,
+    configured: &Configured,
+) -> Result<Declared, ParameterError> {
+    let parameters = configured.parameters::<P>(&anchor.record.name)?;
+    let check = |parameters: &P| parameters.check().map_err(|error| error.to_string());
+    let owner = Arc::downgrade(anchor);
+    let changed = move |value: &[u8]| {
+        if let (Some(owner), Ok(parameters)) = (owner.upgrade(), codec::decode::<P>(value)) {
+            owner.queue_event(parameters, pulse::rough_now());
+        }
+    };
+    Ok(Declared::new(&parameters, RestorePolicy::Restore, check).observed(changed))
+}
+
+impl<C: Component> Anchor<C> {
+    /// The component's own parameters as they are now.
+    pub(crate) fn parameters<P: Parameters>(&self) -> Result<P, Why> {
+        let value = self.record.environment.variables.value(&self.record.name, P::NAME)?;
+        codec::decode::<P>(&value).map_err(|error| Why::Undecodable { reason: error.to_string() })
+    }
+}
+
+impl<P: Parameters> VariableRef<P> {
+    /// Sets one parameter and leaves the others as they are. Answers the revision.
+    ///
+    /// # Errors
+    /// As [`write_if`](VariableRef::write_if); [`Why::CheckFailed`] says what is wrong with the value:
+    /// its range, its type, or that there is no such parameter, with the nearest name.
+    pub async fn set(&self, key: &str, value: ParameterValue) -> Result<u64, Why> {
+        loop {
+            let reading = self.read().await?;
+            let mut parameters = reading.value;
+            let set = parameters.set(key, &value).and_then(|()| parameters.check());
+            set.map_err(|error| Why::CheckFailed { reason: error.to_string() })?;
+            match self.write_if(parameters, reading.revision).await {
+                // Another one was set meanwhile.
+                Err(Why::Changed { .. }) => {}
+                written => return written,
+            }
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! What publishes on a topic.
+
+use super::Topic;
+use crate::host::life::LifeToken;
+use crate::host::pulse;
+use crate::sender::SendError;
+use blastema_core::{Event, Instant};
+use std::fmt;
+use std::sync::Arc;
+
+/// A way to publish events on one topic.
+///
+/// A publisher that a component got from its [`Context`](crate::Context) belongs to that incarnation of
+/// the component, also when it is moved to a thread or a blocking task: once the incarnation has ended,
+/// [`publish`](Self::publish) fails with [`Why::Fenced`](crate::Why::Fenced).
+pub struct Publisher<E: Event> {
+    topic: Arc<Topic<E>>,
+    /// The incarnation that publishes, if it is a component's.
+    life: Option<Arc<LifeToken>>,
+    announced: Arc<Announced<E>>,
+}
+
+/// The topic knows of the publisher for as long as this lives.
+struct Announced<E: Event> {
+    topic: Arc<Topic<E>>,
+    by: Box<str>,
+}
+
+impl<E: Event> Drop for Announced<E> {
+    fn drop(&mut self) {
+        self.topic.traffic.publishes(&self.by, false);
+    }
+}
+
+impl<E: Event> Clone for Publisher<E> {
+    fn clone(&self) -> Self {
+        Publisher {
+            topic: self.topic.clone(),
+            life: self.life.clone(),
+            announced: self.announced.clone(),
+        }
+    }
+}
+
+impl<E: Event> fmt::Debug for Publisher<E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Publisher of {} on {}", E::NAME, self.topic.key.topic)
+    }
+}
+
+impl<E: Event> Publisher<E> {
+    pub(super) fn new(topic: Arc<Topic<E>>, by: &str) -> Self {
+        topic.traffic.publishes(by, true);
+        let announced = Arc::new(Announced { topic: topic.clone(), by: by.into() });
+        Publisher { announced, topic, life: None }
+    }
+
+    /// The same, for as long as this incarnation of a component lasts.
+    pub(crate) fn of(mut self, life: Arc<LifeToken>) -> Self {
+        self.life = Some(life);
+        self
+    }
+
+    /// Hands the event to everyone who listens and wants it. Never waits.
+    ///
+    /// # Errors
+    /// [`Why::Fenced`](crate::Why::Fenced) if the component that publishes is fenced off, or the
+    /// incarnation that made this publisher has ended; [`Why::Isolated`](crate::Why::Isolated) if the
+    /// component is isolated. The event comes back, and is not counted among the dead letters.
+    #[inline]
+    pub fn publish(&self, event: E) -> Result<(), SendError<E>> {
+        self.publish_stamped(event, None)
+    }
+
+    /// Publishes an event whose data was captured at `captured_at`, by the clock of
+    /// [`platform::now`](crate::platform::now): `max_age` counts from there, and listeners read it by
+    /// [`Context::captured_at`](crate::Context::captured_at). A time that is still to come counts as now.
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    pub fn publish_captured_at(&self, event: E, captured_at: Instant) -> Result<(), SendError<E>> {
+        self.publish_stamped(event, Some(captured_at))
+    }
+
+    #[inline]
+    pub(crate) fn publish_stamped(
+        &self,
+        event: E,
+        captured_at: Option<Instant>,
+    ) -> Result<(), SendError<E>> {
+        let ended = || self.life.as_ref().and_then(|life| life.forbidden());
+        match pulse::forbidden().or_else(ended) {
+            Some(why) => Err(SendError::new(why, event)),
+            None => {
+                self.topic.publish(event, captured_at);
+                Ok(())
+            }
+        }
+    }
+
+    /// The same, where the refusal cannot be returned: it is counted among the dead letters under the
+    /// topic's name.
+    pub(crate) fn publish_or_count(&self, event: E, captured_at: Option<Instant>) {
+        if let Err(refused) = self.publish_stamped(event, captured_at) {
+            self.topic.bury(&refused.why);
+        }
+    }
+
+    /// How many listeners an event would reach now: those of this node, whatever their conditions say,
+    /// and one for each other node that has listeners.
+    pub fn matched(&self) -> usize {
+        *self.topic.matched.borrow()
+    }
+
+    /// Waits until an event would reach at least so many listeners, as [`matched`](Self::matched)
+    /// counts them.
+    pub async fn matched_at_least(&self, listeners: usize) {
+        let mut matched = self.topic.matched.subscribe();
+        // The topic lives as long as this publisher.
+        let _ = matched.wait_for(|matched| *matched >= listeners).await;
+    }
+}

@@ -1,0 +1,167 @@
+//! What a topic carries, from whom and for whom: shown to people, judged by nobody.
+
+use super::{TopicKey, lock};
+use blastema_core::{Instant, ObjectName};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// A rate over less than this would tell of bursts, not of the topic.
+const WINDOW: Duration = Duration::from_secs(1);
+/// Listeners of a node that starts, and of its neighbours, have joined by then.
+const JOINED_WITHIN: Duration = Duration::from_secs(5);
+
+/// One topic of a node, as its [picture](crate::Node::picture) shows it.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct TopicRow {
+    /// The name of the topic.
+    pub topic: String,
+    /// The contract of its events.
+    pub contract: String,
+    /// The last event is kept for listeners that join.
+    pub latched: bool,
+    /// The objects of this node that publish on it, and the node itself where its program does.
+    pub publishers: Vec<String>,
+    /// The objects of this node that listen to it.
+    pub listeners: Vec<ObjectName>,
+    /// How many other nodes have listeners.
+    pub nodes: usize,
+    /// The events that were published here, or came from other nodes.
+    pub events: u64,
+    /// How many of them in a second, since the row was read last, or over a second at least.
+    pub rate_hz: f64,
+    /// How many bytes one event takes when it is sent to another node, measured lately.
+    pub bytes: Option<usize>,
+    /// Nobody listens to this topic, and this one of a similar name has listeners and no publishers.
+    pub similar: Option<String>,
+}
+
+pub(super) struct Traffic {
+    events: AtomicU64,
+    bytes: AtomicUsize,
+    /// The next event is to be measured.
+    unmeasured: AtomicBool,
+    /// Its name was compared with those of other topics.
+    judged: AtomicBool,
+    since: Instant,
+    shown: Mutex<Shown>,
+}
+
+struct Shown {
+    /// How many publishers of this name there are.
+    publishers: BTreeMap<Box<str>, usize>,
+    /// How many subscriptions of this name there are.
+    listeners: BTreeMap<ObjectName, usize>,
+    /// The window that began last: when, and after how many events.
+    window: (Instant, u64),
+    rate_hz: f64,
+    similar: Option<Arc<str>>,
+}
+
+fn count<K: Ord>(counts: &mut BTreeMap<K, usize>, key: K, more: bool) {
+    let counted = counts.get(&key).copied().unwrap_or(0);
+    match if more { counted + 1 } else { counted.saturating_sub(1) } {
+        0 => counts.remove(&key),
+        counted => counts.insert(key, counted),
+    };
+}
+
+impl Traffic {
+    pub(super) fn new(now: Instant) -> Self {
+        Traffic {
+            events: AtomicU64::new(0),
+            bytes: AtomicUsize::new(0),
+            unmeasured: AtomicBool::new(true),
+            judged: AtomicBool::new(false),
+            since: now,
+            shown: Mutex::new(Shown {
+                publishers: BTreeMap::new(),
+                listeners: BTreeMap::new(),
+                window: (now, 0),
+                rate_hz: 0.0,
+                similar: None,
+            }),
+        }
+    }
+
+    /// One more event.
+    #[inline]
+    pub(super) fn count(&self) {
+        self.events.fetch_add(1, Relaxed);
+    }
+
+    #[inline]
+    pub(super) fn is_to_be_measured(&self) -> bool {
+        self.unmeasured.load(Relaxed)
+    }
+
+    pub(super) fn measured(&self, bytes: usize) {
+        self.bytes.store(bytes, Relaxed);
+        self.unmeasured.store(false, Relaxed);
+    }
+
+    #[inline]
+    pub(super) fn was_judged(&self) -> bool {
+        self.judged.load(Relaxed)
+    }
+
+    /// Says once that listeners have had the time to join.
+    pub(super) fn is_time_to_judge(&self, now: Instant) -> bool {
+        now - self.since >= JOINED_WITHIN && !self.judged.swap(true, Relaxed)
+    }
+
+    pub(super) fn suggest(&self, similar: Arc<str>) {
+        lock(&self.shown).similar = Some(similar);
+    }
+
+    /// One publisher more or less.
+    pub(super) fn publishes(&self, by: &str, more: bool) {
+        count(&mut lock(&self.shown).publishers, by.into(), more);
+    }
+
+    pub(super) fn has_publishers(&self) -> bool {
+        !lock(&self.shown).publishers.is_empty()
+    }
+
+    /// One subscription more or less.
+    pub(super) fn listens(&self, name: &ObjectName, more: bool) {
+        let mut shown = lock(&self.shown);
+        count(&mut shown.listeners, name.clone(), more);
+        if more {
+            shown.similar = None;
+        }
+    }
+
+    pub(super) fn row(
+        &self,
+        key: &TopicKey,
+        latched: bool,
+        nodes: usize,
+        now: Instant,
+    ) -> TopicRow {
+        let events = self.events.load(Relaxed);
+        let measured = (events > 0 && !self.is_to_be_measured()).then(|| self.bytes.load(Relaxed));
+        self.unmeasured.store(true, Relaxed);
+        let mut shown = lock(&self.shown);
+        let (from, before) = shown.window;
+        let span = now - from;
+        if span >= WINDOW {
+            shown.rate_hz = events.saturating_sub(before) as f64 / span.as_secs_f64();
+            shown.window = (now, events);
+        }
+        TopicRow {
+            topic: key.topic.to_string(),
+            contract: key.contract.to_string(),
+            latched,
+            publishers: shown.publishers.keys().map(|name| name.to_string()).collect(),
+            listeners: shown.listeners.keys().cloned().collect(),
+            nodes,
+            events,
+            rate_hz: shown.rate_hz,
+            bytes: measured,
+            similar: shown.similar.as_ref().map(|name| name.to_string()),
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! Faults that are put into components by name, and doubles of their partners.
+
+use blastema::detection::{Push, Watch};
+use blastema::prelude::*;
+use blastema_testkit::{Probe, TestNode, owner};
+use std::process::Command;
+use std::time::Duration;
+
+const SECOND: Duration = Duration::from_secs(1);
+
+#[derive(Debug, Request)]
+#[contract(name = "arm/where", reply = u64)]
+struct Where;
+
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(name = "wheels/drive")]
+struct Drive(i32);
+
+#[derive(Clone, Debug, PartialEq, Variable)]
+#[contract(name = "arm/limit")]
+struct Limit(u32);
+
+/// Knows nothing of any test.
+struct Arm;
+
+impl Component for Arm {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<Where>();
+    }
+
+    async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        Ok(())
+    }
+}
+
+impl Handle<Where> for Arm {
+    async fn handle(&mut self, _: Where, cx: &mut Context<Self>) -> u64 {
+        cx.incarnation().0
+    }
+}
+
+async fn node() -> TestNode {
+    let arm = ChildSpec::new("arm", || Arm)
+        .rate_hz(10.0)
+        .max_wait(Duration::from_millis(200))
+        .watch(Watch::Push(Push {
+            interval: Duration::from_millis(100),
+            tolerance: 3,
+            start_up: SECOND,
+        }));
+    TestNode::start(Node::builder("module1").child(arm)).await
+}
+
+async fn incarnation(node: &TestNode) -> u64 {
+    node.sender("arm").unwrap().ask(Where).await.unwrap()
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_is_killed_is_restarted() {
+    let mut node = node().await;
+
+    node.kill("arm");
+
+    node.await_fault(FaultKind::Panic, "arm").await;
+    node.await_recovered(FaultKind::Panic, "arm").await;
+    assert_eq!(incarnation(&node).await, 2);
+    node.expect_no_faults().await;
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_hangs_is_replaced() {
+    let mut node = node().await;
+
+    node.hang("arm");
+
+    node.await_fault(FaultKind::Hang, "arm").await;
+    node.await_recovered(FaultKind::Hang, "arm").await;
+    assert_eq!(incarnation(&node).await, 2);
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_is_silenced_is_taken_for_silent() {
+    let mut node = node().await;
+    node.advance(2 * SECOND).await;
+    node.expect_no_faults().await;
+
+    node.silence("arm");
+
+    node.await_fault(FaultKind::Silence, "arm").await;
+    node.heal("arm");
+    node.await_recovered(FaultKind::Silence, "arm").await;
+}
+
+#[blastema_testkit::test]
+async fn initialisations_fail_as_often_as_they_are_told_to() {
+    let mut node = node().await;
+
+    node.fail_init("arm", 2);
+    node.kill("arm");
+
+    node.await_fault(FaultKind::InitializationFailed, "arm").await;
+    node.advance(10 * SECOND).await;
+    assert_eq!(incarnation(&node).await, 4);
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_is_slowed_answers_later_until_it_is_healed() {
+    let node = node().await;
+    let arm = node.sender("arm").unwrap();
+
+    node.slow("arm", Duration::from_millis(150));
+    let late = arm.ask_within(Where, Duration::from_millis(100)).await;
+    assert_eq!(late.unwrap_err().why, Why::DeadlinePassed);
+    node.heal("arm");
+    node.advance(2 * SECOND).await;
+
+    assert!(arm.ask_within(Where, Duration::from_millis(100)).await.is_ok());
+}
+
+#[blastema_testkit::test]
+#[should_panic(expected = "did you mean `arm`?")]
+async fn a_fault_for_nobody_fails_the_test() {
+    node().await.kill("amr");
+}
+
+#[blastema_testkit::test]
+async fn an_actuator_and_a_variable_have_doubles() {
+    let drives = Probe::<Drive>::new();
+    let builder = Node::builder("module1")
+        .child(drives.actuator("wheels", Drive(0)))
+        .child(owner("arm", Limit(3)));
+    let node = TestNode::start(builder).await;
+
+    let wheels = node.commander::<Drive>("wheels", "test").unwrap();
+    wheels.claim().await.unwrap();
+    wheels.command(Drive(5)).await.unwrap();
+    drop(wheels);
+    let limit = node.variable::<Limit>("arm").unwrap();
+    limit.write(Limit(4)).await.unwrap();
+
+    assert_eq!(drives.wait(|drive| *drive != Drive(0)).await, Drive(5));
+    assert_eq!(drives.expect().await, Drive(0), "its commander has gone");
+    assert_eq!(limit.read().await.unwrap().value, Limit(4));
+}
+
+/// Set for the program that is to hang.
+const HANGS: &str = "BLASTEMA_TEST_HANGS";
+
+/// Never returns, where it is told so.
+struct Stuck;
+
+impl Component for Stuck {
+    async fn on_activated(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        while std::env::var_os(HANGS).is_some() {
+            std::thread::park();
+        }
+        Ok(())
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_handler_that_never_returns() {
+    let node = TestNode::start(Node::builder("module1")).await;
+    node.add_child(ChildSpec::new("lidar", || Stuck)).await.unwrap();
+    node.settle().await;
+}
+
+#[test]
+fn a_test_that_hangs_ends_with_the_name_of_the_component() {
+    let program = std::env::current_exe().expect("this program");
+
+    let ended = Command::new(program)
+        .args(["--exact", "a_handler_that_never_returns", "--nocapture"])
+        .env(HANGS, "yes")
+        .output()
+        .expect("this program again");
+
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert_eq!(ended.status.code(), Some(101), "{said}");
+    assert!(said.contains("a_handler_that_never_returns hangs: lidar"), "{said}");
+}

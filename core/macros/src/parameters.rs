@@ -1,0 +1,151 @@
+//! `#[derive(Parameters)]`: settings with defaults, units and ranges, which are a variable as well.
+
+use crate::attributes::{Derive, TypeAttributes, parse_text, refuse_repetition, unknown};
+use crate::contract::derive_variable;
+use proc_macro2::TokenStream;
+use quote::{ToTokens, quote};
+use syn::ext::IdentExt;
+use syn::{Data, DeriveInput, Error, Expr, ExprLit, Fields, Lit, LitStr, Result, parse_quote};
+
+const KEYS: &[&str] = &["default", "range", "unit"];
+
+/// What `#[parameter(..)]` says about a field.
+#[derive(Default)]
+struct ParameterAttributes {
+    default: Option<Expr>,
+    range: Option<Expr>,
+    unit: Option<LitStr>,
+}
+
+impl ParameterAttributes {
+    fn parse(attributes: &[syn::Attribute]) -> Result<Self> {
+        let mut parsed = ParameterAttributes::default();
+        let mut seen = Vec::new();
+        for attribute in attributes.iter().filter(|a| a.path().is_ident("parameter")) {
+            attribute.parse_nested_meta(|meta| {
+                let key = meta.path.get_ident().map(ToString::to_string).unwrap_or_default();
+                refuse_repetition(&mut seen, &meta, &key)?;
+                match key.as_str() {
+                    "default" => parsed.default = Some(meta.value()?.parse()?),
+                    "range" => parsed.range = Some(meta.value()?.parse()?),
+                    "unit" => parsed.unit = Some(parse_text(&meta, "unit")?),
+                    other => return Err(unknown(&meta, other, KEYS)),
+                }
+                Ok(())
+            })?;
+        }
+        Ok(parsed)
+    }
+}
+
+pub(crate) fn derive(input: &DeriveInput) -> Result<TokenStream> {
+    let attributes = TypeAttributes::parse(&input.attrs, Derive::Variable)?;
+    let facade = &attributes.facade;
+    let wrong = |what| Err(Error::new(input.ident.span(), what));
+    if !input.generics.params.is_empty() {
+        return wrong("parameters cannot be generic: write one struct for each component");
+    }
+    let Data::Struct(data) = &input.data else {
+        return wrong("parameters are a struct, with a field for each parameter");
+    };
+    let Fields::Named(fields) = &data.fields else {
+        return wrong("parameters have names: write a struct with named fields");
+    };
+    let mut variable = input.clone();
+    let (mut defaults, mut descriptions) = (Vec::new(), Vec::new());
+    let (mut arms, mut checks) = (Vec::new(), Vec::new());
+    for (at, field) in fields.named.iter().enumerate() {
+        let ParameterAttributes { default, range, unit } =
+            ParameterAttributes::parse(&field.attrs)?;
+        let (ident, of) = (&field.ident, &field.ty);
+        let name = ident.as_ref().map(|ident| ident.unraw().to_string()).unwrap_or_default();
+        if let Data::Struct(data) = &mut variable.data
+            && let Some(field) = data.fields.iter_mut().nth(at)
+        {
+            field.attrs.retain(|attribute| !attribute.path().is_ident("parameter"));
+            if let Some(unit) = &unit {
+                field.attrs.push(parse_quote!(#[contract(unit = #unit)]));
+            }
+        }
+        defaults.push(match default {
+            None => quote!(#ident: <#of as ::std::default::Default>::default()),
+            Some(text @ Expr::Lit(ExprLit { lit: Lit::Str(_), .. })) => {
+                quote!(#ident: ::std::convert::From::from(#text))
+            }
+            Some(value) => quote!(#ident: #value),
+        });
+        let unit = option(unit.map(|unit| quote!(#unit)));
+        let written = range.as_ref().map(|range| {
+            let text = range.to_token_stream().to_string().replace(' ', "");
+            quote!(#text)
+        });
+        let written = option(written);
+        descriptions.push(quote! {
+            #facade::core::parameters::ParameterField {
+                name: #name,
+                unit: #unit,
+                range: #written,
+            }
+        });
+        arms.push(quote! {
+            #name => {
+                self.#ident = #facade::core::parameters::read(key, value)?;
+                ::std::result::Result::Ok(())
+            }
+        });
+        checks.extend(range.map(|range| {
+            quote! {
+                if !::std::ops::RangeBounds::<#of>::contains(&(#range), &self.#ident) {
+                    return ::std::result::Result::Err(#facade::core::parameters::out_of_range(
+                        &Self::FIELDS[#at],
+                        &self.#ident,
+                    ));
+                }
+            }
+        }));
+    }
+    let variable = derive_variable(&variable)?;
+    let ident = &input.ident;
+    let error = quote!(#facade::core::parameters::ParameterError);
+    Ok(quote! {
+        #variable
+
+        #[automatically_derived]
+        impl ::std::default::Default for #ident {
+            fn default() -> Self {
+                Self { #(#defaults),* }
+            }
+        }
+
+        #[automatically_derived]
+        impl #facade::core::parameters::Parameters for #ident {
+            const FIELDS: &'static [#facade::core::parameters::ParameterField] =
+                &[#(#descriptions),*];
+
+            fn set(
+                &mut self,
+                key: &str,
+                value: &#facade::core::parameters::ParameterValue,
+            ) -> ::std::result::Result<(), #error> {
+                match key {
+                    #(#arms)*
+                    _ => ::std::result::Result::Err(
+                        #facade::core::parameters::unknown(key, Self::FIELDS),
+                    ),
+                }
+            }
+
+            fn check(&self) -> ::std::result::Result<(), #error> {
+                #(#checks)*
+                ::std::result::Result::Ok(())
+            }
+        }
+    })
+}
+
+fn option(tokens: Option<TokenStream>) -> TokenStream {
+    match tokens {
+        Some(tokens) => quote!(::std::option::Option::Some(#tokens)),
+        None => quote!(::std::option::Option::None),
+    }
+}

@@ -1,0 +1,238 @@
+//! Parameters: settings of a component with a default, a unit and a range, read and checked by name.
+//!
+//! `#[derive(Parameters)]` writes the impl; what it calls stands here.
+
+use crate::Variable;
+use crate::spelling::nearest;
+use std::fmt;
+
+/// The settings of a component. Derived.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no set of parameters",
+    note = "write `#[derive(Clone, Parameters)]` above the struct"
+)]
+pub trait Parameters: Variable + Default {
+    /// The parameters, in the order in which they are declared.
+    const FIELDS: &'static [ParameterField];
+
+    /// Gives one parameter a value, which may still lie outside of its range.
+    ///
+    /// # Errors
+    /// There is no such parameter, or its type is another.
+    fn set(&mut self, key: &str, value: &ParameterValue) -> Result<(), ParameterError>;
+
+    /// Checks all ranges.
+    ///
+    /// # Errors
+    /// The first parameter that lies outside of its range.
+    fn check(&self) -> Result<(), ParameterError>;
+
+    /// Gives these parameters their values, and all others their defaults.
+    ///
+    /// # Errors
+    /// The first that is unknown, of another type, or outside of its range.
+    fn from_values<'a>(
+        values: impl IntoIterator<Item = (&'a str, &'a ParameterValue)>,
+    ) -> Result<Self, ParameterError> {
+        let mut parameters = Self::default();
+        for (key, value) in values {
+            parameters.set(key, value)?;
+        }
+        parameters.check().map(|()| parameters)
+    }
+}
+
+/// What is declared of one parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ParameterField {
+    /// Its name.
+    pub name: &'static str,
+    /// Its unit, if it has one.
+    pub unit: Option<&'static str>,
+    /// The range of its values, if it is bounded, as it is written.
+    pub range: Option<&'static str>,
+}
+
+/// A value before it is known whether the parameter takes it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ParameterValue {
+    /// True or false.
+    Bool(bool),
+    /// A whole number.
+    Integer(i64),
+    /// A number with a fraction.
+    Float(f64),
+    /// A text.
+    Text(String),
+}
+
+impl fmt::Display for ParameterValue {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            ParameterValue::Bool(value) => write!(f, "{value}"),
+            ParameterValue::Integer(value) => write!(f, "{value}"),
+            ParameterValue::Float(value) => write!(f, "{value:?}"),
+            ParameterValue::Text(value) => write!(f, "{value:?}"),
+        }
+    }
+}
+
+/// Why parameters are refused.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ParameterError {
+    /// There is no parameter of this name.
+    #[error("there is no parameter `{key}`: {}", suggestion(.nearest.as_ref(), .known))]
+    Unknown {
+        /// The name that was given.
+        key: String,
+        /// The name that may have been meant.
+        nearest: Option<String>,
+        /// All that there are.
+        known: Vec<&'static str>,
+    },
+    /// The parameter is of another type.
+    #[error("`{key}` is {found}, and must be {expected}")]
+    Type {
+        /// The parameter.
+        key: String,
+        /// The value that was given.
+        found: String,
+        /// What it takes.
+        expected: &'static str,
+    },
+    /// The value lies outside of the parameter's range.
+    #[error("`{key}` is {found}, and must be in {range}{}", in_unit(.unit))]
+    Range {
+        /// The parameter.
+        key: &'static str,
+        /// The value that was given.
+        found: String,
+        /// The range, as it is declared.
+        range: &'static str,
+        /// The unit of both.
+        unit: Option<&'static str>,
+    },
+}
+
+fn suggestion(nearest: Option<&String>, known: &[&str]) -> String {
+    match nearest {
+        Some(nearest) => format!("did you mean `{nearest}`?"),
+        None if known.is_empty() => "there are none".to_owned(),
+        None => format!("there are `{}`", known.join("`, `")),
+    }
+}
+
+fn in_unit(unit: &Option<&'static str>) -> String {
+    unit.map(|unit| format!(" {unit}")).unwrap_or_default()
+}
+
+/// A type that a parameter may have.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` cannot be the type of a parameter",
+    note = "parameters are `bool`, whole numbers up to 64 bits, `f32`, `f64` and `String`"
+)]
+pub trait ParameterType: Sized {
+    /// What it is called in errors.
+    const EXPECTED: &'static str;
+
+    /// The value, where it is one of this type.
+    fn of(value: &ParameterValue) -> Option<Self>;
+}
+
+impl ParameterType for bool {
+    const EXPECTED: &'static str = "true or false";
+
+    fn of(value: &ParameterValue) -> Option<Self> {
+        match value {
+            ParameterValue::Bool(value) => Some(*value),
+            _ => None,
+        }
+    }
+}
+
+impl ParameterType for String {
+    const EXPECTED: &'static str = "a text";
+
+    fn of(value: &ParameterValue) -> Option<Self> {
+        match value {
+            ParameterValue::Text(value) => Some(value.clone()),
+            _ => None,
+        }
+    }
+}
+
+impl ParameterType for f64 {
+    const EXPECTED: &'static str = "a number";
+
+    fn of(value: &ParameterValue) -> Option<Self> {
+        match value {
+            ParameterValue::Float(value) => Some(*value),
+            ParameterValue::Integer(value) => Some(*value as f64),
+            _ => None,
+        }
+    }
+}
+
+impl ParameterType for f32 {
+    const EXPECTED: &'static str = "a number";
+
+    fn of(value: &ParameterValue) -> Option<Self> {
+        f64::of(value).map(|value| value as f32)
+    }
+}
+
+macro_rules! whole_numbers {
+    ($($number:ty: $expected:literal),*) => {$(
+        impl ParameterType for $number {
+            const EXPECTED: &'static str = $expected;
+
+            fn of(value: &ParameterValue) -> Option<Self> {
+                match value {
+                    ParameterValue::Integer(value) => (*value).try_into().ok(),
+                    _ => None,
+                }
+            }
+        }
+    )*};
+}
+
+whole_numbers! {
+    u8: "a whole number from 0 to 255",
+    u16: "a whole number from 0 to 65535",
+    u32: "a whole number from 0 to 4294967295",
+    u64: "a whole number of 0 or more",
+    i8: "a whole number from -128 to 127",
+    i16: "a whole number from -32768 to 32767",
+    i32: "a whole number from -2147483648 to 2147483647",
+    i64: "a whole number"
+}
+
+/// Reads the value of one parameter; called by what is derived.
+///
+/// # Errors
+/// It is of another type.
+pub fn read<T: ParameterType>(key: &str, value: &ParameterValue) -> Result<T, ParameterError> {
+    T::of(value).ok_or_else(|| ParameterError::Type {
+        key: key.to_owned(),
+        found: value.to_string(),
+        expected: T::EXPECTED,
+    })
+}
+
+/// What to say of a parameter that does not exist; called by what is derived.
+pub fn unknown(key: &str, fields: &'static [ParameterField]) -> ParameterError {
+    let known: Vec<&'static str> = fields.iter().map(|field| field.name).collect();
+    let nearest = nearest(key, known.iter().copied()).map(str::to_owned);
+    ParameterError::Unknown { key: key.to_owned(), nearest, known }
+}
+
+/// What to say of a parameter outside of its range; called by what is derived.
+pub fn out_of_range(field: &ParameterField, found: &dyn fmt::Debug) -> ParameterError {
+    ParameterError::Range {
+        key: field.name,
+        found: format!("{found:?}"),
+        range: field.range.unwrap_or_default(),
+        unit: field.unit,
+    }
+}

@@ -1,0 +1,28 @@
+use blastema::prelude::*;
+
+#[derive(Clone, Debug, Parameters)]
+struct Misspelt {
+    #[parameter(defualt = 1)]
+    attempts: u8,
+}
+
+#[derive(Clone, Debug, Parameters)]
+struct Twice {
+    #[parameter(default = 1, default = 2)]
+    attempts: u8,
+}
+
+#[derive(Clone, Debug, Parameters)]
+struct Unnamed(u8);
+
+#[derive(Clone, Debug, Parameters)]
+enum Choice {
+    One,
+}
+
+#[derive(Clone, Debug, Parameters)]
+struct Generic<T> {
+    attempts: T,
+}
+
+fn main() {}

@@ -1,0 +1,46 @@
+//! What a program is told that cannot start a node.
+
+use blastema::prelude::*;
+use blastema::{Network, run};
+use std::error::Error;
+use std::process::ExitCode;
+
+#[blastema::main]
+async fn program_with_a_wrong_endpoint() -> Result<(), Box<dyn Error + Send + Sync>> {
+    let bus = Network::new("bus", "serial:///dev/ttyUSB0?buad=9600");
+    Node::builder("n").network(bus).start().await?;
+    Ok(())
+}
+
+#[blastema::main]
+async fn program_that_ends_well() -> Result<(), StartError> {
+    Ok(())
+}
+
+#[test]
+fn main_reports_an_error_and_fails() {
+    assert_eq!(program_with_a_wrong_endpoint(), ExitCode::FAILURE);
+    assert_eq!(program_that_ends_well(), ExitCode::SUCCESS);
+}
+
+#[test]
+fn the_wrong_part_of_an_endpoint_is_underlined_in_what_main_prints() {
+    let bus = Network::new("bus", "serial:///dev/ttyUSB0?buad=9600");
+    let refused = run(async { Node::builder("n").network(bus).start().await });
+
+    let text = refused.expect_err("the endpoint is wrong").to_string();
+
+    let lines: Vec<&str> = text.lines().collect();
+    let at = lines[1].find("buad").expect("the second line shows the endpoint");
+    assert_eq!(lines[2].find("^^^^"), Some(at), "{text}");
+}
+
+#[test]
+fn a_node_started_outside_of_the_runtime_is_told_what_to_write() {
+    let plain = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+
+    let refused = plain.block_on(async { Node::builder("n").start().await });
+
+    let Err(StartError::Runtime) = &refused else { panic!("{refused:?}") };
+    assert!(StartError::Runtime.to_string().contains("#[blastema::main]"));
+}

@@ -1,0 +1,153 @@
+//! Parameters: where their values come from, who refuses them, and who is told of a change.
+
+use blastema::prelude::*;
+use blastema::{NodeBuilder, ParameterError, ParameterValue, SpecError};
+use blastema_testkit::TestNode;
+use std::sync::{Arc, Mutex};
+
+#[derive(Clone, Debug, PartialEq, Parameters)]
+#[contract(name = "arm/parameters")]
+struct ArmParameters {
+    #[parameter(default = 0.5, range = 0.0..=2.0, unit = "m/s")]
+    max_speed: f64,
+    #[parameter(default = 3, range = 1..)]
+    attempts: u8,
+    #[parameter(default = "map")]
+    frame: String,
+    careful: bool,
+}
+
+type Seen = Arc<Mutex<Vec<ArmParameters>>>;
+
+struct Arm(Seen);
+
+impl Component for Arm {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.parameters::<ArmParameters>();
+        ports.accept::<Blow>();
+    }
+
+    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        self.0.lock().unwrap().push(cx.parameters()?);
+        Ok(())
+    }
+}
+
+impl Handle<ArmParameters> for Arm {
+    async fn handle(&mut self, parameters: ArmParameters, _: &mut Context<Self>) {
+        self.0.lock().unwrap().push(parameters);
+    }
+}
+
+#[derive(Clone, Debug, Event)]
+struct Blow;
+
+impl Handle<Blow> for Arm {
+    async fn handle(&mut self, _: Blow, _: &mut Context<Self>) {
+        panic!("a blow");
+    }
+}
+
+fn arm() -> (NodeBuilder, Seen) {
+    let seen = Seen::default();
+    let kept = seen.clone();
+    (Node::builder("module1").child(ChildSpec::new("arm", move || Arm(kept.clone()))), seen)
+}
+
+fn speeds(seen: &Seen) -> Vec<f64> {
+    seen.lock().unwrap().iter().map(|parameters| parameters.max_speed).collect()
+}
+
+#[blastema_testkit::test]
+async fn parameters_have_their_defaults_unless_the_configuration_says_otherwise() {
+    let (builder, seen) = arm();
+    let _node = TestNode::start(builder).await;
+    let expected =
+        ArmParameters { max_speed: 0.5, attempts: 3, frame: "map".into(), careful: false };
+    assert_eq!(*seen.lock().unwrap(), [expected]);
+
+    let (builder, seen) = arm();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("robot.toml");
+    std::fs::write(&file, "[arm]\nmax_speed = 1\nframe = \"odom\"\n").unwrap();
+    let builder = builder.parameters_from(file).parameters("[arm]\nattempts = 9\ncareful = true");
+    let _node = TestNode::start(builder).await;
+    let expected =
+        ArmParameters { max_speed: 1.0, attempts: 9, frame: "odom".into(), careful: true };
+    assert_eq!(*seen.lock().unwrap(), [expected]);
+}
+
+#[blastema_testkit::test]
+async fn a_parameter_that_is_set_is_told_to_its_component_and_outlives_it() {
+    let (builder, seen) = arm();
+    let mut node = TestNode::start(builder).await;
+    let parameters = node.variable::<ArmParameters>("arm").unwrap();
+
+    parameters.set("max_speed", ParameterValue::Float(1.5)).await.unwrap();
+    node.settle().await;
+    assert_eq!(speeds(&seen), [0.5, 1.5]);
+    assert_eq!(parameters.read().await.unwrap().value.attempts, 3);
+
+    node.sender("arm").unwrap().tell(Blow).unwrap();
+    node.await_recovered(FaultKind::Panic, "arm").await;
+    assert_eq!(speeds(&seen), [0.5, 1.5, 1.5]);
+}
+
+#[blastema_testkit::test]
+async fn what_a_parameter_does_not_take_is_refused_with_the_reason_and_changes_nothing() {
+    let (builder, seen) = arm();
+    let node = TestNode::start(builder).await;
+    let parameters = node.variable::<ArmParameters>("arm").unwrap();
+
+    for (key, value, reason) in [
+        ("max_speed", ParameterValue::Float(2.5), "0.0..=2.0 m/s"),
+        ("max_speed", ParameterValue::Float(f64::NAN), "0.0..=2.0 m/s"),
+        ("max_sped", ParameterValue::Float(1.0), "`max_speed`"),
+        ("attempts", ParameterValue::Integer(256), "0 to 255"),
+        ("attempts", ParameterValue::Integer(0), "1.."),
+        ("careful", ParameterValue::Text("yes".into()), "true or false"),
+    ] {
+        let refused = parameters.set(key, value).await.unwrap_err();
+        let Why::CheckFailed { reason: told } = &refused else { panic!("{refused}") };
+        assert!(told.contains(reason), "{told}");
+    }
+    let whole = ArmParameters { max_speed: 9.0, ..ArmParameters::default() };
+    assert!(matches!(parameters.write(whole).await, Err(Why::CheckFailed { .. })));
+
+    node.settle().await;
+    assert_eq!(speeds(&seen), [0.5]);
+}
+
+#[blastema_testkit::test]
+async fn a_configuration_that_nobody_takes_is_refused_before_anything_starts() {
+    let refused = async |toml: &str| {
+        let (builder, seen) = arm();
+        let Err(error) = TestNode::try_start(builder.parameters(toml)).await else {
+            panic!("{toml} was taken")
+        };
+        assert_eq!(speeds(&seen), [0.0; 0]);
+        error
+    };
+
+    let StartError::Spec(SpecError::Parameters { name, error }) =
+        refused("[arm]\nmax_sped = 1.0").await
+    else {
+        panic!("it names the component")
+    };
+    assert_eq!(name.as_str(), "arm");
+    let ParameterError::Unknown { nearest, .. } = error else { panic!("{error}") };
+    assert_eq!(nearest.as_deref(), Some("max_speed"));
+    for (toml, named) in [
+        ("[amr]\nmax_speed = 1.0", "`arm`"),
+        ("max_speed = 1.0", "`max_speed`"),
+        ("[arm]\nmax_speed = [1.0]", "a list"),
+        ("[arm]\nmax_speed = ", "line 2"),
+    ] {
+        let error = refused(toml).await;
+        assert!(matches!(error, StartError::Parameters { file: None, .. }), "{error}");
+        assert!(error.to_string().contains(named), "{error}");
+    }
+    let (builder, _) = arm();
+    let missing = TestNode::try_start(builder.parameters_from("/nowhere/robot.toml")).await;
+    assert!(matches!(missing, Err(StartError::Parameters { file: Some(_), .. })));
+}

@@ -1,0 +1,254 @@
+//! Capture stamps, events that are kept for who joins, and what a node tells of its topics.
+
+use blastema::prelude::*;
+use blastema::{DeadReason, Instant, Link, MemoryMedium, Network, TopicRow};
+use blastema_testkit::{Probe, TestNode, now};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+
+/// An image, old as soon as it is 100 ms old.
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(name = "camera/image", max_age = "100ms")]
+struct Image(u32);
+
+#[derive(Clone, Debug, PartialEq, Event)]
+#[contract(name = "map", latched)]
+struct Map(u32);
+
+#[derive(Clone, Debug, Request)]
+#[contract(reply = ())]
+struct Fail;
+
+type Seen = Arc<Mutex<Vec<(u32, Option<Instant>)>>>;
+
+/// Notes what it gets, and when that was captured.
+struct Viewer(Seen);
+
+impl Component for Viewer {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Image>();
+        ports.listen::<Map>();
+        ports.serve::<Fail>();
+    }
+}
+
+impl Handle<Image> for Viewer {
+    async fn handle(&mut self, Image(n): Image, cx: &mut Context<Self>) {
+        self.0.lock().unwrap().push((n, cx.captured_at()));
+    }
+}
+
+impl Handle<Map> for Viewer {
+    async fn handle(&mut self, Map(n): Map, cx: &mut Context<Self>) {
+        self.0.lock().unwrap().push((n, cx.captured_at()));
+    }
+}
+
+impl Handle<Fail> for Viewer {
+    async fn handle(&mut self, _: Fail, _: &mut Context<Self>) {
+        panic!("the viewer fails");
+    }
+}
+
+fn viewer(name: &str) -> (ChildSpec<Viewer>, Seen) {
+    let seen = Seen::default();
+    let kept = seen.clone();
+    (ChildSpec::new(name, move || Viewer(kept.clone())), seen)
+}
+
+fn numbers(seen: &Seen) -> Vec<u32> {
+    seen.lock().unwrap().iter().map(|(n, _)| *n).collect()
+}
+
+fn row_of(node: &Node, topic: &str) -> TopicRow {
+    node.topics().into_iter().find(|row| row.topic == topic).expect("the topic was named")
+}
+
+#[blastema_testkit::test]
+async fn the_age_of_an_event_counts_from_the_capture_of_its_data() {
+    let (spec, seen) = viewer("viewer");
+    let node = TestNode::start(Node::builder("module1").child(spec)).await;
+    let images = node.publisher::<Image>("camera/image").unwrap();
+    node.advance(1000 * MS).await;
+    let captured = Instant::from_nanos(now().as_nanos() - 60_000_000);
+
+    images.publish_captured_at(Image(1), captured).unwrap();
+    node.settle().await;
+    node.advance(50 * MS).await;
+    images.publish_captured_at(Image(2), captured).unwrap();
+    images.publish_captured_at(Image(3), now() + 500 * MS).unwrap();
+    node.settle().await;
+
+    let seen = seen.lock().unwrap().clone();
+    assert_eq!(seen, [(1, Some(captured)), (3, Some(now()))], "the second was 110 ms old");
+    assert_eq!(node.dead_letters().count(&"viewer".parse().unwrap(), DeadReason::Expired), 1);
+}
+
+#[blastema_testkit::test]
+async fn a_publisher_knows_its_listeners_and_can_wait_for_them() {
+    let node = TestNode::start(Node::builder("module1")).await;
+    let images = node.publisher::<Image>("camera/image").unwrap();
+    assert_eq!(images.matched(), 0);
+    let waits = images.matched_at_least(2);
+    let mut waits = std::pin::pin!(waits);
+
+    for name in ["left", "right"] {
+        let early = tokio::time::timeout(100 * MS, waits.as_mut()).await;
+        assert!(early.is_err(), "{name} has not joined");
+        node.add_child(viewer(name).0).await.unwrap();
+    }
+
+    waits.await;
+    assert_eq!(images.matched(), 2);
+    node.remove_child("left").await.unwrap();
+    node.settle().await;
+    assert_eq!(images.matched(), 1);
+}
+
+#[blastema_testkit::test]
+async fn a_latched_topic_gives_its_last_event_once_to_who_joins_and_to_each_new_incarnation() {
+    let node = TestNode::start(Node::builder("module1")).await;
+    let maps = node.publisher::<Map>("map").unwrap();
+    [1, 2].into_iter().for_each(|n| maps.publish(Map(n)).unwrap());
+
+    let (spec, seen) = viewer("viewer");
+    node.add_child(spec).await.unwrap();
+    node.settle().await;
+    assert_eq!(numbers(&seen), [2]);
+
+    maps.publish(Map(3)).unwrap();
+    node.settle().await;
+    assert_eq!(numbers(&seen), [2, 3]);
+
+    let (late, seen_late) = viewer("late");
+    maps.publish(Map(4)).unwrap();
+    node.add_child(late).await.unwrap();
+    node.settle().await;
+    assert_eq!((numbers(&seen), numbers(&seen_late)), (vec![2, 3, 4], vec![4]));
+
+    let viewer = node.sender::<Fail>("viewer").unwrap();
+    viewer.ask(Fail).await.expect_err("it fails");
+    node.settle().await;
+    assert_eq!(numbers(&seen), [2, 3, 4, 4], "the next incarnation knows nothing");
+    assert_eq!(numbers(&seen_late), [4]);
+}
+
+/// Two nodes on one network, in this order.
+async fn two_nodes() -> (TestNode, TestNode) {
+    let medium = MemoryMedium::default();
+    let node = |name: &str, other: &str| {
+        let network = Network::memory("lan", &medium, name).link(Link::in_memory(other, other));
+        TestNode::start(Node::builder(name).network(network))
+    };
+    let (here, there) = (node("module1", "module2").await, node("module2", "module1").await);
+    assert!(here.connected("module2", Duration::from_secs(10)).await);
+    assert!(there.connected("module1", Duration::from_secs(10)).await);
+    here.advance(1000 * MS).await;
+    (here, there)
+}
+
+#[blastema_testkit::test]
+async fn listeners_of_other_nodes_are_matched_and_get_what_is_latched() {
+    let (here, there) = two_nodes().await;
+    let maps = here.publisher::<Map>("map").unwrap();
+    maps.publish(Map(1)).unwrap();
+
+    let (spec, seen) = viewer("viewer");
+    there.add_child(spec).await.unwrap();
+    maps.matched_at_least(1).await;
+    there.advance(100 * MS).await;
+
+    assert_eq!((maps.matched(), numbers(&seen)), (1, vec![1]));
+    assert_eq!(row_of(&here, "map").nodes, 1);
+    let (late, seen_late) = viewer("late");
+    there.add_child(late).await.unwrap();
+    there.advance(100 * MS).await;
+    assert_eq!((numbers(&seen), numbers(&seen_late)), (vec![1], vec![1]));
+}
+
+#[blastema_testkit::test]
+async fn an_event_of_another_node_tells_when_its_data_was_captured() {
+    let (here, there) = two_nodes().await;
+    let images = here.publisher::<Image>("camera/image").unwrap();
+    let (spec, seen) = viewer("viewer");
+    there.add_child(spec).await.unwrap();
+    images.matched_at_least(1).await;
+
+    images.publish(Image(1)).unwrap();
+    there.advance(20 * MS).await;
+    let late = Instant::from_nanos(now().as_nanos() - 95_000_000);
+    images
+        .publish_captured_at(Image(2), Instant::from_nanos(now().as_nanos() - 60_000_000))
+        .unwrap();
+    images.publish_captured_at(Image(3), late).unwrap();
+    there.advance(20 * MS).await;
+    images.publish_captured_at(Image(4), late).unwrap();
+    there.advance(20 * MS).await;
+
+    assert_eq!(numbers(&seen), [1, 2, 3], "the fourth was 115 ms old");
+}
+
+/// Publishes ten times a second.
+struct Camera(&'static str);
+
+impl Component for Camera {
+    async fn on_execute(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        match self.0 {
+            "camera/image" => cx.publish(Image(0)),
+            other => cx.publisher(other)?.publish(Image(0))?,
+        }
+        Ok(())
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_topic_shows_its_rate_its_size_who_publishes_and_who_listens() {
+    let camera = ChildSpec::new("camera", || Camera("camera/image")).rate_hz(10.0);
+    let builder = Node::builder("module1").child(camera).child(viewer("viewer").0);
+    let node = TestNode::start(builder).await;
+    let _kept = node.publisher::<Image>("camera/image").unwrap();
+    node.topics();
+
+    node.advance(Duration::from_secs(10)).await;
+
+    let row = row_of(&node, "camera/image");
+    assert_eq!((row.contract.as_str(), row.latched, row.nodes), ("camera/image", false, 0));
+    assert_eq!(row.listeners, ["viewer".parse().unwrap()]);
+    assert_eq!(row.publishers, ["camera", "module1"]);
+    assert!((9.0..=11.0).contains(&row.rate_hz), "{row:?}");
+    assert_eq!((row.bytes, row.similar), (Some(1), None));
+    let picture = node.picture().await.to_json();
+    assert!(picture.contains(r#""topics":[{"#), "{picture}");
+}
+
+#[blastema_testkit::test]
+async fn a_topic_that_nobody_else_names_is_suggested_the_nearest_that_lacks_a_publisher() {
+    let camera = |name: &'static str, topic: &'static str| {
+        ChildSpec::new(name, move || Camera(topic)).rate_hz(10.0)
+    };
+    let builder = Node::builder("module1")
+        .child(camera("camera", "camera/imgae"))
+        .child(camera("other", "infrared"))
+        .child(viewer("viewer").0);
+    let node = TestNode::start(builder).await;
+
+    node.advance(Duration::from_secs(3)).await;
+    assert_eq!(row_of(&node, "camera/imgae").similar, None, "listeners may still join");
+    node.advance(Duration::from_secs(3)).await;
+
+    assert_eq!(row_of(&node, "camera/imgae").similar.as_deref(), Some("camera/image"));
+    assert_eq!(row_of(&node, "infrared").similar, None);
+}
+
+#[blastema_testkit::test]
+async fn a_probe_listens_like_any_other() {
+    let mut node = TestNode::start(Node::builder("module1")).await;
+    let maps = node.publisher::<Map>("map").unwrap();
+    maps.publish(Map(7)).unwrap();
+
+    let probe: Probe<Map> = node.listen().await;
+
+    assert_eq!(probe.drain(), [Map(7)]);
+}
