@@ -1,5 +1,7 @@
 //! The supervisor's body: it holds the children, and does to them what its machine decides.
 
+mod moving;
+
 use super::directory::{Directory, SupervisorPorts};
 use crate::drive::{Body, Wake};
 use crate::guardian::{self, Guardian};
@@ -310,6 +312,7 @@ impl Actor for Supervisor {
         let address = context.address();
         let ports = SupervisorPorts {
             restart: address.clone().recipient(),
+            move_away: address.clone().recipient(),
             reset: address.clone().recipient(),
             isolate: address.clone().recipient(),
             safe_stop: address.clone().recipient(),

@@ -43,7 +43,6 @@ mod tests;
 use crate::component::Component;
 use actix::fut::{ActorFutureExt, wrap_future};
 use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Message};
-use blastema_contract::reports::{Alive, AreYouAlive};
 use course::End;
 use pump::{Pump, SharedPump};
 use std::cell::RefCell;
@@ -105,13 +104,5 @@ impl<C: Component> Handler<Control> for Host<C> {
             // Whatever arrives here, the pump is polled next.
             Control::Wake => {}
         }
-    }
-}
-
-impl<C: Component> Handler<AreYouAlive> for Host<C> {
-    type Result = Alive;
-
-    fn handle(&mut self, _: AreYouAlive, _: &mut Self::Context) -> Alive {
-        self.pump.borrow().alive()
     }
 }

@@ -126,7 +126,8 @@ fn passive<C: Component>(
 ) -> ChildSpec<C> {
     active(name, rate_hz, factory)
         .queue(PASSIVE_QUEUE, WhenFull::Refuse)
-        .watch(Watch::Pull(Pull { patience: PATIENCE, ..Pull::default() }))
+        .max_delay(PATIENCE)
+        .watch(Watch::Pull(Pull::default()))
 }
 
 fn skin_of(module: Module, gauges: &Gauges) -> SupervisorSpec {

@@ -20,6 +20,7 @@ const TABLES: [(&str, &str, &[Column]); 8] = [
             ("last sign", "last_sign_ms"),
             ("restarts", "restarts"),
             ("suspicions", "suspicions"),
+            ("missed rounds", "missed_rounds"),
             ("queued", "queued"),
             ("oldest", "oldest_ms"),
             ("doing", "current"),

@@ -30,7 +30,7 @@ use crate::panics::Guarded;
 use crate::platform;
 use actix::Recipient;
 use blastema_contract::child::{ChildEvent, ChildReport};
-use blastema_contract::reports::{Alive, StateReported};
+use blastema_contract::reports::StateReported;
 use blastema_core::{Incarnation, Instant, Lifecycle, Why};
 use std::any::TypeId;
 use std::cell::RefCell;
@@ -166,6 +166,7 @@ impl<C: Component> Pump<C> {
         let place = Place { index: self.slot.index, stamp: self.slot.stamp };
         record.set_seat(Some(Seated { seat, slot: place, token }));
         self.chores.begin(record.limits.interval);
+        self.slot.stamp.run_every(record.limits.interval);
         if self.course.is_starting() {
             self.chores.limit(Chore::ReadyLimit, record.limits.ready_within);
         }
@@ -182,11 +183,6 @@ impl<C: Component> Pump<C> {
     /// The place where it lived is free.
     pub(crate) fn vacate(&self) {
         self.seat.vacate();
-    }
-
-    /// The answer to "are you alive?".
-    pub(crate) fn alive(&self) -> Alive {
-        self.anchor.alive(self.slot.stamp.read())
     }
 
     /// The supervisor asks for a recovery within this life.
@@ -312,6 +308,7 @@ impl<C: Component> Pump<C> {
     fn open(&mut self, mut mail: Mail<C>, cx: &mut task::Context<'_>) -> Progress {
         let brief = mail.brief();
         if brief.max_age.is_some_and(|limit| platform::now() - brief.posted_at > limit) {
+            self.slot.stamp.expire();
             self.anchor.return_mail(mail, Why::Expired);
             return Progress::More;
         }
@@ -329,6 +326,7 @@ impl<C: Component> Pump<C> {
     /// Notes who is to be told if this message brings death; says why it is not to be served.
     fn follow(&mut self, mail: &dyn Letter<C>) -> Option<Why> {
         if mail.is_void() {
+            self.slot.stamp.expire();
             return Some(Why::DeadlinePassed);
         }
         let id = mail.id();
@@ -406,7 +404,7 @@ impl<C: Component> Pump<C> {
 
     fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
         if hook == Hook::Execute && result.is_ok() {
-            self.slot.stamp.give_sign();
+            self.slot.stamp.end_round();
         }
         self.course.handle_done(hook, result);
         self.tell_news();
@@ -462,6 +460,7 @@ impl<C: Component> Pump<C> {
         let wishes = self.life.take_wishes();
         if let Some(interval) = wishes.interval {
             self.chores.set_interval(interval);
+            self.slot.stamp.run_every(interval);
             self.course.handle_rate_changed();
         }
         if let Some(failure) = wishes.failure {
