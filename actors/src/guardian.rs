@@ -33,17 +33,9 @@ thread_local! {
     static LIFE: Cell<Incarnation> = const { Cell::new(Incarnation::FIRST) };
 }
 
-/// The answer of the guarded actor that is running now to "are you alive?". What waits in an actix
-/// mailbox cannot be seen; that the answer comes says that it is served.
+/// The answer of the guarded actor that is running now to "are you alive?".
 pub(crate) fn alive() -> Alive {
-    Alive {
-        incarnation: LIFE.get(),
-        state: Lifecycle::Active,
-        queued: 0,
-        oldest: Duration::ZERO,
-        served: 0,
-        long_operation: false,
-    }
+    Alive { incarnation: LIFE.get(), state: Lifecycle::Active }
 }
 
 /// Lets a guarded actor answer the monitor.

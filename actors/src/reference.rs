@@ -5,8 +5,6 @@ use crate::component::{Component, Handle};
 use crate::host::Control;
 use crate::host::anchor::Anchor;
 use crate::sender::{DEFAULT_DEADLINE, Inlet, RequestError, SendError, Sender, deliver};
-use actix::prelude::{Actor, Handler, ResponseFuture};
-use blastema_contract::reports::{Alive, AreYouAlive};
 use blastema_core::{Contract, Incarnation, Lifecycle, ObjectName};
 use std::fmt;
 use std::sync::Arc;
@@ -129,45 +127,5 @@ impl<C: Component> ActorRef<C> {
     /// How many messages wait.
     pub fn queued(&self) -> usize {
         self.0.lane.depth()
-    }
-}
-
-impl<C: Component> ActorRef<C> {
-    /// Where the monitor's questions to this component go, whichever life it is in.
-    pub(crate) fn inquiries(&self) -> actix::Recipient<AreYouAlive> {
-        Inquiries { anchor: self.0.clone() }.start().recipient()
-    }
-}
-
-/// How often it is looked whether an object that is asked has begun a life: well within any deadline.
-const BETWEEN_LIVES: Duration = Duration::from_millis(10);
-
-/// Passes the monitor's questions to the control lane of the present life.
-struct Inquiries<C: Component> {
-    anchor: Arc<Anchor<C>>,
-}
-
-impl<C: Component> Actor for Inquiries<C> {
-    type Context = actix::Context<Self>;
-}
-
-impl<C: Component> Handler<AreYouAlive> for Inquiries<C> {
-    type Result = ResponseFuture<Alive>;
-
-    fn handle(&mut self, question: AreYouAlive, _: &mut Self::Context) -> Self::Result {
-        let anchor = self.anchor.clone();
-        Box::pin(async move {
-            loop {
-                if let Some(host) = anchor.control()
-                    && !anchor.record.injected.is_silent()
-                    && let Ok(alive) = host.send(question).await
-                {
-                    return alive;
-                }
-                // Nobody is there: the next life answers. Until then silence is the answer, which the
-                // monitor judges by its own deadline; it asks no second time meanwhile.
-                tokio::time::sleep(BETWEEN_LIVES).await;
-            }
-        })
     }
 }

@@ -9,7 +9,6 @@ use crate::death_watch::{Deaths, Down, Ending, Mortal, Mourner};
 use crate::desk::Desk;
 use crate::host::anchor::Anchor;
 use crate::host::injection::Injection;
-use crate::host::watch::Glimpsed;
 use crate::letter::arrived_posting_time;
 use crate::panics;
 use crate::reply::{Answer, Reply};
@@ -277,7 +276,7 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
     }
 
     fn is_at_work(&self) -> bool {
-        self.anchor.glimpse().state == Lifecycle::Active
+        self.anchor.record.state() == Lifecycle::Active
     }
 
     fn declare(&self, kind: FaultKind, detail: String) {

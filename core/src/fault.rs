@@ -25,7 +25,7 @@ pub enum FaultKind {
     Fatal,
     /// Data that is checked at a fixed point was wrong.
     CheckFailed,
-    /// A queue stayed full.
+    /// A component works, and is, or makes others on its thread, later than they may be.
     Overload,
     /// Two parties hold different versions of one contract.
     ContractMismatch,

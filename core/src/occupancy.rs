@@ -1,8 +1,10 @@
-//! How much of the time a thread is kept, from looks at even intervals.
+//! How much of the time a thread is kept, and by whom, from looks at even intervals.
 
-/// The share of the latest looks that found somebody there.
+use std::collections::{BTreeMap, VecDeque};
+
+/// Who was found on a thread in the latest looks.
 ///
-/// It costs a shift for each look, and no clock. What happens in step with the looks is misjudged, as by
+/// It costs a store for each look, and no clock. What happens in step with the looks is misjudged, as by
 /// any sample.
 ///
 /// ```
@@ -11,32 +13,68 @@
 /// let mut thread = Occupancy::default();
 /// assert_eq!(thread.share(), None);
 /// for look in 0..200 {
-///     thread.note(look % 4 == 0);
+///     thread.note((look % 4 == 0).then_some("planner"));
 /// }
 /// assert_eq!(thread.share(), Some(0.25));
+/// assert_eq!(thread.largest(100), Some(("planner", 0.25)));
 /// ```
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Occupancy {
-    /// The latest looks, the last one lowest.
-    found: u128,
-    looks: u32,
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Occupancy<K> {
+    /// The latest looks, the last one at the back.
+    found: VecDeque<Option<K>>,
 }
 
-impl Occupancy {
+impl<K> Default for Occupancy<K> {
+    fn default() -> Self {
+        Occupancy { found: VecDeque::new() }
+    }
+}
+
+impl<K: Copy + Ord> Occupancy<K> {
     /// Looks that count: 1.3 s of the usual ones, every 10 ms.
-    pub const LOOKS: u32 = u128::BITS;
+    pub const LOOKS: usize = 128;
 
     /// One more look.
-    pub fn note(&mut self, found: bool) {
-        self.found = self.found << 1 | u128::from(found);
-        self.looks = (self.looks + 1).min(Self::LOOKS);
+    pub fn note(&mut self, found: Option<K>) {
+        if self.found.len() == Self::LOOKS {
+            self.found.pop_front();
+        }
+        self.found.push_back(found);
     }
 
-    /// The share, from 0 to 1; `None` before the first look.
+    /// The share of the looks that found a component, from 0 to 1; `None` before the first look.
     pub fn share(&self) -> Option<f32> {
+        (!self.found.is_empty()).then(|| self.busy(Self::LOOKS))
+    }
+
+    /// The same for the latest looks; 0 before the first.
+    pub fn busy(&self, looks: usize) -> f32 {
+        self.share_where(looks, |found| found.is_some())
+    }
+
+    /// The share of the latest looks that found this one; 0 before the first.
+    pub fn share_of(&self, who: K, looks: usize) -> f32 {
+        self.share_where(looks, |found| found == Some(who))
+    }
+
+    /// Who was found most often in the latest looks, and in which share of them.
+    pub fn largest(&self, looks: usize) -> Option<(K, f32)> {
+        let mut counts: BTreeMap<K, usize> = BTreeMap::new();
+        self.latest(looks).flatten().for_each(|who| *counts.entry(who).or_default() += 1);
+        let (who, _) = counts.into_iter().max_by_key(|(_, count)| *count)?;
+        Some((who, self.share_of(who, looks)))
+    }
+
+    fn latest(&self, looks: usize) -> impl Iterator<Item = Option<K>> + '_ {
+        self.found.iter().rev().take(looks.max(1)).copied()
+    }
+
+    fn share_where(&self, looks: usize, holds: impl Fn(Option<K>) -> bool) -> f32 {
+        let of = self.latest(looks).count();
+        let found = self.latest(looks).filter(|found| holds(*found)).count();
         // Both are at most 128, which any float holds exactly.
-        let of = |count: u32| f32::from(u8::try_from(count).unwrap_or(u8::MAX));
-        (self.looks > 0).then(|| of(self.found.count_ones()) / of(self.looks))
+        let float = |count: usize| f32::from(u8::try_from(count).unwrap_or(u8::MAX));
+        if of == 0 { 0.0 } else { float(found) / float(of) }
     }
 }
 
@@ -47,13 +85,24 @@ mod tests {
     #[test]
     fn only_the_latest_looks_count_and_fewer_at_first() {
         let mut thread = Occupancy::default();
-        thread.note(true);
-        thread.note(false);
+        thread.note(Some(1));
+        thread.note(None);
         assert_eq!(thread.share(), Some(0.5));
 
-        (0..Occupancy::LOOKS).for_each(|_| thread.note(true));
+        (0..Occupancy::<u32>::LOOKS).for_each(|_| thread.note(Some(1)));
         assert_eq!(thread.share(), Some(1.0));
-        (0..Occupancy::LOOKS / 2).for_each(|_| thread.note(false));
+        (0..Occupancy::<u32>::LOOKS / 2).for_each(|_| thread.note(None));
         assert_eq!(thread.share(), Some(0.5));
+        assert_eq!(thread.busy(10), 0.0);
+    }
+
+    #[test]
+    fn who_was_found_most_often_is_told_with_its_share() {
+        let mut thread = Occupancy::default();
+        [Some(2), Some(7), None, Some(7)].into_iter().for_each(|found| thread.note(found));
+
+        assert_eq!(thread.largest(4), Some((7, 0.5)));
+        assert_eq!(thread.largest(100), Some((7, 0.5)), "there were no more looks");
+        assert_eq!((thread.share_of(2, 4), thread.share_of(2, 3)), (0.25, 0.0));
     }
 }

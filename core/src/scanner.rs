@@ -1,20 +1,28 @@
-//! Who hangs, who waits too long, who is silent: judged from what workers write in passing.
+//! Who hangs, who waits too long, who is silent, who is overloaded: judged from what workers write in
+//! passing.
 //!
 //! Workers count; they read no clock. The scanner is shown the counters at even intervals and keeps
 //! for each the time at which it first saw it stand. An arbiter whose beat stands while a component is
-//! on its thread *hangs*, and that component is the culprit; all others there are victims and are not
-//! judged for as long as it lasts. Where the beat goes on, a handler whose turn stands *waits*.
+//! on its thread *hangs*, and that component is the culprit. Where the beat goes on, a handler whose turn
+//! stands *waits*.
+//!
+//! A component that works and is late, by its rounds, its signs of life or its messages, is *overloaded*;
+//! where another one keeps their thread, that one is, and the late ones are its victims. What a victim
+//! suffers is told after its root was.
 //!
 //! A culprit is not condemned by what the scanner itself missed: when it was not scheduled for a
 //! while, everything seen before is void.
 
+mod lateness;
+mod load;
 mod vocabulary;
 
 pub use self::vocabulary::{
-    ArbiterId, ArbiterSeen, Judged, MaxSilence, PulseReading, ScannerConfig, Sighting, SlotId,
-    StampReading,
+    ArbiterId, ArbiterSeen, Judged, Looked, MaxSilence, OverloadFigures, PulseReading,
+    QueueReading, ScannerConfig, Sighting, SlotId, StampReading,
 };
 
+use self::lateness::{Episode, Late, Lateness};
 use crate::occupancy::Occupancy;
 use crate::{Instant, Machine, ObjectName};
 use std::collections::{BTreeMap, VecDeque};
@@ -25,12 +33,17 @@ struct Arbiter {
     beat: u64,
     running: Option<SlotId>,
     turn: Option<u64>,
+    allowance: Duration,
     /// When these were first seen.
     since: Instant,
     /// When this beat was first seen.
     beat_since: Instant,
-    occupancy: Occupancy,
+    occupancy: Occupancy<SlotId>,
     hang: Option<Hang>,
+    /// Who was given up while it was on the thread.
+    left: Option<ObjectName>,
+    /// The root of an overload that stands.
+    overloaded: Option<SlotId>,
     fenced_since: Option<Instant>,
     lost: bool,
 }
@@ -45,15 +58,32 @@ struct Hang {
 struct Component {
     judged: Judged,
     reading: Option<StampReading>,
+    /// Its arbiter's beat at the last look.
+    beat: u64,
     turn_since: Instant,
     alive_since: Instant,
     /// When it was last seen to have given a sign of life, in this incarnation.
     last_sign: Option<Instant>,
+    /// Its turn has moved since its last sign of life.
+    worked: bool,
     /// This turn has been reported.
     waits: bool,
     /// This life has given a sign.
     heard: bool,
-    silent: bool,
+    silence: Silence,
+    /// It takes no messages, which has been reported.
+    stuck: bool,
+    lateness: Lateness,
+    /// An overload whose root it is.
+    overload: Option<Episode>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Silence {
+    No,
+    Told,
+    /// It was told, and what had kept the component from speaking is away: it is measured anew.
+    Void,
 }
 
 /// The judge. Shown pulses often and stamps less often, each time between
@@ -86,23 +116,18 @@ impl Scanner {
         if self.components.len() <= at {
             self.components.resize_with(at + 1, || None);
         }
-        let (turn_since, alive_since) = (now, now);
-        self.components[at] = Some(Component {
-            judged,
-            reading: None,
-            turn_since,
-            alive_since,
-            last_sign: None,
-            waits: false,
-            heard: false,
-            silent: false,
-        });
+        self.components[at] = Some(Component::new(judged, now));
     }
 
     /// It is no longer.
     pub fn handle_leave(&mut self, slot: SlotId) {
-        if let Some(place) = self.components.get_mut(slot as usize) {
-            *place = None;
+        let place = self.components.get_mut(slot as usize);
+        let Some(component) = place.and_then(Option::take) else { return };
+        if let Some(arbiter) = self.arbiters.get_mut(&component.judged.arbiter) {
+            if arbiter.running == Some(slot) {
+                arbiter.left = Some(component.judged.object);
+            }
+            arbiter.overloaded.take_if(|root| *root == slot);
         }
     }
 
@@ -123,36 +148,46 @@ impl Scanner {
             arbiter.fenced_since = arbiter.fenced_since.map(|_| now);
         }
         for component in self.components.iter_mut().flatten() {
-            (component.turn_since, component.alive_since) = (now, now);
+            component.void(now);
         }
         self.outputs.push_back(Sighting::Stalled { gap });
     }
 
     /// What an arbiter says.
     pub fn handle_pulse(&mut self, id: ArbiterId, reading: PulseReading, now: Instant) {
+        let turn = reading.stamp.map(|stamp| stamp.turn);
+        let allowance = reading.stamp.map_or(Duration::ZERO, |stamp| stamp.allowance);
         let arbiter = self.arbiters.entry(id).or_insert(Arbiter {
             beat: reading.beat,
             running: reading.running,
-            turn: reading.turn,
+            turn,
+            allowance,
             since: now,
             beat_since: now,
             occupancy: Occupancy::default(),
             hang: None,
+            left: None,
+            overloaded: None,
             fenced_since: None,
             lost: false,
         });
-        arbiter.occupancy.note(reading.running.is_some());
+        arbiter.occupancy.note(reading.running);
         let beats = arbiter.beat != reading.beat;
         if beats {
             arbiter.beat_since = now;
         }
         // A culprit that was given up meanwhile has not thereby moved on.
-        let turned = reading.turn.is_some() && arbiter.turn != reading.turn;
+        let turned = turn.is_some() && arbiter.turn != turn;
         let changed = beats || arbiter.running != reading.running || turned;
         if changed {
             (arbiter.beat, arbiter.running) = (reading.beat, reading.running);
-            (arbiter.turn, arbiter.since) = (reading.turn, now);
+            (arbiter.turn, arbiter.since) = (turn, now);
+            arbiter.left = None;
+        } else if arbiter.allowance != allowance && arbiter.hang.is_none() {
+            // A declared operation begins or ends within the turn: each part has its own time.
+            arbiter.since = now;
         }
+        arbiter.allowance = allowance;
         arbiter.fenced_since = reading.fenced.then(|| arbiter.fenced_since.unwrap_or(now));
         let age = now - arbiter.since;
         let resumed = if changed { arbiter.hang.take() } else { None };
@@ -171,8 +206,8 @@ impl Scanner {
         let Some(arbiter) = self.arbiters.get(&id) else { return };
         let (Some(slot), None) = (arbiter.running, &arbiter.hang) else { return };
         let Some(culprit) = self.component(slot) else { return };
-        let allowance = culprit.reading.map_or(Duration::ZERO, |reading| reading.allowance);
-        if age < culprit.judged.max_block.max(allowance) || culprit.judged.arbiter != id {
+        let limit = culprit.judged.max_block.max(arbiter.allowance);
+        if age < limit || culprit.judged.arbiter != id {
             return;
         }
         let object = culprit.judged.object.clone();
@@ -190,7 +225,7 @@ impl Scanner {
         // Who stood still had no chance to speak.
         for component in self.components.iter_mut().flatten() {
             if component.judged.arbiter == id {
-                (component.turn_since, component.alive_since) = (now, now);
+                component.void(now);
             }
         }
         let lost = self.arbiters.get(&id).is_some_and(|arbiter| arbiter.lost);
@@ -203,9 +238,11 @@ impl Scanner {
         let Some(arbiter) = self.arbiters.get_mut(&id) else { return };
         arbiter.lost = true;
         let hang = arbiter.hang.as_ref().map(|hang| (hang.culprit.clone(), hang.slot));
+        let left = arbiter.left.clone();
         let known = hang.or_else(|| {
             let slot = running?;
-            Some((self.component(slot)?.judged.object.clone(), slot))
+            let runs = || Some(self.component(slot)?.judged.object.clone());
+            Some((left.or_else(runs)?, slot))
         });
         let Some((culprit, slot)) = known else { return };
         let victims = self.others_on(id, slot);
@@ -252,75 +289,159 @@ impl Scanner {
         })
     }
 
-    /// Looks at all components; `read` gives what the component of a slot says.
-    pub fn handle_stamps(&mut self, now: Instant, mut read: impl FnMut(SlotId) -> StampReading) {
+    /// Which components have missed rounds in their present life, and how many; by slot.
+    pub fn missed_rounds(&self) -> impl Iterator<Item = (SlotId, u64)> + '_ {
+        let known = (0..).zip(&self.components);
+        known.filter_map(|(slot, component)| {
+            let missed = component.as_ref()?.lateness.missed_rounds();
+            (missed > 0).then_some((slot, missed))
+        })
+    }
+
+    /// Looks at all components.
+    pub fn handle_stamps(&mut self, now: Instant, looked: &impl Looked) {
         let Scanner { config, arbiters, components, outputs, .. } = self;
+        let (mut late, mut silent) = (Vec::new(), Vec::new());
         for (slot, place) in (0..).zip(components) {
             let Some(component) = place else { continue };
-            let arbiter = arbiters.get(&component.judged.arbiter);
-            let stands =
-                arbiter.is_some_and(|arbiter| now - arbiter.beat_since > config.standstill);
-            component.handle(slot, read(slot), stands, now, outputs);
+            let around = Around { slot, arbiter: arbiters.get(&component.judged.arbiter), config };
+            component.handle(&around, looked, now, (outputs, &mut late, &mut silent));
         }
+        self.blame(late, looked, now);
+        self.relieve(now);
+        // What a victim suffers is told after its root.
+        self.outputs.extend(silent);
+    }
+}
+
+/// Where a component is looked at.
+struct Around<'a> {
+    slot: SlotId,
+    arbiter: Option<&'a Arbiter>,
+    config: &'a ScannerConfig,
+}
+
+impl Around<'_> {
+    /// The arbiter's beat stands.
+    fn stands(&self, now: Instant) -> bool {
+        self.arbiter.is_some_and(|arbiter| now - arbiter.beat_since > self.config.standstill)
+    }
+
+    /// The component is on the thread.
+    fn runs(&self) -> bool {
+        self.arbiter.is_some_and(|arbiter| arbiter.running == Some(self.slot))
+    }
+
+    /// The arbiter hangs, or has been given up: what happens to those on it is decided with it.
+    fn hangs(&self) -> bool {
+        self.arbiter.is_some_and(|arbiter| arbiter.hang.is_some() || arbiter.fenced_since.is_some())
+    }
+
+    /// Who has kept the component from its thread for so long.
+    fn kept_by(&self, span: Duration) -> Option<SlotId> {
+        self.arbiter?.kept_by(self.slot, span)
     }
 }
 
 impl Component {
+    fn new(judged: Judged, now: Instant) -> Self {
+        Component {
+            judged,
+            reading: None,
+            beat: 0,
+            turn_since: now,
+            alive_since: now,
+            last_sign: None,
+            worked: false,
+            waits: false,
+            heard: false,
+            silence: Silence::No,
+            stuck: false,
+            lateness: Lateness::new(now),
+            overload: None,
+        }
+    }
+
+    /// It had no chance to work, or was not looked at: all is measured from now on.
+    fn void(&mut self, now: Instant) {
+        (self.turn_since, self.alive_since) = (now, now);
+        self.lateness.void(now);
+        if self.silence == Silence::Told {
+            self.silence = Silence::Void;
+        }
+    }
+
     fn handle(
         &mut self,
-        slot: SlotId,
-        reading: StampReading,
-        stands: bool,
+        around: &Around<'_>,
+        looked: &impl Looked,
         now: Instant,
-        outputs: &mut VecDeque<Sighting>,
+        (outputs, late, silent): (&mut VecDeque<Sighting>, &mut Vec<Late>, &mut Vec<Sighting>),
     ) {
+        let reading = looked.stamp(around.slot);
         let before = self.reading.replace(reading);
-        if before.is_none_or(|before| before.incarnation != reading.incarnation) {
-            (self.turn_since, self.alive_since) = (now, now);
-            (self.waits, self.heard, self.silent) = (false, false, false);
-            self.last_sign = None;
+        let beat = around.arbiter.map_or(0, |arbiter| arbiter.beat);
+        let beats = std::mem::replace(&mut self.beat, beat) != beat;
+        let Some(before) = before.filter(|before| before.incarnation == reading.incarnation) else {
+            let fresh = Component::new(self.judged.clone(), now);
+            *self = Component { reading: Some(reading), beat, ..fresh };
             return;
+        };
+        let turned = before.turn != reading.turn;
+        if turned {
+            (self.turn_since, self.waits, self.worked) = (now, false, true);
         }
-        let before = before.unwrap_or(reading);
-        if before.turn != reading.turn {
-            self.turn_since = now;
-            self.waits = false;
+        if before.allowance != reading.allowance {
+            (self.turn_since, self.alive_since) = (now, now);
         }
-        let object = &self.judged.object;
-        if before.alive != reading.alive || !reading.speaks {
-            self.alive_since = now;
-            self.heard |= before.alive != reading.alive;
-            if before.alive != reading.alive {
+        let signs = before.alive != reading.alive;
+        // Where it is asked, any movement is an answer.
+        let answers = self.judged.max_unanswered.is_some() && (turned || beats);
+        if signs || answers || (!reading.speaks && self.judged.max_unanswered.is_none()) {
+            (self.alive_since, self.worked) = (now, false);
+            self.heard |= signs;
+            if signs {
                 self.last_sign = Some(now);
             }
-            if self.silent && before.alive != reading.alive {
-                self.silent = false;
-                let (object, incarnation) = (object.clone(), reading.incarnation);
-                outputs.push_back(Sighting::Spoke { object, incarnation });
+            if self.silence != Silence::No && (signs || answers) {
+                self.silence = Silence::No;
+                outputs.push_back(
+                    self.says(reading, |object, incarnation| Sighting::Spoke {
+                        object,
+                        incarnation,
+                    }),
+                );
             }
         }
-        if stands {
-            self.alive_since = now;
-            return; // Judged as a victim, or as a culprit, not for itself.
+        if around.runs() && !turned && around.stands(now) {
+            return; // Judged as a culprit, not for itself.
+        }
+        if let Some(sighting) = self.judge_silence(around, looked, now, late) {
+            silent.push(sighting);
         }
         let age = now - self.turn_since;
         let limit = self.judged.max_wait.max(reading.allowance);
-        if reading.turn % 2 == 1 && !self.waits && age >= limit {
+        if reading.turn % 2 == 1 && !self.waits && age >= limit && !around.stands(now) {
             self.waits = true;
-            let (object, incarnation) = (object.clone(), reading.incarnation);
-            outputs.push_back(Sighting::Waits { slot, object, incarnation, age });
+            let slot = around.slot;
+            outputs.push_back(self.says(reading, |object, incarnation| Sighting::Waits {
+                slot,
+                object,
+                incarnation,
+                age,
+            }));
         }
-        let silent_for = now - self.alive_since;
-        let limit = self.judged.max_silence;
-        let limit = limit.map(|limit| if self.heard { limit.between } else { limit.first });
-        if let Some(limit) = limit
-            && !self.silent
-            && silent_for >= limit.max(reading.allowance)
-        {
-            self.silent = true;
-            let (object, incarnation) = (object.clone(), reading.incarnation);
-            outputs.push_back(Sighting::Silent { object, incarnation, silent_for });
+        if !around.hangs() {
+            self.judge_flow(around, looked, turned, now, (outputs, late));
         }
+    }
+
+    fn says(
+        &self,
+        reading: StampReading,
+        what: impl FnOnce(ObjectName, crate::Incarnation) -> Sighting,
+    ) -> Sighting {
+        what(self.judged.object.clone(), reading.incarnation)
     }
 }
 

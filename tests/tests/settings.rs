@@ -1,6 +1,6 @@
 //! What a description says that cannot be meant is refused at start, with the wrong part and what to write.
 
-use blastema::core::detection::{Pull, Push};
+use blastema::core::detection::Push;
 use blastema::core::recovery::{Backoff, Done, Failed, Order};
 use blastema::prelude::*;
 use blastema::{
@@ -80,8 +80,9 @@ fn spans_of_a_component_that_are_never_or_always_over_are_refused() {
         refused(lamp().watch(Watch::push(MS, 0)), &["the watch's tolerance of lamp is 0"]).await;
         refused(lamp().watch(Watch::push(MS, u32::MAX)), &["1 to 1000"]).await;
         refused(lamp().watch(Watch::pull(MS, Duration::ZERO)), &["within of lamp"]).await;
-        let patience = Pull { patience: Duration::ZERO, ..Pull::default() };
-        refused(lamp().watch(Watch::Pull(patience)), &["patience of lamp"]).await;
+        refused(lamp().max_delay(Duration::ZERO), &["max_delay of lamp"]).await;
+        refused(lamp().max_missed_rounds(0), &["max_missed_rounds of lamp"]).await;
+        refused(lamp().max_missed_rounds(101), &["max_missed_rounds of lamp"]).await;
         let start_up = Push { start_up: Duration::ZERO, ..Push::default() };
         refused(lamp().watch(Watch::Push(start_up)), &["start_up of lamp"]).await;
 

@@ -1,7 +1,9 @@
 //! Which supervisor keeps which object.
 
 use actix::prelude::*;
-use blastema_contract::supervisor::{IsolateChild, ReadTree, ResetChild, RestartChild, SafeStop};
+use blastema_contract::supervisor::{
+    IsolateChild, MoveChild, ReadTree, ResetChild, RestartChild, SafeStop,
+};
 use blastema_core::ObjectName;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -10,6 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 #[derive(Clone)]
 pub(crate) struct SupervisorPorts {
     pub(crate) restart: Recipient<RestartChild>,
+    pub(crate) move_away: Recipient<MoveChild>,
     pub(crate) reset: Recipient<ResetChild>,
     pub(crate) isolate: Recipient<IsolateChild>,
     pub(crate) safe_stop: Recipient<SafeStop>,

@@ -11,7 +11,7 @@ use blastema_contract::monitor::{
     Dismiss, Enrol, IsolationReported, LinkReported, NodeReported, ReadTable,
 };
 use blastema_contract::reports::{
-    Alive, AreYouAlive, Exited, FaultDeclared, FaultMended, Heartbeat, Sighted, StateReported,
+    Alive, AreYouAlive, Exited, FaultDeclared, FaultMended, Sighted, StateReported,
 };
 use blastema_core::detection::{self, EnrolError, MonitorLimits, MonitorOutput, Progress, Watch};
 use blastema_core::{NodeName, ObjectName};
@@ -55,8 +55,8 @@ impl Monitor {
 }
 
 fn progress(alive: Alive) -> Progress {
-    let Alive { incarnation, state, queued, oldest, served, long_operation } = alive;
-    Progress { incarnation, state, queued, oldest, served, long_operation }
+    let Alive { incarnation, state } = alive;
+    Progress { incarnation, state }
 }
 
 impl Body for Monitor {
@@ -135,16 +135,6 @@ impl Handler<Dismiss> for Monitor {
     }
 }
 
-impl Handler<Heartbeat> for Monitor {
-    type Result = ();
-
-    fn handle(&mut self, message: Heartbeat, context: &mut Context<Self>) {
-        let Heartbeat { source, incarnation } = message;
-        self.machine.handle_heartbeat(&source, incarnation, platform::now());
-        self.drive(context);
-    }
-}
-
 impl Handler<Exited> for Monitor {
     type Result = ();
 
@@ -196,6 +186,15 @@ impl Handler<Sighted> for Monitor {
             }
             Sighted::Waits { object, incarnation, during, age } => {
                 machine.handle_waits(&object, incarnation, during, age, now);
+            }
+            Sighted::Overloaded { object, incarnation, figures, victims } => {
+                machine.handle_overloaded(&object, incarnation, figures, victims, now);
+            }
+            Sighted::Stuck { object, incarnation, queue } => {
+                machine.handle_stuck(&object, incarnation, queue, now);
+            }
+            Sighted::Flows { object, incarnation } => {
+                machine.handle_flows(&object, incarnation, now);
             }
             Sighted::Resumed { objects } => machine.handle_resumed(&objects, now),
             Sighted::Lost { culprit, victims } => machine.handle_lost(&culprit, &victims, now),

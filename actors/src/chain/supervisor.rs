@@ -1,5 +1,6 @@
 //! The supervisor's body: it holds the children, and does to them what its machine decides.
 
+mod moving;
 mod tree;
 
 use super::directory::{Directory, SupervisorPorts};
@@ -310,6 +311,7 @@ impl Actor for Supervisor {
         let address = context.address();
         let ports = SupervisorPorts {
             restart: address.clone().recipient(),
+            move_away: address.clone().recipient(),
             reset: address.clone().recipient(),
             isolate: address.clone().recipient(),
             safe_stop: address.clone().recipient(),

@@ -10,7 +10,7 @@ use super::injection::Injected;
 use super::life::LifeToken;
 use super::limits::Limits;
 use super::pulse;
-use super::stamp::{Place, StampReading};
+use super::stamp::Place;
 use super::watch::Glimpsed;
 use crate::component::{Component, Handle};
 use crate::death_watch::{Down, Mourners};
@@ -23,9 +23,10 @@ use crate::sender::{Inlet, Receiver, RequestError, SendError};
 use crate::topic::Subscriptions;
 use actix::Addr;
 use blastema_contract::child::StandingOrder;
-use blastema_contract::reports::{Alive, FaultDeclared};
+use blastema_contract::reports::FaultDeclared;
 use blastema_core::net::claims::Wanted;
 use blastema_core::quarantine::Quarantine;
+use blastema_core::scanner::QueueReading;
 use blastema_core::{Contract, FaultKind, Incarnation, Lifecycle, MessageId, ObjectName, Why};
 use std::future::Future;
 use std::pin::Pin;
@@ -343,19 +344,6 @@ impl<C: Component> Anchor<C> {
         let _ = self.record.guard(|| format!("the Drop of a message of {contract}"), give_back);
     }
 
-    /// The answer to "are you alive?".
-    pub(crate) fn alive(&self, stamp: StampReading) -> Alive {
-        let posted_at = self.lane.with_oldest(|mail| mail.brief().posted_at);
-        Alive {
-            incarnation: self.record.incarnation(),
-            state: self.record.state(),
-            queued: self.lane.depth(),
-            oldest: posted_at.map_or(Duration::ZERO, |posted_at| platform::now() - posted_at),
-            served: stamp.turn / 2,
-            long_operation: !stamp.allowance.is_zero(),
-        }
-    }
-
     #[inline]
     fn admit(&self, id: Option<MessageId>) -> Result<(), Why> {
         match pulse::forbidden().or_else(|| self.record.refusal(id)) {
@@ -399,9 +387,18 @@ impl<C: Component> Anchor<C> {
 }
 
 impl<C: Component> Glimpsed for Anchor<C> {
-    fn glimpse(&self) -> Alive {
-        let stamp = self.record.seat().map(|seated| seated.slot.stamp.read());
-        self.alive(stamp.unwrap_or_default())
+    fn incarnation(&self) -> Incarnation {
+        self.record.incarnation()
+    }
+
+    fn queue(&self) -> QueueReading {
+        let queued = self.lane.depth();
+        let posted_at = match queued {
+            0 => None,
+            _ => self.lane.with_oldest(|mail| mail.brief().posted_at),
+        };
+        let oldest = posted_at.map_or(Duration::ZERO, |posted_at| platform::now() - posted_at);
+        QueueReading { queued, oldest }
     }
 }
 

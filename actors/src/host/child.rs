@@ -24,12 +24,15 @@ pub(crate) struct HostedChild<C: Component> {
     /// Where the last life was. The next one stays there if it can, so that what is spread over the
     /// arbiters stays so, and events keep their order.
     seat: Option<Seat>,
+    /// It was moved, or began so.
+    own_thread: bool,
 }
 
 impl<C: Component> HostedChild<C> {
     pub(crate) fn new(anchor: Arc<Anchor<C>>) -> Self {
         crate::panics::install_hook();
-        HostedChild { anchor, report: None, seat: None }
+        let own_thread = anchor.record.limits.own_thread;
+        HostedChild { anchor, report: None, seat: None, own_thread }
     }
 
     /// A life is there, or on its way.
@@ -62,12 +65,13 @@ impl<C: Component> Child for HostedChild<C> {
         let record = &self.anchor.record;
         record.set_state(Lifecycle::Created);
         let known = self.seat.take().filter(Seat::is_usable);
-        let place = || record.environment.arbiters.place(record.limits.own_thread);
+        let place = || record.environment.arbiters.place(self.own_thread);
         let seat = match known.map_or_else(place, Ok) {
             Ok(seat) => seat,
             Err(error) => {
                 record.set_incarnation(incarnation);
                 let reason = format!("it was given no thread: {error}");
+                self.own_thread = record.limits.own_thread;
                 self.tell(incarnation, ChildEvent::StartFailed { reason });
                 return incarnation;
             }
@@ -131,6 +135,17 @@ impl<C: Component> Child for HostedChild<C> {
         record.give_names_back();
         let (object, ending) = (record.name.clone(), Ending::Abandoned);
         record.mourners.tell(&Down { object, node: None, incarnation, ending });
+    }
+
+    fn move_to_own_thread(&mut self) -> Result<(), &'static str> {
+        if self.own_thread {
+            return Err("it has a thread of its own already");
+        }
+        if self.anchor.record.environment.arbiters.are_here() {
+            return Err("the whole node lives on one thread");
+        }
+        (self.own_thread, self.seat) = (true, None);
+        Ok(())
     }
 
     fn reset(&mut self) {

@@ -1,6 +1,7 @@
 //! The limits of one component's life, and which of them make sense.
 
 use super::spec::SpecError;
+use crate::sender::DEFAULT_DEADLINE;
 use blastema_core::detection::{Pull, Push, Watch};
 use std::ops::RangeInclusive;
 use std::time::Duration;
@@ -12,6 +13,8 @@ pub(crate) struct Limits {
     pub(crate) watch: Watch,
     pub(crate) max_block: Duration,
     pub(crate) max_wait: Duration,
+    pub(crate) max_delay: Duration,
+    pub(crate) max_missed_percent: u8,
     pub(crate) ready_within: Duration,
     pub(crate) shutdown_within: Duration,
     pub(crate) own_thread: bool,
@@ -26,6 +29,11 @@ impl Default for Limits {
             max_block: Duration::from_millis(500),
             // Ten times the default deadline of a request that the handler may be waiting for.
             max_wait: Duration::from_secs(10),
+            // A message that is older is too late for who asked with the default deadline.
+            max_delay: DEFAULT_DEADLINE,
+            // A controller that loses one round in four is not the one that was tuned. Less is lost to a
+            // busy machine without real-time priorities.
+            max_missed_percent: 25,
             // A device that has to warm up, a map that has to be loaded.
             ready_within: Duration::from_secs(10),
             // Outputs are brought to rest within a second or two.
@@ -43,6 +51,8 @@ const LEAST: Duration = Duration::from_millis(1);
 const SIGNS: RangeInclusive<Duration> = LEAST..=Duration::from_secs(24 * 60 * 60);
 /// Signs of life that may be missing. A thousand is an hour of one in four seconds.
 const TOLERANCE: RangeInclusive<u32> = 1..=1000;
+/// No round need be missed: one may be under way whenever it is counted.
+const PERCENT: RangeInclusive<u8> = 1..=100;
 
 impl Limits {
     /// Finds what would never, or always, be so. [`Duration::MAX`] is for ever, where that makes sense.
@@ -60,12 +70,18 @@ impl Limits {
                 LEAST,
                 "no handler awaits anything so short: 1 ms at least",
             ),
+            ("max_delay", self.max_delay, LEAST, "a message in the queue takes 1 ms at least"),
             ("ready_within", self.ready_within, LEAST, "nothing starts so fast: 1 ms at least"),
         ];
         for (setting, value, least, cure) in spans {
             if value < least {
                 return Err(SpecError::setting(name, setting, format!("{value:?}"), cure));
             }
+        }
+        if !PERCENT.contains(&self.max_missed_percent) {
+            let value = format!("{} %", self.max_missed_percent);
+            let cure = "write 1 to 99 %, or 100 for any number";
+            return Err(SpecError::setting(name, "max_missed_rounds", value, cure));
         }
         match self.watch {
             Watch::Push(push) => check_push(name, push),
@@ -91,13 +107,11 @@ fn check_push(name: &str, push: Push) -> Result<(), SpecError> {
 }
 
 fn check_pull(name: &str, pull: Pull) -> Result<(), SpecError> {
-    let Pull { interval, within, tolerance, patience } = pull;
+    let Pull { interval, within, tolerance } = pull;
     check_signs(name, interval, tolerance)?;
-    let cure = "an answer, and a message in the queue, take 1 ms at least";
-    for (setting, value) in [("the watch's within", within), ("the watch's patience", patience)] {
-        if value < LEAST {
-            return Err(SpecError::setting(name, setting, format!("{value:?}"), cure));
-        }
+    if within < LEAST {
+        let (value, cure) = (format!("{within:?}"), "an answer takes 1 ms at least");
+        return Err(SpecError::setting(name, "the watch's within", value, cure));
     }
     Ok(())
 }

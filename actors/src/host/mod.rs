@@ -45,7 +45,6 @@ mod tests;
 use crate::component::Component;
 use actix::fut::{ActorFutureExt, wrap_future};
 use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Message};
-use blastema_contract::reports::{Alive, AreYouAlive};
 use course::End;
 use pump::{Pump, SharedPump};
 use std::cell::RefCell;
@@ -110,13 +109,5 @@ impl<C: Component> Handler<Control> for Host<C> {
             Control::Wake => {}
             Control::Panic => pump.die_of(Box::new("it was told to panic"), "an injected fault"),
         }
-    }
-}
-
-impl<C: Component> Handler<AreYouAlive> for Host<C> {
-    type Result = Alive;
-
-    fn handle(&mut self, _: AreYouAlive, _: &mut Self::Context) -> Alive {
-        self.pump.borrow().alive()
     }
 }

@@ -225,6 +225,21 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
+    /// How long a message may wait in the queue while the component works, before that is an
+    /// [overload](blastema_core::FaultKind::Overload); one second unless set, at least 1 ms.
+    pub fn max_delay(mut self, span: Duration) -> Self {
+        self.limits.max_delay = span;
+        self
+    }
+
+    /// How many of its rounds may be missed, in percent, before that is an
+    /// [overload](blastema_core::FaultKind::Overload) of what keeps its thread; 25 unless set, 100 for any
+    /// number.
+    pub fn max_missed_rounds(mut self, percent: u8) -> Self {
+        self.limits.max_missed_percent = percent;
+        self
+    }
+
     /// How long a life may take to become active; at least 1 ms.
     pub fn ready_within(mut self, span: Duration) -> Self {
         self.limits.ready_within = span;
@@ -264,11 +279,6 @@ impl<C: Component> ChildSpec<C> {
 
     pub(crate) fn is_essential(&self) -> bool {
         self.essential
-    }
-
-    /// How its signs of life come.
-    pub(crate) fn watched_by(&self) -> Watch {
-        self.limits.watch
     }
 
     /// What it depends on, as it was written.

@@ -26,6 +26,12 @@ pub(crate) struct Stamp {
     speaks: AtomicU32,
     /// What the component announced to take longer than usual, in milliseconds.
     allowance: AtomicU64,
+    /// Rounds that it has finished.
+    rounds: AtomicU64,
+    /// How often a round is due, in nanoseconds; 0 for never.
+    interval: AtomicU64,
+    /// Messages that nobody waited for any more when their turn came.
+    expired: AtomicU64,
 }
 
 /// What a look at a stamp finds.
@@ -37,6 +43,9 @@ pub(crate) struct StampReading {
     pub(crate) during: u32,
     pub(crate) speaks: bool,
     pub(crate) allowance: Duration,
+    pub(crate) rounds: u64,
+    pub(crate) interval: Duration,
+    pub(crate) expired: u64,
 }
 
 impl Stamp {
@@ -72,6 +81,23 @@ impl Stamp {
         self.alive.store(self.alive.load(Relaxed) + 1, Relaxed);
     }
 
+    /// A round that was finished is a sign of life too.
+    #[inline]
+    pub(crate) fn end_round(&self) {
+        self.rounds.store(self.rounds.load(Relaxed) + 1, Relaxed);
+        self.give_sign();
+    }
+
+    /// A message came too late for whoever waited.
+    pub(crate) fn expire(&self) {
+        self.expired.store(self.expired.load(Relaxed) + 1, Relaxed);
+    }
+
+    pub(crate) fn run_every(&self, interval: Option<Duration>) {
+        let nanos = interval.map_or(0, |interval| interval.as_nanos().max(1));
+        self.interval.store(u64::try_from(nanos).unwrap_or(u64::MAX), Relaxed);
+    }
+
     pub(crate) fn begin_life(&self, incarnation: u64) {
         self.incarnation.store(incarnation, Relaxed);
         self.allowance.store(0, Relaxed);
@@ -94,6 +120,9 @@ impl Stamp {
             during: self.during.load(Relaxed),
             speaks: self.speaks.load(Relaxed) == 1,
             allowance: Duration::from_millis(self.allowance.load(Relaxed)),
+            rounds: self.rounds.load(Relaxed),
+            interval: Duration::from_nanos(self.interval.load(Relaxed)),
+            expired: self.expired.load(Relaxed),
         }
     }
 }
@@ -149,6 +178,7 @@ impl Drop for Slot {
         stamp.incarnation.store(0, Relaxed);
         stamp.speaks.store(0, Relaxed);
         stamp.allowance.store(0, Relaxed);
+        stamp.interval.store(0, Relaxed);
         if stamp.is_busy() {
             stamp.step();
         }

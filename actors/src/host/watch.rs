@@ -10,10 +10,11 @@ use super::pulse::Pulse;
 use super::stamp::Stamp;
 use crate::platform;
 use actix::Recipient;
-use blastema_contract::reports::{Alive, Sighted};
-use blastema_core::detection::{Current, QueueSeen, Row, Watch};
+use blastema_contract::reports::Sighted;
+use blastema_core::detection::{Current, Pull, QueueSeen, Row, Watch};
 use blastema_core::scanner::{
-    ArbiterSeen, Judged, MaxSilence, PulseReading, Scanner, ScannerConfig, Sighting, StampReading,
+    ArbiterSeen, Judged, Looked, MaxSilence, PulseReading, QueueReading, Scanner, ScannerConfig,
+    Sighting, SlotId, StampReading,
 };
 use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName, Place};
 use std::collections::{BTreeMap, BTreeSet};
@@ -31,14 +32,17 @@ const STAMPS: u64 = 10;
 
 /// What can be told of a component without asking it.
 pub(crate) trait Glimpsed: Send + Sync {
-    /// Where it stands, how many messages wait, and how long the oldest of them has.
-    fn glimpse(&self) -> Alive;
+    /// The life that began last.
+    fn incarnation(&self) -> Incarnation;
+    /// How many messages wait, and how long the oldest of them has.
+    fn queue(&self) -> QueueReading;
 }
 
 /// What a component is doing, also if it is stuck.
 struct Glance {
-    /// As it would answer itself.
-    alive: Alive,
+    incarnation: Incarnation,
+    queue: QueueReading,
+    missed_rounds: u64,
     /// The contract or hook in service, and since when, at least.
     current: Option<Current>,
     /// How long ago it gave a sign of life, if it did.
@@ -67,12 +71,22 @@ impl Watched {
             }),
             _ => None,
         };
+        // It is looked at every interval, and may be found dead that much later.
+        let max_unanswered = match self.limits.watch {
+            Watch::Pull(Pull { interval, within, tolerance, .. }) => {
+                Some(within.saturating_mul(tolerance).saturating_add(interval))
+            }
+            _ => None,
+        };
         Judged {
             object: self.object.clone(),
             arbiter: self.pulse.id(),
             max_block: self.limits.max_block,
             max_wait: self.limits.max_wait,
             max_silence,
+            max_unanswered,
+            max_delay: self.limits.max_delay,
+            max_missed_percent: self.limits.max_missed_percent,
         }
     }
 }
@@ -91,6 +105,8 @@ struct Entries {
     /// When components that give signs of life by themselves were last seen to have given one, by
     /// slot.
     signs: Mutex<Vec<(u32, Option<Instant>)>>,
+    /// How many rounds each slot's present life has missed, where any.
+    missed: Mutex<BTreeMap<u32, u64>>,
     /// What the last look found of the arbiters.
     arbiters: Mutex<BTreeMap<u64, ArbiterSeen>>,
 }
@@ -125,6 +141,7 @@ impl WatchList {
         let now = platform::now();
         let busy = self.0.busy.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let signs = self.0.signs.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let missed = self.0.missed.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let glance = |(slot, watched): (&u32, &Watched)| {
             let reading = watched.stamp.read();
             let since = busy.binary_search_by_key(slot, |entry| entry.0).ok().map(|at| busy[at]);
@@ -132,15 +149,22 @@ impl WatchList {
             let age = since.map_or(Duration::ZERO, |(_, _, since)| now - since);
             let is_busy = reading.turn % 2 == 1;
             let during = label::name(reading.during);
-            let alive = watched.inside.upgrade()?.glimpse();
+            let inside = watched.inside.upgrade()?;
             let current = is_busy.then_some(Current { during, age });
             let sign = signs.binary_search_by_key(slot, |entry| entry.0).ok();
-            let sign = match (sign.map(|at| signs[at].1), is_busy) {
+            let last_sign = match (sign.map(|at| signs[at].1), is_busy) {
                 (Some(sign), _) => sign.map(|at| now - at),
                 (None, true) => Some(age),
                 (None, false) => watched.pulse.last_beat().map(|at| now - at),
             };
-            Some((watched.object.clone(), Glance { alive, current, last_sign: sign }))
+            let glance = Glance {
+                incarnation: inside.incarnation(),
+                queue: inside.queue(),
+                missed_rounds: missed.get(slot).copied().unwrap_or_default(),
+                current,
+                last_sign,
+            };
+            Some((watched.object.clone(), glance))
         };
         self.lock().iter().filter_map(glance).collect()
     }
@@ -155,7 +179,7 @@ impl WatchList {
             if pulse.running() == Some(*slot) {
                 on.running = Some(watched.object.clone());
             }
-            on.components.push((watched.object.clone(), inside.glimpse().queued));
+            on.components.push((watched.object.clone(), inside.queue().queued));
         }
         residents
     }
@@ -174,8 +198,9 @@ impl WatchList {
             else {
                 continue;
             };
-            let Alive { incarnation, queued, oldest, .. } = glance.alive;
-            if row.incarnation == incarnation {
+            let QueueReading { queued, oldest } = glance.queue;
+            if row.incarnation == glance.incarnation {
+                row.missed_rounds = glance.missed_rounds;
                 row.queue = Some(QueueSeen { queued, oldest, age: Duration::ZERO });
                 row.current = glance.current;
                 // The monitor knows of reports, and the watch of everything else.
@@ -287,6 +312,7 @@ struct Known {
     object: ObjectName,
     arbiter: u64,
     stamp: &'static Stamp,
+    inside: Weak<dyn Glimpsed>,
 }
 
 /// What is known by slot. Slots are dense, and all of them are looked at ten times a second.
@@ -312,6 +338,17 @@ impl Stamps {
                 *place = None;
             }
         }
+    }
+}
+
+impl Looked for Stamps {
+    fn stamp(&self, slot: SlotId) -> StampReading {
+        read(self.get(slot))
+    }
+
+    fn queue(&self, slot: SlotId) -> QueueReading {
+        let inside = self.get(slot).and_then(|known| known.inside.upgrade());
+        inside.map(|inside| inside.queue()).unwrap_or_default()
     }
 }
 
@@ -343,18 +380,19 @@ impl Eyes {
         self.scanner.handle_look(now);
         for (id, pulse) in &self.pulses {
             let running = pulse.running();
-            let turn = running.and_then(|slot| self.stamps.get(slot));
+            let known = running.and_then(|slot| self.stamps.get(slot));
             let reading = PulseReading {
                 beat: pulse.beats(),
                 running,
-                turn: turn.map(|known| known.stamp.read().turn),
+                stamp: known.map(|known| read(Some(known))),
                 fenced: pulse.is_fenced(),
             };
             self.scanner.handle_pulse(*id, reading, now);
         }
         if self.looks.is_multiple_of(STAMPS) {
-            let stamps = &self.stamps;
-            self.scanner.handle_stamps(now, |slot| read(stamps.get(slot)));
+            self.scanner.handle_stamps(now, &self.stamps);
+            let missed = self.scanner.missed_rounds().collect();
+            *self.list.0.missed.lock().unwrap_or_else(PoisonError::into_inner) = missed;
             let busy = self.scanner.busy().collect();
             *self.list.0.busy.lock().unwrap_or_else(PoisonError::into_inner) = busy;
             let signs = self.scanner.last_signs().collect();
@@ -391,7 +429,8 @@ impl Eyes {
             }
             scanner.handle_enter(*slot, entry.judged(), now);
             let (object, arbiter) = (entry.object.clone(), entry.pulse.id());
-            self.stamps.enter(*slot, Known { object, arbiter, stamp: entry.stamp });
+            let (stamp, inside) = (entry.stamp, entry.inside.clone());
+            self.stamps.enter(*slot, Known { object, arbiter, stamp, inside });
             self.pulses.insert(arbiter, entry.pulse.clone());
         }
         let arbiters: BTreeSet<u64> =
@@ -423,6 +462,13 @@ impl Eyes {
             Sighting::Waits { slot, object, incarnation, age } => {
                 Sighted::Waits { object, incarnation, during: during(slot), age }
             }
+            Sighting::Overloaded { object, incarnation, figures, victims } => {
+                Sighted::Overloaded { object, incarnation, figures, victims: victims.into() }
+            }
+            Sighting::Stuck { object, incarnation, queue } => {
+                Sighted::Stuck { object, incarnation, queue }
+            }
+            Sighting::Flows { object, incarnation } => Sighted::Flows { object, incarnation },
             Sighting::Silent { object, incarnation, silent_for } => {
                 Sighted::Silent { object, incarnation, silent_for }
             }
@@ -448,5 +494,8 @@ fn read(known: Option<&Known>) -> StampReading {
         incarnation: Incarnation(reading.incarnation),
         speaks: reading.speaks,
         allowance: reading.allowance,
+        rounds: reading.rounds,
+        interval: reading.interval,
+        expired: reading.expired,
     }
 }

@@ -265,8 +265,8 @@ impl Assembly {
         self.environment.registry.reserve(others);
         let mut actors = Actors::new();
         for facts in harvest.components {
-            let (name, watch) = (&facts.name, facts.watch);
-            let enrolled = enrolment(&self.node, name, watch, &facts.depends_on, facts.inquiries);
+            let name = &facts.name;
+            let enrolled = enrolment(&self.node, name, &facts.depends_on);
             let of = || format!("what {name} depends on");
             let mut enrol = enrolled.map_err(|error| StartError::name_of(of())(error))?;
             enrol.enrolment.may_end = facts.restart != Restart::Permanent;
@@ -376,9 +376,7 @@ fn environment(parts: &Parts, node: &NodeName, plan: &Plan, arbiters: Arbiters) 
 fn enrolment(
     node: &NodeName,
     name: &ObjectName,
-    watch: Watch,
     depends_on: &[String],
-    inquiries: Recipient<AreYouAlive>,
 ) -> Result<Enrol, NameError> {
     let address = |text: &String| match text.contains(':') {
         true => text.parse(),
@@ -386,12 +384,10 @@ fn enrolment(
     };
     let depends_on: Vec<ObjectAddress> =
         depends_on.iter().map(address).collect::<Result<_, _>>()?;
-    // A component's own signs of life are stamps, which the lookout reads: no message is sent for them.
-    let watch = if matches!(watch, Watch::Push(_)) { Watch::Guard } else { watch };
+    // A component's signs of life are stamps, which the lookout reads: no message is sent for them.
     let unborn = Incarnation::default();
-    let enrolment =
-        Enrolment::new(name.clone()).incarnation(unborn).watch(watch).depends_on(depends_on);
-    Ok(Enrol { enrolment, inquiries: Some(inquiries) })
+    let enrolment = Enrolment::new(name.clone()).incarnation(unborn).depends_on(depends_on);
+    Ok(Enrol { enrolment, inquiries: None })
 }
 
 /// An object of the middleware. It answers in microseconds; that it did not for several seconds is no

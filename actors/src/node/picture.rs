@@ -138,6 +138,7 @@ fn object(row: &Row) -> Value {
         "last_sign_ms": millis(row.last_sign),
         "restarts": row.restarts,
         "suspicions": row.suspicions,
+        "missed_rounds": row.missed_rounds,
         "queued": row.queue.map(|queue| queue.queued),
         "oldest_ms": millis(row.queue.map(|queue| queue.oldest)),
         "current": row.current.map(|current| current.during),

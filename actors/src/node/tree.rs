@@ -12,7 +12,6 @@ use actix::{Addr, ArbiterHandle, Recipient};
 use blastema_contract::child::Child;
 use blastema_contract::reports::AreYouAlive;
 use blastema_core::ObjectName;
-use blastema_core::detection::Watch;
 use blastema_core::recovery::{ChildRules, Plan, Restart, Strategy, SupervisorRules, WhenExceeded};
 use std::any::Any;
 use std::fmt;
@@ -137,9 +136,7 @@ pub(super) struct Planted {
     pub(super) child: Box<dyn Child>,
     /// The `ActorRef` of its type.
     pub(super) actor: Box<dyn Any + Send>,
-    pub(super) watch: Watch,
     pub(super) depends_on: Vec<String>,
-    pub(super) inquiries: Recipient<AreYouAlive>,
     restart: Restart,
     essential: bool,
     ready_within: Duration,
@@ -163,18 +160,15 @@ pub(super) fn seed<C: Component>(spec: ChildSpec<C>) -> Box<dyn Seed> {
 
 impl<C: Component> Seed for ChildSpec<C> {
     fn plant(self: Box<Self>, environment: &HostEnvironment) -> Result<Planted, SpecError> {
-        let (watch, depends_on) = (self.watched_by(), self.dependencies().to_vec());
+        let depends_on = self.dependencies().to_vec();
         let (ready_within, shutdown_within) = self.deadlines();
         let essential = self.is_essential();
         let (child, actor) = self.into_child(environment)?;
-        let inquiries = actor.inquiries();
         let actor: Box<dyn Any + Send> = Box::new(ActorRef::<C>::clone(&actor));
         Ok(Planted {
             child,
             actor,
-            watch,
             depends_on,
-            inquiries,
             restart: Restart::Permanent,
             essential,
             ready_within,
@@ -204,10 +198,8 @@ pub(super) struct Harvest {
 pub(super) struct PlantedFacts {
     pub(super) name: ObjectName,
     pub(super) actor: Box<dyn Any + Send>,
-    pub(super) watch: Watch,
     pub(super) depends_on: Vec<String>,
     pub(super) restart: Restart,
-    pub(super) inquiries: Recipient<AreYouAlive>,
 }
 
 /// Restarts that a supervisor may count: each of them is remembered for one period.
@@ -246,9 +238,9 @@ impl SupervisorSpec {
                 Entry::Component(seed, restart) => {
                     let planted = Planted { restart, ..seed.plant(ground.environment)? };
                     let rules = planted.rules(ground.plan);
-                    let Planted { child, actor, watch, depends_on, inquiries, .. } = planted;
+                    let Planted { child, actor, depends_on, .. } = planted;
                     let name = child.name().clone();
-                    let facts = PlantedFacts { name, actor, watch, depends_on, restart, inquiries };
+                    let facts = PlantedFacts { name, actor, depends_on, restart };
                     harvest.components.push(facts);
                     children.push((child, rules));
                 }

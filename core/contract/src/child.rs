@@ -39,6 +39,14 @@ pub trait Child: Send {
     /// old one is stuck.
     fn abandon(&mut self);
 
+    /// From its next [`start`](Child::start) on, the child lives on a thread of its own.
+    ///
+    /// # Errors
+    /// It does already, or cannot.
+    fn move_to_own_thread(&mut self) -> Result<(), &'static str> {
+        Err("it has no thread that it could leave")
+    }
+
     /// Asks a child in error to recover by itself. Answer: [`ChildEvent::Reset`] or
     /// [`ChildEvent::ResetFailed`].
     fn reset(&mut self);

@@ -2,46 +2,29 @@
 //!
 //! ```text
 //! guard ──Exited, StateReported──►┐
-//! component ──Heartbeat, FaultDeclared──► Monitor ──► Detector ──► Notifier ──► Recoverer
+//! component ──FaultDeclared──► Monitor ──► Detector ──► Notifier ──► Recoverer
 //! watch thread ──Sighted──────────┘
 //! ```
 
 use actix::Message;
 pub use blastema_core::detection::Exit;
+use blastema_core::scanner::{OverloadFigures, QueueReading};
 use blastema_core::{FaultKind, Incarnation, Lifecycle, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A sign of life that nobody asked for.
-#[derive(Clone, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "()")]
-pub struct Heartbeat {
-    /// Who lives.
-    pub source: ObjectName,
-    /// Which of its lives.
-    pub incarnation: Incarnation,
-}
-
-/// Asked on the control lane, so that a flooded object still answers.
+/// Asked of an object of the middleware. Components are not asked: what they do is seen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "Alive")]
 pub struct AreYouAlive;
 
-/// The answer to [`AreYouAlive`]: alive, and how far its work has come.
+/// The answer to [`AreYouAlive`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, actix::MessageResponse)]
 pub struct Alive {
     /// Which life answers.
     pub incarnation: Incarnation,
     /// Where it stands.
     pub state: Lifecycle,
-    /// How many messages wait in its queue.
-    pub queued: usize,
-    /// How long the oldest of them has waited, to the precision of the arbiter's beat.
-    pub oldest: Duration,
-    /// How much it has done so far: a count that rises while it works.
-    pub served: u64,
-    /// It has declared that its present handler takes long.
-    pub long_operation: bool,
 }
 
 /// The end of a life, told by its guard at once.
@@ -138,7 +121,34 @@ pub enum Sighted {
         /// Who stood still behind it.
         victims: Arc<[ObjectName]>,
     },
-    /// This object should give signs of life and gives none; its arbiter turns.
+    /// This object works, and is, or makes others, later than they may be.
+    Overloaded {
+        /// Who.
+        object: ObjectName,
+        /// Which of its lives.
+        incarnation: Incarnation,
+        /// How much.
+        figures: OverloadFigures,
+        /// Who is late behind it, on the same thread.
+        victims: Arc<[ObjectName]>,
+    },
+    /// This object takes no messages although some wait and its thread is free.
+    Stuck {
+        /// Who.
+        object: ObjectName,
+        /// Which of its lives.
+        incarnation: Incarnation,
+        /// What waits.
+        queue: QueueReading,
+    },
+    /// An object that was overloaded or stuck has caught up, and so have those behind it.
+    Flows {
+        /// Who.
+        object: ObjectName,
+        /// Which of its lives.
+        incarnation: Incarnation,
+    },
+    /// This object should give signs of life and gives none.
     Silent {
         /// Who.
         object: ObjectName,

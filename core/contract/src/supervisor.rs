@@ -44,6 +44,17 @@ pub struct RestartChild {
     pub fault: Option<Fault>,
 }
 
+/// Let a child go on in its next life on a thread of its own, and its queue with it. Answered as
+/// [`RestartChild`].
+#[derive(Clone, Debug, Message)]
+#[rtype(result = "Result<Recovered, GaveUp>")]
+pub struct MoveChild {
+    /// The child.
+    pub object: ObjectName,
+    /// What is wrong with it; `None` when a person asks.
+    pub fault: Option<Fault>,
+}
+
 /// Let a child in error recover by itself.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<Recovered, GaveUp>")]

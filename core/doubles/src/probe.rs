@@ -8,15 +8,15 @@ use std::time::Duration;
 ///
 /// # Examples
 /// ```
-/// use blastema_contract::reports::Heartbeat;
-/// use blastema_core::{Incarnation, ObjectName};
+/// use blastema_contract::monitor::IsolationReported;
+/// use blastema_core::ObjectName;
 /// use blastema_doubles::{Probe, paused};
 ///
 /// paused(async {
-///     let monitor = Probe::<Heartbeat>::start();
-///     let source = ObjectName::new("laser").unwrap();
-///     monitor.recipient().do_send(Heartbeat { source, incarnation: Incarnation::FIRST });
-///     assert_eq!(monitor.expect().await.source.as_str(), "laser");
+///     let monitor = Probe::<IsolationReported>::start();
+///     let object = ObjectName::new("laser").unwrap();
+///     monitor.recipient().do_send(IsolationReported { object, isolated: true });
+///     assert_eq!(monitor.expect().await.object.as_str(), "laser");
 /// });
 /// ```
 pub struct Probe<M>

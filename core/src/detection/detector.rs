@@ -44,6 +44,8 @@ pub struct Detector {
     explicable: BTreeSet<FaultId>,
     /// Faults that the notifier knows of, and does not know to be over.
     handed: BTreeSet<FaultId>,
+    /// Symptoms that stand behind what keeps their thread, and were only told.
+    unhanded: BTreeSet<FaultId>,
     reminders: Reminders,
     conduct: Conduct,
     crash_loops: CrashLoops,
@@ -161,6 +163,9 @@ enum Cause {
     Above,
     /// This one.
     Known(FaultId),
+    /// This one, on the same thread. There is nothing to be done about it where it is found: it is told,
+    /// and handed over only if it is still there afterwards.
+    Behind(FaultId),
 }
 
 impl Detector {
@@ -175,6 +180,7 @@ impl Detector {
             chronicle: Chronicle::new(limits.record),
             explicable: BTreeSet::new(),
             handed: BTreeSet::new(),
+            unhanded: BTreeSet::new(),
             reminders: Reminders::default(),
             conduct: Conduct::new(limits.offences, limits.offences_period),
             crash_loops: CrashLoops::new(limits.crash_loop_restarts, limits.crash_loop_period),
@@ -261,12 +267,21 @@ impl Detector {
 
     /// A fault was seen: it is counted if it stands already, else recorded and handed over.
     fn find(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
-        if let Some(id) = self.chronicle.standing(&scene.place, &kind)
-            && self.repeat(id, scene, &detail)
-        {
+        let is_behind = matches!(cause, Cause::Behind(_));
+        let known = self.chronicle.standing(&scene.place, &kind);
+        let known = known.filter(|&id| self.repeat(id, scene, &detail));
+        let id = match known {
+            Some(id) if is_behind || !self.unhanded.remove(&id) => return id,
+            Some(id) => {
+                self.find_anew(id, scene.at);
+                id
+            }
+            None => self.record(scene, kind, detail, cause),
+        };
+        if is_behind {
+            self.unhanded.insert(id);
             return id;
         }
-        let id = self.record(scene, kind, detail, cause);
         let due = scene.at + self.limits.decision;
         self.reminders.set(id, Reminder { due, sent: 0 });
         self.handed.insert(id);
@@ -274,6 +289,14 @@ impl Detector {
         self.hand_over(Notice::Found(fault), scene.at);
         self.explain_by(id, scene.at);
         id
+    }
+
+    /// What was a symptom has outlived its root.
+    fn find_anew(&mut self, id: FaultId, at: Instant) {
+        let Some(entry) = self.chronicle.entry_mut(id) else { return };
+        entry.fault.symptom_of = None;
+        let fault = entry.fault.clone();
+        self.told.push_back(DetectorOutput::Tell { fault, at, turn: Turn::Explained });
     }
 
     /// Counts a fault once more, in its newest words; no, if what stands was given up in another life.
@@ -304,7 +327,7 @@ impl Detector {
         let id = FaultId(self.last_id);
         let symptom_of = match cause {
             Cause::Itself => None,
-            Cause::Known(cause) => Some(self.chronicle.root(cause)),
+            Cause::Known(cause) | Cause::Behind(cause) => Some(self.chronicle.root(cause)),
             Cause::Above => {
                 self.explicable.insert(id);
                 self.needs.root_above(&scene.place, &self.chronicle)
@@ -324,6 +347,7 @@ impl Detector {
         if let Some(dropped) = self.chronicle.open(fault.clone()) {
             self.explicable.remove(&dropped);
             self.handed.remove(&dropped);
+            self.unhanded.remove(&dropped);
             self.reminders.cancel(dropped);
         }
         self.told.push_back(DetectorOutput::Tell { fault, at: scene.at, turn: Turn::Found });
@@ -407,6 +431,7 @@ impl Detector {
         let fault = entry.fault.clone();
         if fault.is_repaired_by_recovery() {
             self.explicable.remove(&id);
+            self.unhanded.remove(&id);
             self.chronicle.repair(id, at);
         }
         self.told.push_back(DetectorOutput::Tell { fault, at, turn: Turn::Recovered });

@@ -170,8 +170,11 @@ impl Default for Push {
     }
 }
 
-/// The pull model: an object is asked whether it is alive, on its control lane, so that a flooded
-/// one still answers.
+/// The pull model: an object is asked whether it is alive.
+///
+/// A component need not be disturbed for it: whoever finishes anything, or lives on a thread that turns, could
+/// answer. So a flooded one is alive, however long its queue; that its messages wait is
+/// [an overload](crate::FaultKind::Overload), and another fact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pull {
     /// How often it is asked. There is never more than one open question.
@@ -180,20 +183,16 @@ pub struct Pull {
     pub within: Duration,
     /// After how many times [`within`](Pull::within) the suspect has failed; at least 1.
     pub tolerance: u32,
-    /// How long a message may wait in its queue before that is an overload, or a hang when nothing
-    /// moves at all. A component that declares a long operation is exempt while it lasts.
-    pub patience: Duration,
 }
 
 impl Default for Pull {
     fn default() -> Self {
-        // An answer on the control lane takes microseconds; one that takes as long as two intervals
-        // of the paper's is no matter of load. A robot's data is worth nothing after a second.
+        // An answer takes microseconds; one that takes as long as two intervals of the paper's is no
+        // matter of load.
         Pull {
             interval: Duration::from_millis(100),
             within: Duration::from_millis(100),
             tolerance: 2,
-            patience: Duration::from_secs(1),
         }
     }
 }

@@ -1,22 +1,20 @@
 //! The pull model: objects are asked "are you alive?", and must answer in time.
 
-use super::{Opinion, Progress, Pull, Verdict};
+use super::{Opinion, Progress, Pull};
 use crate::{Incarnation, Instant, Machine, ObjectName};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// Asks objects whether they are alive, and sees from their answers whether their work moves.
+/// Asks objects whether they are alive.
+///
+/// It is for the middleware's own objects, which have no [stamps](crate::scanner): whether a component is
+/// alive, and how far its work has come, is seen without asking it.
 ///
 /// ```text
 /// ask ──── answer within T ────► Trusted       alive?
 ///  ├── T over ─► Suspect ── tolerance × T over ─► Failed
-///
-/// answer ── oldest message young, or a long operation declared ─► flows        at work?
-///        ├─ oldest message too old, but messages are served ─► overloaded
-///        └─ oldest message too old, and none was served for as long ─► stuck
 /// ```
-/// Alive and at work are two facts: an object that answers is not dead, however long its queue. There is
-/// one open question per object, so that a stuck one is not buried under questions.
+/// There is one open question per object, so that a stuck one is not buried under questions.
 #[derive(Clone, Debug, Default)]
 pub struct Inquiry {
     asked: BTreeMap<ObjectName, Asked>,
@@ -35,25 +33,19 @@ pub enum InquiryOutput {
     },
     /// The opinion about its being alive has changed.
     Verdict(Verdict),
-    /// It answers, but serves nothing, and its messages wait too long.
-    Stuck {
-        /// Who.
-        object: ObjectName,
-        /// Its answer.
-        progress: Progress,
-    },
-    /// Its messages wait too long, but it works them off.
-    Overloaded {
-        /// Who.
-        object: ObjectName,
-        /// Its answer.
-        progress: Progress,
-    },
-    /// It was stuck or overloaded and has caught up.
-    Flows {
-        /// Who.
-        object: ObjectName,
-    },
+}
+
+/// A change of opinion.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Verdict {
+    /// About whom.
+    pub object: ObjectName,
+    /// In which life.
+    pub incarnation: Incarnation,
+    /// The new opinion.
+    pub opinion: Opinion,
+    /// For how long it was silent.
+    pub silence: Duration,
 }
 
 #[derive(Clone, Debug)]
@@ -66,22 +58,12 @@ struct Asked {
     /// A question stands; no other is asked meanwhile.
     open: bool,
     next: Instant,
-    last: Option<(Instant, Progress)>,
-    /// How much it had served while messages waited, and since when it is no more.
-    stands: Option<(u64, Instant)>,
-    flow: Flow,
     look: Option<Instant>,
     reprieves: u32,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Flow {
-    Flows,
-    Overloaded,
-    Stuck,
-}
-
-/// As for the watchdog: a machine that is always woken late still judges in the end.
+/// A machine that was woken this many times too late for one silence judges all the same: otherwise a
+/// monitor that is always late would never find anything.
 const REPRIEVES: u32 = 2;
 
 impl Asked {
@@ -93,9 +75,6 @@ impl Asked {
             unanswered: None,
             open: false,
             next: now,
-            last: None,
-            stands: None,
-            flow: Flow::Flows,
             look: None,
             reprieves: 0,
         }
@@ -174,16 +153,6 @@ impl Inquiry {
             let verdict = Verdict { object: object.clone(), incarnation, opinion, silence };
             self.outputs.push_back(InquiryOutput::Verdict(verdict));
         }
-        let flow = flow(asked, &progress, now);
-        asked.last = Some((now, progress));
-        if std::mem::replace(&mut asked.flow, flow) != flow {
-            let object = object.clone();
-            self.outputs.push_back(match flow {
-                Flow::Flows => InquiryOutput::Flows { object },
-                Flow::Overloaded => InquiryOutput::Overloaded { object, progress },
-                Flow::Stuck => InquiryOutput::Stuck { object, progress },
-            });
-        }
         schedule(&mut self.looks, object, asked);
     }
 
@@ -228,11 +197,6 @@ impl Inquiry {
         }
     }
 
-    /// The last answer of an object's present life, and when it came.
-    pub fn last_answer(&self, object: &ObjectName) -> Option<(Instant, Progress)> {
-        self.asked.get(object)?.last
-    }
-
     fn look_at(&mut self, object: ObjectName, lateness: Duration, now: Instant) {
         let asked = self.asked.get_mut(&object).expect("a look stands for an object that is asked");
         asked.look = None;
@@ -263,22 +227,6 @@ impl Inquiry {
             self.outputs.push_back(InquiryOutput::Ask { object: object.clone() });
         }
         schedule(&mut self.looks, &object, asked);
-    }
-}
-
-fn flow(asked: &mut Asked, progress: &Progress, now: Instant) -> Flow {
-    let patience = asked.pull.patience;
-    if progress.queued == 0 {
-        asked.stands = None;
-    } else if asked.stands.is_none_or(|(served, _)| served != progress.served) {
-        asked.stands = Some((progress.served, now));
-    }
-    if progress.oldest <= patience || progress.queued == 0 || progress.long_operation {
-        return Flow::Flows;
-    }
-    match asked.stands {
-        Some((_, since)) if now - since >= patience => Flow::Stuck,
-        _ => Flow::Overloaded,
     }
 }
 
@@ -339,7 +287,6 @@ mod tests {
             interval: Duration::from_millis(100),
             within: Duration::from_millis(40),
             tolerance: 3,
-            patience: Duration::from_millis(500),
         }
     }
 
@@ -349,10 +296,8 @@ mod tests {
         inquiry
     }
 
-    fn progress(incarnation: Incarnation, queued: usize, oldest: u64) -> Progress {
-        let oldest = Duration::from_millis(oldest);
-        let (state, long_operation) = (Lifecycle::Active, false);
-        Progress { incarnation, state, queued, oldest, served: 0, long_operation }
+    fn progress(incarnation: Incarnation) -> Progress {
+        Progress { incarnation, state: Lifecycle::Active }
     }
 
     /// Wakes the machine exactly when it wants, up to `until`; an ask reads "ask".
@@ -366,9 +311,6 @@ mod tests {
                 let text = match output {
                     InquiryOutput::Ask { .. } => "ask".into(),
                     InquiryOutput::Verdict(verdict) => verdict.opinion.to_string(),
-                    InquiryOutput::Stuck { .. } => "stuck".into(),
-                    InquiryOutput::Overloaded { .. } => "overloaded".into(),
-                    InquiryOutput::Flows { .. } => "flows".into(),
                 };
                 told.push((millis, text));
             }
@@ -387,7 +329,7 @@ mod tests {
         let mut inquiry = inquiry();
         assert_eq!(run(&mut inquiry, 0), texts([(0, "ask")]));
 
-        inquiry.handle_answer(&map(), progress(ONE, 0, 0), at(5));
+        inquiry.handle_answer(&map(), progress(ONE), at(5));
 
         assert_eq!(run(&mut inquiry, 99), texts([(99, "trusted")]));
         assert_eq!(run(&mut inquiry, 100), texts([(100, "ask")]));
@@ -400,7 +342,7 @@ mod tests {
         let told = run(&mut inquiry, 10_000);
 
         assert_eq!(told, texts([(0, "ask"), (40, "suspect"), (120, "failed")]));
-        inquiry.handle_answer(&map(), progress(ONE, 0, 0), at(10_000));
+        inquiry.handle_answer(&map(), progress(ONE), at(10_000));
         assert_eq!(run(&mut inquiry, 10_000), texts([(10_000, "trusted"), (10_000, "ask")]));
     }
 
@@ -422,9 +364,8 @@ mod tests {
         inquiry.handle_start(&map(), TWO, at(10));
         run(&mut inquiry, 10);
 
-        inquiry.handle_answer(&map(), progress(ONE, 0, 0), at(20));
+        inquiry.handle_answer(&map(), progress(ONE), at(20));
 
-        assert_eq!(inquiry.last_answer(&map()), None);
         assert_eq!(run(&mut inquiry, 60), texts([(50, "suspect")]));
     }
 
@@ -433,7 +374,7 @@ mod tests {
         let mut inquiry = inquiry();
         run(&mut inquiry, 50);
 
-        inquiry.handle_answer(&map(), progress(TWO, 0, 0), at(60));
+        inquiry.handle_answer(&map(), progress(TWO), at(60));
 
         assert_eq!(run(&mut inquiry, 60), texts([(60, "trusted")]));
     }
@@ -443,41 +384,12 @@ mod tests {
         let mut inquiry = inquiry();
         run(&mut inquiry, 0);
         inquiry.handle_end(&map(), ONE, at(10));
-        inquiry.handle_answer(&map(), progress(ONE, 0, 0), at(11));
+        inquiry.handle_answer(&map(), progress(ONE), at(11));
         assert_eq!(run(&mut inquiry, 5000), []);
 
         inquiry.handle_start(&map(), TWO, at(5000));
 
         assert_eq!(run(&mut inquiry, 5000), texts([(5000, "ask")]));
-    }
-
-    #[test]
-    fn a_queue_that_is_served_is_overloaded_and_one_that_is_not_is_stuck() {
-        let mut inquiry = inquiry();
-        let mut told = Vec::new();
-        // All came in one burst: it is worked off until second 2, then nothing moves, then all is done.
-        for turn in 0..=40u64 {
-            let now = turn * 100;
-            told.extend(run(&mut inquiry, now));
-            let queued = if turn <= 35 { 5 } else { 0 };
-            let answer = Progress { served: turn.min(20), ..progress(ONE, queued, now) };
-            inquiry.handle_answer(&map(), answer, at(now));
-        }
-        told.retain(|(_, text)| text != "ask" && text != "trusted");
-
-        assert_eq!(told, texts([(700, "overloaded"), (2600, "stuck"), (3700, "flows")]));
-    }
-
-    #[test]
-    fn a_declared_long_operation_is_neither_stuck_nor_overloaded() {
-        let mut inquiry = inquiry();
-        for turn in 0..50u64 {
-            run(&mut inquiry, turn * 100);
-            let answer = Progress { long_operation: true, ..progress(ONE, 5, turn * 100) };
-            inquiry.handle_answer(&map(), answer, at(turn * 100));
-        }
-
-        assert_eq!(run(&mut inquiry, 4999).iter().filter(|(_, text)| text != "ask").count(), 0);
     }
 
     #[test]
@@ -513,7 +425,7 @@ mod tests {
         let mut inquiry = inquiry();
         inquiry.dismiss(&map());
 
-        inquiry.handle_answer(&map(), progress(ONE, 0, 0), at(0));
+        inquiry.handle_answer(&map(), progress(ONE), at(0));
         inquiry.handle_unanswered(&map(), at(0));
         inquiry.handle_start(&map(), TWO, at(0));
         inquiry.handle_end(&map(), TWO, at(0));

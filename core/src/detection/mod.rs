@@ -1,10 +1,14 @@
 //! The observing half of the fault chain: who lives, what is wrong, who is told.
 //!
 //! ```text
-//! heartbeats ─► Watchdog ┐
-//! answers ────► Inquiry  ├─ Monitor ══► Detector ══► Notifier ══► recoverers
-//! exits, states, links ──┘   sees        judges       tells
+//! stamps ───► Scanner ──┐
+//! answers ──► Inquiry ──┤
+//! exits, states, links ─┴─ Monitor ══► Detector ══► Notifier ══► recoverers
+//!                           sees        judges       tells
 //! ```
+//! Components are judged by the [scanner](crate::scanner), from counters that cost no message. The
+//! middleware's own objects have none, and are asked.
+//!
 //! `══►` is a [`Handover`]: repeated until it is confirmed, given up loudly. The monitor keeps the table
 //! and judges nothing but silence. The detector keeps the lifecycle of each object, compares with the
 //! list of faults, tells roots from symptoms and keeps the record. The notifier limits storms. None of
@@ -12,8 +16,8 @@
 //!
 //! **When it is found.** An exit, an error state, a declared fault: at once. Silence of an object that
 //! pushes: after `tolerance` and a half of its intervals, or when its start-up time is over. Of one that is
-//! asked: after at most an interval and `tolerance` times its time to answer. Where the monitor itself was
-//! not scheduled, later by as much, and by up to two more intervals; nobody is condemned for that.
+//! asked: after at most an interval and `tolerance` times its time to answer. Where the process was not
+//! scheduled, later by as much, and by up to two more intervals: that is no object's fault.
 //!
 //! **A body that panics.** A machine that was struck in the middle of an input may hold half of it. Each
 //! of the three therefore has `reborn`, which makes a new machine from the plain facts of the old one:
@@ -38,17 +42,15 @@ mod outcome;
 mod reminders;
 mod symptoms;
 mod table;
-mod watchdog;
 
 pub use checks::{CheckFailed, Freshness, Invariant, Range, Rate};
 pub use chronicle::Chronicle;
 pub use detector::{Detector, DetectorLimits, DetectorOutput};
 pub use enrolment::{EnrolError, Enrolment, ObjectKind, Pull, Push, Watch};
 pub use handover::{Handed, Handover, HandoverLimits};
-pub use inquiry::{Inquiry, InquiryOutput};
+pub use inquiry::{Inquiry, InquiryOutput, Verdict};
 pub use monitor::{Monitor, MonitorLimits, MonitorOutput};
 pub use notifier::{Notifier, NotifierLimits, NotifierOutput, Port, PortRow};
 pub use observation::{Exit, Finding, LinkCondition, NodeCondition, Observation, Progress};
 pub use outcome::{Entry, FaultStatus, Notice, Outcome, Record, Turn};
 pub use table::{Current, Opinion, QueueSeen, Row};
-pub use watchdog::{Verdict, Watchdog};

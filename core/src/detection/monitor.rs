@@ -7,8 +7,7 @@ use super::inquiry::InquiryOutput;
 use super::neighbourhood::{Neighbourhood, News};
 use super::{
     EnrolError, Enrolment, Exit, Finding, Handed, Handover, HandoverLimits, Inquiry, LinkCondition,
-    NodeCondition, ObjectKind, Observation, Opinion, Progress, QueueSeen, Row, Verdict, Watch,
-    Watchdog,
+    NodeCondition, ObjectKind, Observation, Opinion, Progress, Row, Verdict, Watch,
 };
 use crate::{
     FaultKind, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectAddress, ObjectName, Place,
@@ -18,9 +17,9 @@ use std::sync::Arc;
 
 /// Keeps the table of everything that is watched, and hands what it sees to the detector.
 ///
-/// It judges silence, because that is a matter of time, and nothing else. What an older life still says,
-/// or one that has ended, changes nothing and is counted. Whatever begins a new life of an object
-/// (a report, a heartbeat, an answer) empties its history.
+/// It judges the silence of what it asks, and nothing else. What an older life still says, or one that has
+/// ended, changes nothing and is counted. Whatever begins a new life of an object (a report, an answer)
+/// empties its history.
 ///
 /// What is reported of an object that was never enrolled opens a row of its own, so that a component
 /// that dies before its enrolment arrives is not lost.
@@ -30,11 +29,11 @@ pub struct Monitor {
     limits: MonitorLimits,
     objects: BTreeMap<ObjectName, Entry>,
     around: Neighbourhood,
-    watchdog: Watchdog,
     inquiry: Inquiry,
     handover: Handover<Observation>,
     asks: VecDeque<ObjectName>,
     stale: u64,
+    stalls: u64,
     refused: u64,
 }
 
@@ -91,11 +90,11 @@ impl Monitor {
             limits,
             objects: BTreeMap::new(),
             around: Neighbourhood::default(),
-            watchdog: Watchdog::new(),
             inquiry: Inquiry::new(),
             handover: Handover::new(limits.handover, now.as_nanos()),
             asks: VecDeque::new(),
             stale: 0,
+            stalls: 0,
             refused: 0,
         }
     }
@@ -116,13 +115,8 @@ impl Monitor {
         }
         (entry.kind, entry.watch, entry.may_end) = (kind, watch, may_end);
         let incarnation = entry.incarnation;
-        match watch {
-            Watch::Push(_) => self.inquiry.dismiss(&object),
-            Watch::Pull(_) => self.watchdog.dismiss(&object),
-            Watch::Guard => {
-                self.watchdog.dismiss(&object);
-                self.inquiry.dismiss(&object);
-            }
+        if !matches!(watch, Watch::Pull(_)) {
+            self.inquiry.dismiss(&object);
         }
         self.observe_object(&object, incarnation, Finding::Enrolled { may_end, depends_on }, now);
         self.watch_over(&object, now);
@@ -132,28 +126,9 @@ impl Monitor {
 
     /// Forgets an object.
     pub fn dismiss(&mut self, object: &ObjectName, now: Instant) {
-        self.watchdog.dismiss(object);
         self.inquiry.dismiss(object);
         if let Some(entry) = self.objects.remove(object) {
             self.observe_object(object, entry.incarnation, Finding::Dismissed, now);
-        }
-        self.settle(now);
-    }
-
-    /// A sign of life that nobody asked for. The hottest input: in the steady state one search.
-    pub fn handle_heartbeat(
-        &mut self,
-        source: &ObjectName,
-        incarnation: Incarnation,
-        now: Instant,
-    ) {
-        if self.watchdog.knows(source, incarnation) {
-            self.watchdog.handle_heartbeat(source, incarnation, now);
-        } else if self.objects.contains_key(source)
-            && let Some(entry) = self.alive(source, incarnation, now)
-        {
-            entry.last_sign = Some(now);
-            self.watchdog.handle_heartbeat(source, incarnation, now);
         }
         self.settle(now);
     }
@@ -209,7 +184,6 @@ impl Monitor {
         entry.state = Some(if died { Lifecycle::Fatal } else { Lifecycle::Finalized });
         entry.note(NoteCause::End, describe(&exit));
         entry.suspect = false;
-        self.watchdog.handle_end(object, incarnation);
         self.inquiry.handle_end(object, incarnation, now);
         self.observe_object(object, incarnation, Finding::Exited { exit, restarted_as }, now);
         if let Some(next) = restarted_as {
@@ -240,7 +214,6 @@ impl Monitor {
         }
         if state == Lifecycle::Finalized {
             entry.end.get_or_insert(Ending::Finalized);
-            self.watchdog.handle_end(object, incarnation);
             self.inquiry.handle_end(object, incarnation, now);
         }
         self.observe_object(object, incarnation, Finding::State { state, reason }, now);
@@ -339,18 +312,7 @@ impl Monitor {
     pub fn read_table(&self, now: Instant) -> Vec<Row> {
         let objects = self.objects.iter().map(|(object, entry)| {
             let address = ObjectAddress::new(self.node.clone(), object.clone());
-            let last_sign = entry.last_sign.max(self.watchdog.last_sign(object));
-            let queue = self.inquiry.last_answer(object).map(|(then, progress)| QueueSeen {
-                queued: progress.queued,
-                oldest: progress.oldest,
-                age: now - then,
-            });
-            let row = entry.row(Place::Object(address), now);
-            let opinion = match row.opinion {
-                Opinion::Unheard if last_sign.is_some() => Opinion::Trusted,
-                other => other,
-            };
-            Row { last_sign: last_sign.map(|sign| now - sign), queue, opinion, ..row }
+            entry.row(Place::Object(address), now)
         });
         objects.chain(self.around.rows(now)).collect()
     }
@@ -360,9 +322,9 @@ impl Monitor {
         self.stale
     }
 
-    /// How often the monitor itself was found to have stood still.
+    /// How often the watch, or the whole process, was found to have stood still.
     pub fn stalls(&self) -> u64 {
-        self.watchdog.stalls()
+        self.stalls
     }
 
     /// How many reports came from strangers for whom the table had no room.
@@ -374,7 +336,6 @@ impl Monitor {
     #[must_use]
     pub fn reborn(self, now: Instant) -> Self {
         let mut monitor = Monitor {
-            watchdog: Watchdog::new(),
             inquiry: Inquiry::new(),
             handover: self.handover.reborn(now),
             asks: VecDeque::new(),
@@ -391,17 +352,14 @@ impl Monitor {
         self.objects.len() + self.around.len() >= self.limits.rows
     }
 
-    /// Sets the watchdog, or the inquiry, on an object of the table, as its entry says.
+    /// Sets the inquiry on an object of the table, if its entry says so.
     fn watch_over(&mut self, object: &ObjectName, now: Instant) {
         let Some(entry) = self.objects.get(object) else { return };
-        match entry.watch {
-            Watch::Push(push) => self.watchdog.enrol(object, push, entry.incarnation, now),
-            Watch::Pull(pull) => self.inquiry.enrol(object, pull, entry.incarnation, now),
-            Watch::Guard => {}
+        if let Watch::Pull(pull) = entry.watch {
+            self.inquiry.enrol(object, pull, entry.incarnation, now);
         }
         // Whoever has not begun yet may have to wait for others that are started before it.
         if entry.end.is_some() || entry.incarnation == Incarnation::default() {
-            self.watchdog.handle_end(object, entry.incarnation);
             self.inquiry.handle_end(object, entry.incarnation, now);
         }
     }
@@ -427,7 +385,6 @@ impl Monitor {
         }
         if incarnation > entry.incarnation {
             entry.begin(incarnation);
-            self.watchdog.handle_start(object, incarnation, now);
             self.inquiry.handle_start(object, incarnation, now);
         }
         Some(entry)
@@ -464,31 +421,12 @@ impl Monitor {
         self.handover.hand(0, Observation { place, incarnation, finding, seen_at: now }, now);
     }
 
-    /// Acts on what the watchdog and the inquiry have found.
+    /// Acts on what the inquiry has found.
     fn settle(&mut self, now: Instant) {
-        while let Some(verdict) = self.watchdog.poll_output() {
-            self.handle_verdict(verdict, now);
-        }
         while let Some(output) = self.inquiry.poll_output() {
             match output {
                 InquiryOutput::Ask { object } => self.asks.push_back(object),
                 InquiryOutput::Verdict(verdict) => self.handle_verdict(verdict, now),
-                InquiryOutput::Stuck { object, progress } => {
-                    let Progress { incarnation, oldest, queued, .. } = progress;
-                    let finding = Finding::Stuck { oldest, queued };
-                    self.observe_object(&object, incarnation, finding, now);
-                }
-                InquiryOutput::Overloaded { object, progress } => {
-                    let Progress { incarnation, oldest, queued, .. } = progress;
-                    let finding = Finding::Overloaded { oldest, queued };
-                    self.observe_object(&object, incarnation, finding, now);
-                }
-                InquiryOutput::Flows { object } => {
-                    if let Some(entry) = self.objects.get(&object) {
-                        let incarnation = entry.incarnation;
-                        self.observe_object(&object, incarnation, Finding::Flows, now);
-                    }
-                }
             }
         }
     }
@@ -538,16 +476,10 @@ impl Machine for Monitor {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let parts = [
-            self.watchdog.poll_timeout(),
-            self.inquiry.poll_timeout(),
-            self.handover.poll_timeout(),
-        ];
-        parts.into_iter().flatten().min()
+        [self.inquiry.poll_timeout(), self.handover.poll_timeout()].into_iter().flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        self.watchdog.handle_timeout(now);
         self.inquiry.handle_timeout(now);
         self.handover.handle_timeout(now);
         self.settle(now);

@@ -1,5 +1,6 @@
 //! What the monitor saw, before anybody has judged it.
 
+use crate::scanner::OverloadFigures;
 use crate::{FaultKind, Incarnation, Instant, Lifecycle, ObjectAddress, ObjectName, Place};
 use std::sync::Arc;
 use std::time::Duration;
@@ -92,12 +93,12 @@ pub enum Finding {
         /// How many wait.
         queued: usize,
     },
-    /// It works, but its messages wait longer than they should.
+    /// It works, and is, or makes others, later than they may be.
     Overloaded {
-        /// How long the oldest message has waited.
-        oldest: Duration,
-        /// How many wait.
-        queued: usize,
+        /// How much.
+        figures: OverloadFigures,
+        /// Who is late behind it, on the same thread.
+        victims: Arc<[ObjectName]>,
     },
     /// It was stuck or overloaded and has caught up.
     Flows,
@@ -137,14 +138,6 @@ pub struct Progress {
     pub incarnation: Incarnation,
     /// Where it stands.
     pub state: Lifecycle,
-    /// How many messages wait in its queue.
-    pub queued: usize,
-    /// How long the oldest of them has waited.
-    pub oldest: Duration,
-    /// How much it has done in its lives so far, counted in whatever way only rises while it works.
-    pub served: u64,
-    /// It has declared that its present handler takes long.
-    pub long_operation: bool,
 }
 
 /// How a link is.

@@ -34,8 +34,11 @@ pub struct Row {
     pub restarts: u32,
     /// How often it was suspect in this life.
     pub suspicions: u32,
-    /// Its queue, when it was last asked.
+    /// Its queue.
     pub queue: Option<QueueSeen>,
+    /// Rounds that it has missed in this life: a round was due, and the one before had not ended, or
+    /// another component kept the thread.
+    pub missed_rounds: u64,
     /// What it was seen to be doing for too long.
     pub current: Option<Current>,
     /// Its sending and receiving is forbidden.
@@ -58,6 +61,7 @@ impl Row {
             restarts: 0,
             suspicions: 0,
             queue: None,
+            missed_rounds: 0,
             current: None,
             isolated: false,
             note: None,
@@ -100,14 +104,14 @@ impl fmt::Display for Opinion {
     }
 }
 
-/// A queue, as it was at the last answer.
+/// A queue, as it was when it was looked at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct QueueSeen {
     /// How many messages waited.
     pub queued: usize,
     /// How long the oldest had waited by then.
     pub oldest: Duration,
-    /// How long ago the answer came.
+    /// How long ago that was.
     pub age: Duration,
 }
 

@@ -15,6 +15,9 @@ pub enum Measure {
     Reset,
     /// Replace the present life by the next one, with its siblings as the supervisor's strategy says.
     Restart,
+    /// Let the component go on in its next life on a thread of its own, with its queue: against an
+    /// overload that makes its neighbours late. It fails where the component has one already.
+    MoveToOwnThread,
     /// Find another way over the network.
     Reroute,
     /// Forbid its sending and receiving.
@@ -32,6 +35,7 @@ impl Measure {
             Measure::Observe => "observe",
             Measure::Reset => "reset",
             Measure::Restart => "restart",
+            Measure::MoveToOwnThread => "move to own thread",
             Measure::Reroute => "reroute",
             Measure::Isolate => "isolate",
             Measure::SafeStop => "safe stop",
@@ -46,7 +50,9 @@ impl Measure {
             Measure::Observe | Measure::Isolate => Duration::from_secs(1),
             Measure::Reset | Measure::Reroute => Duration::from_secs(2),
             Measure::SafeStop => Duration::from_secs(10),
-            Measure::Restart | Measure::Custom(_) => Duration::from_secs(30),
+            Measure::Restart | Measure::MoveToOwnThread | Measure::Custom(_) => {
+                Duration::from_secs(30)
+            }
         }
     }
 }

@@ -128,7 +128,8 @@ impl Default for Plan {
                 .then(Measure::Restart)
                 .times(3)
                 .then(Measure::SafeStop),
-            // A warning: whether a wrong value is worth a life is the application's to say.
+            // Warnings: whether a wrong value is worth a life is the application's to say, and a restart
+            // does not make work less.
             FaultKind::CheckFailed | FaultKind::Overload | FaultKind::ContractMismatch => {
                 observe.clone()
             }
@@ -318,7 +319,7 @@ fn check_ladder(
         }
         match &measure {
             Measure::Observe => observed = true,
-            Measure::Reset | Measure::Restart if network => {
+            Measure::Reset | Measure::Restart | Measure::MoveToOwnThread if network => {
                 let why = "needs a component, and there is none in a link or another node";
                 return Err(PlanError::DoesNotApply { what, measure, why });
             }
@@ -455,6 +456,10 @@ mod tests {
         assert!(
             wrong(FaultKind::LinkDown, Ladder::first(Measure::Restart))
                 .starts_with("the plan answers link down by restart, which needs a component")
+        );
+        assert!(
+            wrong(FaultKind::NodeLost, Ladder::first(Measure::MoveToOwnThread))
+                .contains("by move to own thread, which needs a component")
         );
         assert!(
             wrong(FaultKind::Panic, Ladder::first(Measure::Reset))

@@ -24,6 +24,9 @@ fn judged(object: &str) -> Judged {
         max_block: ms(500),
         max_wait: ms(1000),
         max_silence: Some(MaxSilence { first: ms(600), between: ms(300) }),
+        max_unanswered: None,
+        max_delay: ms(1000),
+        max_missed_percent: 25,
     }
 }
 
@@ -32,7 +35,24 @@ struct World {
     scanner: Scanner,
     now: u64,
     pulse: PulseReading,
+    eyes: Eyes,
+    /// Stamps are looked at with every so many pulses.
+    every: u64,
+}
+
+struct Eyes {
     stamps: [StampReading; 3],
+    queues: [QueueReading; 3],
+}
+
+impl Looked for Eyes {
+    fn stamp(&self, slot: SlotId) -> StampReading {
+        self.stamps[slot as usize]
+    }
+
+    fn queue(&self, slot: SlotId) -> QueueReading {
+        self.queues[slot as usize]
+    }
 }
 
 impl World {
@@ -46,9 +66,13 @@ impl World {
             incarnation: Incarnation(1),
             speaks: false,
             allowance: Duration::ZERO,
+            rounds: 0,
+            interval: Duration::ZERO,
+            expired: 0,
         };
-        let pulse = PulseReading { beat: 0, running: None, turn: None, fenced: false };
-        World { scanner, now: 0, pulse, stamps: [stamp; 3] }
+        let pulse = PulseReading { beat: 0, running: None, stamp: None, fenced: false };
+        let queues = [QueueReading::default(); 3];
+        World { scanner, now: 0, pulse, eyes: Eyes { stamps: [stamp; 3], queues }, every: 1 }
     }
 
     /// Time passes; the arbiter beats or stands.
@@ -65,9 +89,14 @@ impl World {
     fn look(&mut self) -> Vec<Sighting> {
         let now = at(self.now);
         self.scanner.handle_look(now);
-        self.scanner.handle_pulse(HOME, self.pulse, now);
-        let stamps = self.stamps;
-        self.scanner.handle_stamps(now, |slot| stamps[slot as usize]);
+        // As the watch does: the culprit's stamp is read with the pulse.
+        let read = |slot: SlotId| self.eyes.stamps.get(slot as usize).copied();
+        let stamp = self.pulse.running.filter(|slot| self.scanner.component(*slot).is_some());
+        let pulse = PulseReading { stamp: stamp.and_then(read), ..self.pulse };
+        self.scanner.handle_pulse(HOME, pulse, now);
+        if (self.now / 10).is_multiple_of(self.every) {
+            self.scanner.handle_stamps(now, &self.eyes);
+        }
         std::iter::from_fn(|| self.scanner.poll_output()).collect()
     }
 }
@@ -83,8 +112,8 @@ fn an_arbiter_that_turns_is_left_alone() {
 fn a_handler_that_keeps_its_arbiter_is_the_culprit_and_is_named_once() {
     let mut world = World::new();
     world.pass(100, true);
-    (world.pulse.running, world.pulse.turn) = (Some(0), Some(1));
-    world.stamps[0].turn = 1;
+    world.pulse.running = Some(0);
+    world.eyes.stamps[0].turn = 1;
 
     let seen = world.pass(2000, false);
 
@@ -109,7 +138,7 @@ fn many_turns_in_one_poll_are_no_hang() {
     let mut world = World::new();
     world.pulse.running = Some(0);
     for turns in 1..20 {
-        world.pulse.turn = Some(2 * turns);
+        world.eyes.stamps[0].turn = 2 * turns;
         assert_eq!(world.pass(400, false), []);
     }
 }
@@ -117,10 +146,10 @@ fn many_turns_in_one_poll_are_no_hang() {
 #[test]
 fn a_declared_long_operation_is_no_hang_before_its_time() {
     let mut world = World::new();
-    world.stamps[0].allowance = ms(2000);
-    world.stamps[0].turn = 1;
+    world.eyes.stamps[0].allowance = ms(2000);
+    world.eyes.stamps[0].turn = 1;
     world.pass(20, true);
-    (world.pulse.running, world.pulse.turn) = (Some(0), Some(1));
+    world.pulse.running = Some(0);
 
     assert_eq!(world.pass(2000, false), []);
 
@@ -128,27 +157,78 @@ fn a_declared_long_operation_is_no_hang_before_its_time() {
 }
 
 #[test]
-fn a_hang_that_ends_is_resumed_and_nobody_is_silent_for_it() {
+fn an_operation_declared_after_the_stamps_were_looked_at_is_no_hang_with_a_short_limit() {
     let mut world = World::new();
-    world.stamps.iter_mut().for_each(|stamp| stamp.speaks = true);
+    world.every = 10;
+    let mut quick = judged("culprit");
+    quick.max_block = ms(20);
+    world.scanner.handle_enter(0, quick, at(0));
+    world.pass(110, true);
+
+    (world.eyes.stamps[0].turn, world.eyes.stamps[0].allowance) = (1, ms(2000));
+    world.pulse.running = Some(0);
+
+    assert_eq!(world.pass(1990, false), []);
+    assert!(matches!(world.pass(20, false)[..], [Sighting::Hangs { .. }]));
+}
+
+#[test]
+fn what_follows_a_declared_operation_in_its_turn_has_a_time_of_its_own() {
+    let mut world = World::new();
+    (world.eyes.stamps[0].turn, world.eyes.stamps[0].allowance) = (1, ms(2000));
+    world.pulse.running = Some(0);
+    assert_eq!(world.pass(1500, false), []);
+
+    world.eyes.stamps[0].allowance = Duration::ZERO;
+
+    assert_eq!(world.pass(490, false), []);
+    assert!(matches!(world.pass(30, false)[..], [Sighting::Hangs { .. }]));
+}
+
+#[test]
+fn who_was_given_up_before_it_was_found_to_hang_still_moves_its_victims() {
+    let mut world = World::new();
+    world.pulse.running = Some(0);
+    world.pass(100, false);
+    world.scanner.handle_leave(0);
+    world.pulse.fenced = true;
+
+    let seen = world.pass(1000, false);
+
+    let (culprit, victims) = (name("culprit"), vec![name("victim")]);
+    assert_eq!(seen, [Sighting::Lost { arbiter: HOME, culprit, victims }]);
+}
+
+#[test]
+fn a_victim_of_a_hang_is_silent_after_it_and_measured_anew_when_the_hang_ends() {
+    let mut world = World::new();
+    world.eyes.stamps[2].speaks = true;
     world.look();
     world.pulse.running = Some(0);
-    assert_eq!(world.pass(600, false).len(), 1);
+    let seen = world.pass(1000, false);
+    let (object, incarnation) = (name("victim"), Incarnation(1));
+    let silent = |silent_for| Sighting::Silent { object: object.clone(), incarnation, silent_for };
+    let [Sighting::Hangs { slot: 0, .. }, after] = &seen[..] else { panic!("{seen:?}") };
+    assert_eq!(*after, silent(ms(600)));
 
     world.pulse.running = None;
-    let seen = world.pass(200, true);
+    let seen = world.pass(500, true);
 
     let objects = vec![name("victim"), name("culprit")];
     assert_eq!(seen, [Sighting::Resumed { objects }]);
+    assert_eq!(world.pass(200, true), [silent(ms(600))], "it is silent of itself");
+    world.eyes.stamps[2].alive += 1;
+    let spoke = Sighting::Spoke { object: object.clone(), incarnation };
+    assert_eq!(world.pass(100, true), [spoke], "once");
 }
 
 #[test]
 fn a_fenced_arbiter_is_lost_when_its_grace_is_over() {
     let mut world = World::new();
-    (world.pulse.running, world.pulse.turn) = (Some(0), Some(1));
+    world.pulse.running = Some(0);
     world.pass(600, false);
     world.scanner.handle_leave(0); // The culprit was given up.
-    (world.pulse.fenced, world.pulse.turn) = (true, None);
+    world.pulse.fenced = true;
 
     let seen = world.pass(1000, false);
 
@@ -178,7 +258,7 @@ fn a_fence_that_is_lifted_in_time_loses_nothing() {
 fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
     let mut world = World::new();
     world.look();
-    world.stamps[2].turn = 1;
+    world.eyes.stamps[2].turn = 1;
 
     let seen = world.pass(3000, true);
 
@@ -187,28 +267,28 @@ fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
     assert_eq!(seen, [waits]);
     let busy: Vec<_> = world.scanner.busy().map(|(slot, turn, _)| (slot, turn)).collect();
     assert_eq!(busy, [(2, 1)]);
-    world.stamps[2].turn = 3;
+    world.eyes.stamps[2].turn = 3;
     assert_eq!(world.pass(3000, true).len(), 1);
-    world.stamps[2].turn = 4;
+    world.eyes.stamps[2].turn = 4;
     assert_eq!(world.pass(3000, true), []);
 }
 
 #[test]
 fn the_last_sign_of_life_is_the_last_that_was_given_whatever_excuses_the_silence() {
     let mut world = World::new();
-    world.stamps[2].speaks = true;
+    world.eyes.stamps[2].speaks = true;
     world.look();
     let last = |world: &World| world.scanner.last_signs().collect::<Vec<_>>();
     assert_eq!(last(&world), [(2, None)], "it gave none so far, and the other need give none");
 
-    world.stamps[2].alive = 1;
+    world.eyes.stamps[2].alive = 1;
     world.pass(10, true);
     world.pass(100, true);
     assert_eq!(last(&world), [(2, Some(at(10)))]);
     world.pulse.running = Some(0);
     world.pass(5000, false);
     assert_eq!(last(&world), [(2, Some(at(10)))], "a victim gives none");
-    world.stamps[2].incarnation = Incarnation(2);
+    world.eyes.stamps[2].incarnation = Incarnation(2);
     world.look();
     assert_eq!(last(&world), [(2, None)]);
 }
@@ -216,10 +296,10 @@ fn the_last_sign_of_life_is_the_last_that_was_given_whatever_excuses_the_silence
 #[test]
 fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
     let mut world = World::new();
-    world.stamps[0].speaks = true;
+    world.eyes.stamps[0].speaks = true;
     world.look();
     for _ in 0..5 {
-        world.stamps[0].alive += 1;
+        world.eyes.stamps[0].alive += 1;
         assert_eq!(world.pass(290, true), []);
     }
 
@@ -229,7 +309,7 @@ fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
     let silent = Sighting::Silent { object: object.clone(), incarnation, silent_for };
     assert_eq!(seen, [silent]);
 
-    world.stamps[0].alive += 1;
+    world.eyes.stamps[0].alive += 1;
     assert_eq!(world.pass(100, true), [Sighting::Spoke { object, incarnation }]);
 }
 
@@ -237,9 +317,9 @@ fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
 fn silence_counts_only_where_signs_are_expected() {
     let mut world = World::new();
     assert_eq!(world.pass(1000, true), []);
-    world.stamps[0].speaks = true;
+    world.eyes.stamps[0].speaks = true;
     assert_eq!(world.pass(590, true), []);
-    world.stamps[0].allowance = ms(1000);
+    world.eyes.stamps[0].allowance = ms(1000);
     assert_eq!(world.pass(400, true), [], "a long operation was declared");
     let mut quiet = judged("quiet");
     quiet.max_silence = None;
@@ -250,11 +330,11 @@ fn silence_counts_only_where_signs_are_expected() {
 #[test]
 fn a_new_life_begins_with_a_clean_record() {
     let mut world = World::new();
-    (world.stamps[0].speaks, world.stamps[0].turn) = (true, 1);
+    (world.eyes.stamps[0].speaks, world.eyes.stamps[0].turn) = (true, 1);
     world.look();
     assert_eq!(world.pass(1000, true).len(), 2, "silent and waiting");
 
-    world.stamps[0].incarnation = Incarnation(2);
+    world.eyes.stamps[0].incarnation = Incarnation(2);
     assert_eq!(world.pass(590, true), [], "its first sign may take longer");
     assert_eq!(world.pass(100, true).len(), 1, "silent again");
 }
@@ -262,8 +342,8 @@ fn a_new_life_begins_with_a_clean_record() {
 #[test]
 fn what_the_scanner_missed_condemns_nobody() {
     let mut world = World::new();
-    world.stamps[0].speaks = true;
-    world.stamps[2].turn = 1;
+    world.eyes.stamps[0].speaks = true;
+    world.eyes.stamps[2].turn = 1;
     world.pulse.running = Some(0);
     world.pulse.fenced = true;
     world.look();
@@ -286,3 +366,5 @@ fn a_stall_of_the_scanner_does_not_end_a_hang() {
     assert_eq!(world.look(), [Sighting::Stalled { gap: ms(60_000) }]);
     assert_eq!(world.pass(1000, false), [], "it was named before");
 }
+
+mod overload;

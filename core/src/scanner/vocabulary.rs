@@ -17,9 +17,18 @@ pub struct ScannerConfig {
     /// How far apart two looks may be. More means that the scanner itself was not scheduled. Ten of
     /// the usual intervals: shorter voids good observations on a busy machine.
     pub gap: Duration,
-    /// How long a beat may stand before the arbiter's components are no longer judged for silence.
-    /// Several beats, and well below the shortest tolerance for silence.
+    /// How long a beat may stand before the arbiter's components are not judged for awaiting too long,
+    /// and not for silence where no component is on the thread. Several beats, and well below the
+    /// shortest tolerance for silence.
     pub standstill: Duration,
+    /// How long messages must have been late before that is an overload. Shorter reports single bursts.
+    pub dwell: Duration,
+    /// How long nothing may be late before an overload is over. Shorter reports one that comes and goes
+    /// as many.
+    pub relief: Duration,
+    /// Over how long, at least, rounds and expired requests are counted. Two such windows in a row must
+    /// be bad. Shorter reports single delays; longer finds an overload later.
+    pub window: Duration,
 }
 
 impl Default for ScannerConfig {
@@ -28,6 +37,9 @@ impl Default for ScannerConfig {
             grace: Duration::from_millis(200),
             gap: Duration::from_millis(100),
             standstill: Duration::from_millis(50),
+            dwell: Duration::from_millis(500),
+            relief: Duration::from_secs(1),
+            window: Duration::from_secs(1),
         }
     }
 }
@@ -45,6 +57,13 @@ pub struct Judged {
     pub max_wait: Duration,
     /// How long it may give no sign of life, if it is expected to.
     pub max_silence: Option<MaxSilence>,
+    /// How long neither it nor its arbiter may move, if it is asked whether it is alive: whoever moves
+    /// could answer.
+    pub max_unanswered: Option<Duration>,
+    /// How long a message may wait in its queue.
+    pub max_delay: Duration,
+    /// How many of its rounds may be missed, in percent; 100 for any number.
+    pub max_missed_percent: u8,
 }
 
 /// How long a component may give no sign of life.
@@ -63,8 +82,9 @@ pub struct PulseReading {
     pub beat: u64,
     /// The component that is on the thread.
     pub running: Option<SlotId>,
-    /// That component's turn; `None` where it is no longer judged.
-    pub turn: Option<u64>,
+    /// What that component says, read at the same time; `None` where it is no longer judged. An
+    /// allowance that its handler has just announced counts from the next pulse on.
+    pub stamp: Option<StampReading>,
     /// It has been fenced and has not come back yet.
     pub fenced: bool,
 }
@@ -82,6 +102,46 @@ pub struct StampReading {
     pub speaks: bool,
     /// The component has announced that it takes up to so long; zero for as usual.
     pub allowance: Duration,
+    /// Rounds that it has finished.
+    pub rounds: u64,
+    /// How often a round is due; zero for never.
+    pub interval: Duration,
+    /// Messages that nobody waited for any more when their turn came.
+    pub expired: u64,
+}
+
+/// How a component's queue is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct QueueReading {
+    /// How many messages wait.
+    pub queued: usize,
+    /// How long the oldest of them has.
+    pub oldest: Duration,
+}
+
+/// What a scanner looks at.
+pub trait Looked {
+    /// What the component of a slot says.
+    fn stamp(&self, slot: SlotId) -> StampReading;
+    /// How its queue is. Asked only where something may wait.
+    fn queue(&self, slot: SlotId) -> QueueReading;
+}
+
+/// The figures of an overload.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OverloadFigures {
+    /// The share of the latest looks that found the component on its thread.
+    pub utilisation_percent: u8,
+    /// How many messages wait for the component that is latest: itself, or one behind it.
+    pub queued: usize,
+    /// How long the oldest of them has waited.
+    pub oldest: Duration,
+    /// Rounds that it, and those behind it, missed within the latest window.
+    pub missed_rounds: u64,
+    /// Messages to them that nobody waited for any more when their turn came, within the same.
+    pub expired: u64,
+    /// For how long one of them has given no sign of life, where that is longer than it may.
+    pub silent_for: Duration,
 }
 
 /// What the scanner has seen.
@@ -117,6 +177,34 @@ pub enum Sighting {
         incarnation: Incarnation,
         /// For how long, at least.
         silent_for: Duration,
+    },
+    /// A component works, and is, or makes others, later than they may be.
+    Overloaded {
+        /// Who.
+        object: ObjectName,
+        /// Which life.
+        incarnation: Incarnation,
+        /// How much.
+        figures: OverloadFigures,
+        /// Who is late behind it, on the same thread.
+        victims: Vec<ObjectName>,
+    },
+    /// A component has taken no message for longer than one may wait, although some wait and its thread
+    /// is free.
+    Stuck {
+        /// Who.
+        object: ObjectName,
+        /// Which life.
+        incarnation: Incarnation,
+        /// What waits.
+        queue: QueueReading,
+    },
+    /// A component that was overloaded or stuck has caught up, and so have those behind it.
+    Flows {
+        /// Who.
+        object: ObjectName,
+        /// Which life.
+        incarnation: Incarnation,
     },
     /// A component that was silent gives signs of life again.
     Spoke {

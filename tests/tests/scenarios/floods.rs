@@ -80,8 +80,9 @@ async fn whoever_waits_for_room_is_served_in_turn() {
 #[blastema_testkit::test]
 async fn a_flooded_component_still_answers_and_its_overload_is_seen() {
     let strings = Strings::default();
-    let watch = Watch::Pull(Pull { patience: Duration::from_millis(500), ..Pull::default() });
+    let watch = Watch::Pull(Pull::default());
     let spec = strings.spec("hall").queue(8, WhenFull::DropOldest).watch(watch);
+    let spec = spec.max_delay(Duration::from_millis(500));
     let mut node = TestNode::start(Node::builder("module1").child(spec)).await;
     let hall = node.actor::<Puppet>("hall").unwrap();
 

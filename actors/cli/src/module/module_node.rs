@@ -127,11 +127,10 @@ fn passive<C: Component>(
     rate_hz: f64,
     factory: impl Fn() -> C + Send + Sync + 'static,
 ) -> ChildSpec<C> {
-    active(name, rate_hz, factory).queue(PASSIVE_QUEUE, WhenFull::Refuse).watch(Watch::Pull(Pull {
-        within: PING,
-        patience: PATIENCE,
-        ..Pull::default()
-    }))
+    active(name, rate_hz, factory)
+        .queue(PASSIVE_QUEUE, WhenFull::Refuse)
+        .max_delay(PATIENCE)
+        .watch(Watch::Pull(Pull::default()))
 }
 
 fn skin_of(module: Module, measurements: &Measurements) -> SupervisorSpec {

@@ -21,6 +21,7 @@ const TABLES: [(&str, &str, &[Column]); 9] = [
             ("last sign", "last_sign_ms"),
             ("restarts", "restarts"),
             ("suspicions", "suspicions"),
+            ("missed rounds", "missed_rounds"),
             ("queued", "queued"),
             ("oldest", "oldest_ms"),
             ("doing", "current"),

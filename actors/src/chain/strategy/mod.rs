@@ -10,6 +10,7 @@
 
 mod host;
 mod isolate;
+mod move_to_own_thread;
 mod outputs;
 mod reroute;
 mod reset;

@@ -2,6 +2,7 @@
 
 use super::host::{StrategyHost, StrategyThread};
 use super::isolate::Isolate;
+use super::move_to_own_thread::MoveToOwnThread;
 use super::reroute::Reroute;
 use super::reset::Reset;
 use super::restart::Restart;
@@ -73,6 +74,7 @@ impl Default for StrategyTable {
         let mut table = StrategyTable(BTreeMap::new());
         table.insert(Measure::Reset, || Reset);
         table.insert(Measure::Restart, || Restart);
+        table.insert(Measure::MoveToOwnThread, || MoveToOwnThread);
         table.insert(Measure::Reroute, || Reroute);
         table.insert(Measure::Isolate, || Isolate);
         table.insert(Measure::SafeStop, || SafeStop);

@@ -7,7 +7,7 @@ use crate::sender::Sender;
 use actix::prelude::*;
 use blastema_contract::strategy::{IsolateNode, Reroute, RestNode};
 use blastema_contract::supervisor::{
-    GaveUp, IsolateChild, Recovered, ResetChild, RestartChild, SafeStop,
+    GaveUp, IsolateChild, MoveChild, Recovered, ResetChild, RestartChild, SafeStop,
 };
 use blastema_core::recovery::{Done, Failed};
 use blastema_core::{Contract, Fault, NodeName, ObjectName, Place, Why};
@@ -53,6 +53,18 @@ impl Tools {
         let (object, keeper) = self.keeper(&fault.place)?;
         let fault = Some(fault.clone());
         judge(keeper.restart.send(RestartChild { object, fault }).await)
+    }
+
+    /// Lets a component go on in its next life on a thread of its own; its queue comes along. Resolves when
+    /// it is at work there.
+    ///
+    /// # Errors
+    /// It has a thread of its own already, or the whole node lives on one; or as
+    /// [`restart`](Tools::restart).
+    pub async fn move_to_own_thread(&self, fault: &Fault) -> Result<Done, Failed> {
+        let (object, keeper) = self.keeper(&fault.place)?;
+        let fault = Some(fault.clone());
+        judge(keeper.move_away.send(MoveChild { object, fault }).await)
     }
 
     /// Lets an object that is in error recover by itself.

@@ -31,7 +31,7 @@ use crate::panics::Guarded;
 use crate::platform;
 use actix::Recipient;
 use blastema_contract::child::{ChildEvent, ChildReport};
-use blastema_contract::reports::{Alive, FaultDeclared, StateReported};
+use blastema_contract::reports::{FaultDeclared, StateReported};
 use blastema_core::{FaultKind, Incarnation, Instant, Lifecycle, Why};
 use std::any::TypeId;
 use std::cell::RefCell;
@@ -175,6 +175,7 @@ impl<C: Component> Pump<C> {
         let seated = Seated { seat, slot: self.place(), token };
         let is_newest = record.enter(self.life.incarnation, seated);
         self.chores.begin(record.limits.interval);
+        self.slot.stamp.run_every(record.limits.interval);
         if self.course.is_starting() {
             self.chores.limit(Chore::ReadyLimit, record.limits.ready_within);
         }
@@ -192,11 +193,6 @@ impl<C: Component> Pump<C> {
     /// The place where it lived is free.
     pub(crate) fn vacate(&self) {
         self.seat.vacate();
-    }
-
-    /// The answer to "are you alive?".
-    pub(crate) fn alive(&self) -> Alive {
-        self.anchor.alive(self.slot.stamp.read())
     }
 
     /// The supervisor asks for a recovery within this life.
@@ -354,6 +350,7 @@ impl<C: Component> Pump<C> {
     fn open(&mut self, mut mail: Mail<C>, cx: &mut task::Context<'_>) -> Progress {
         let brief = mail.brief();
         if brief.max_age.is_some_and(|limit| platform::now() - brief.captured_at > limit) {
+            self.slot.stamp.expire();
             self.anchor.return_mail(mail, Why::Expired);
             return Progress::More;
         }
@@ -371,6 +368,7 @@ impl<C: Component> Pump<C> {
     /// Notes who is to be told if this message brings death; says why it is not to be served.
     fn follow(&mut self, mail: &dyn Letter<C>) -> Option<Why> {
         if mail.is_void() {
+            self.slot.stamp.expire();
             return Some(Why::DeadlinePassed);
         }
         let id = mail.id();
@@ -450,7 +448,7 @@ impl<C: Component> Pump<C> {
     fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
         let silent = self.anchor.record.injected.is_silent();
         if hook == Hook::Execute && result.is_ok() && !silent {
-            self.slot.stamp.give_sign();
+            self.slot.stamp.end_round();
         }
         self.course.handle_done(hook, result);
         self.tell_news();
@@ -514,6 +512,7 @@ impl<C: Component> Pump<C> {
         if let Some(interval) = wishes.interval
             && self.chores.set_interval(interval)
         {
+            self.slot.stamp.run_every(interval);
             self.course.handle_rate_changed();
         }
         if let Some(failure) = wishes.failure {

@@ -313,9 +313,9 @@ fn control_is_served_while_a_hook_awaits() {
         settle().await;
 
         let host = reference.0.control().unwrap();
-        let alive = host.send(blastema_contract::reports::AreYouAlive).await.unwrap();
+        host.send(crate::host::Control::Wake).await.unwrap();
 
-        assert_eq!(alive.state, Lifecycle::Created);
+        assert_eq!(reference.state(), Lifecycle::Created);
     });
 }
 

@@ -1,19 +1,14 @@
 //! Messages, replies, deadlines.
 
-use super::{Acc, Add, Note, Slow, Stage, acc, boom, logged, order};
-use crate::host::Host;
-use crate::{ActorRef, Sender, WhenFull, Why};
-use actix::Addr;
-use blastema_contract::reports::AreYouAlive;
+use super::{Add, Note, Slow, Stage, acc, boom, logged, order};
+use crate::host::Control;
+use crate::host::watch::Glimpsed;
+use crate::{Sender, WhenFull, Why};
 use blastema_core::Lifecycle;
 use blastema_core::dead_letters::DeadReason;
 use blastema_doubles::{advance, now, paused, settle};
 use std::time::Duration;
 use tokio::task::spawn_local;
-
-pub(super) fn control(reference: &ActorRef<Acc>) -> Addr<Host<Acc>> {
-    reference.0.control().expect("it lives")
-}
 
 #[test]
 fn a_handler_borrows_across_an_await_while_messages_wait_and_control_does_not() {
@@ -32,10 +27,10 @@ fn a_handler_borrows_across_an_await_while_messages_wait_and_control_does_not() 
         advance(Duration::from_millis(20)).await;
         assert!(!add.is_finished());
 
-        let alive = control(&acc).send(AreYouAlive).await.unwrap();
+        let queue = acc.0.queue();
 
-        assert_eq!((alive.state, alive.queued), (Lifecycle::Active, 1));
-        assert!(alive.oldest >= Duration::from_millis(10) && !alive.long_operation, "{alive:?}");
+        assert_eq!((acc.state(), queue.queued), (Lifecycle::Active, 1));
+        assert!(queue.oldest >= Duration::from_millis(10), "{queue:?}");
         assert_eq!((slow.await.unwrap(), add.await.unwrap()), (Ok(1000), Ok(1001)));
     });
 }
@@ -138,7 +133,7 @@ fn a_component_that_floods_itself_starves_nobody() {
         let (_other, acc) = stage.start(acc("acc").0).await;
 
         assert_eq!(acc.ask(Add(1)).await, Ok(1));
-        flood.0.control().unwrap().send(AreYouAlive).await.unwrap();
+        flood.0.control().unwrap().send(Control::Wake).await.unwrap();
         child.stop();
         settle().await;
 

@@ -73,8 +73,7 @@ impl Chain {
     /// Watches a component that was planted after the start.
     pub(in crate::node) async fn enrol(&self, node: &NodeName, planted: &Planted) {
         let name = planted.child.name();
-        let (watch, inquiries) = (planted.watch, planted.inquiries.clone());
-        if let Ok(enrolment) = enrolment(node, name, watch, &planted.depends_on, inquiries) {
+        if let Ok(enrolment) = enrolment(node, name, &planted.depends_on) {
             // A component that cannot be watched as it wishes still has its guard.
             let _: Result<Result<_, EnrolError>, _> = self.enrol.send(enrolment).await;
         }

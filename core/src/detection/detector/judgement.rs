@@ -3,7 +3,10 @@
 use super::{Cause, Detector, Scene, Seen};
 use crate::detection::symptoms::is_down;
 use crate::detection::{Exit, Finding, LinkCondition, NodeCondition};
-use crate::{Fault, FaultKind, Incarnation, Instant, Lifecycle, NodeName, ObjectName, Place};
+use crate::scanner::OverloadFigures;
+use crate::{
+    Fault, FaultId, FaultKind, Incarnation, Instant, Lifecycle, NodeName, ObjectName, Place,
+};
 use std::time::Duration;
 
 impl Detector {
@@ -63,17 +66,13 @@ impl Detector {
                 );
                 self.find(&scene, FaultKind::Hang, detail, Cause::Above);
             }
-            Finding::Overloaded { oldest, queued } => {
-                self.end_kind(&scene, &FaultKind::Hang);
-                let oldest = oldest.as_millis();
-                let waiting = match queued {
-                    1 => "1 message waits".to_owned(),
-                    _ => format!("{queued} messages wait"),
-                };
-                let detail = format!("{waiting}; the oldest is {oldest} ms old");
-                self.find(&scene, FaultKind::Overload, detail, Cause::Above);
+            Finding::Overloaded { figures, victims } => {
+                self.judge_overload(object, &scene, &figures, &victims);
             }
             Finding::Flows => {
+                if let Some(id) = self.chronicle.standing(&scene.place, &FaultKind::Overload) {
+                    self.behind.retain(|_, root| *root != id);
+                }
                 self.end_kind(&scene, &FaultKind::Hang);
                 self.end_kind(&scene, &FaultKind::Overload);
             }
@@ -112,6 +111,28 @@ impl Detector {
             self.behind.insert(victim.clone(), id);
         }
         self.explain_by(id, scene.at);
+    }
+
+    /// Whoever is late behind an overload is remembered, as behind a hang.
+    fn judge_overload(
+        &mut self,
+        object: &ObjectName,
+        scene: &Scene,
+        figures: &OverloadFigures,
+        victims: &[ObjectName],
+    ) {
+        let detail = describe(figures, victims.len());
+        let id = self.find(scene, FaultKind::Overload, detail, Cause::Above);
+        for victim in victims {
+            let hangs = self.behind.get(victim).is_some_and(|&root| self.is_hang(root));
+            if victim != object && self.objects.contains_key(victim) && !hangs {
+                self.behind.insert(victim.clone(), id);
+            }
+        }
+    }
+
+    fn is_hang(&self, id: FaultId) -> bool {
+        self.chronicle.entry(id).is_some_and(|entry| entry.fault.kind == FaultKind::Hang)
     }
 
     fn judge_exit(
@@ -306,20 +327,50 @@ impl Detector {
     /// or because of what it depends on.
     fn cause_of_standstill(&self, object: &ObjectName, scene: &Scene) -> Cause {
         // Also where the culprit has been replaced elsewhere: its victims stand until they are freed.
-        let hang = self.behind.get(object).copied();
+        let behind = self.behind.get(object).copied();
+        let behind = behind.filter(|&id| self.is_hang(id) || self.chronicle.stands(id));
         let own = || {
             let here = self.chronicle.standing_at(&scene.place);
             here.filter(|fault| is_down(fault) && fault.kind != FaultKind::Silence)
                 .map(|fault| fault.id)
                 .min()
         };
-        hang.or_else(own).map_or(Cause::Above, Cause::Known)
+        behind.map(Cause::Behind).unwrap_or_else(|| own().map_or(Cause::Above, Cause::Known))
     }
 }
 
-fn messages(count: usize) -> String {
-    match count {
+fn describe(figures: &OverloadFigures, victims: usize) -> String {
+    let mut parts = Vec::new();
+    if figures.utilisation_percent > 0 {
+        parts
+            .push(format!("it keeps its thread for {} % of the time", figures.utilisation_percent));
+    }
+    let oldest = figures.oldest.as_millis();
+    match figures.queued {
+        0 => {}
+        1 => parts.push(format!("1 message waits; it is {oldest} ms old")),
+        many => parts.push(format!("{many} messages wait; the oldest is {oldest} ms old")),
+    }
+    if figures.missed_rounds > 0 {
+        parts.push(format!("{} rounds were missed", figures.missed_rounds));
+    }
+    if figures.expired > 0 {
+        parts.push(format!("{} came too late for those who waited", messages(figures.expired)));
+    }
+    if !figures.silent_for.is_zero() {
+        parts.push(format!("no sign of life came for {} ms", figures.silent_for.as_millis()));
+    }
+    match victims {
+        0 => {}
+        1 => parts.push("1 other waits behind it".into()),
+        many => parts.push(format!("{many} others wait behind it")),
+    }
+    if parts.is_empty() { "it is late".into() } else { parts.join("; ") }
+}
+
+fn messages(count: impl TryInto<u64>) -> String {
+    match count.try_into().unwrap_or(u64::MAX) {
         1 => "1 message".to_owned(),
-        _ => format!("{count} messages"),
+        many => format!("{many} messages"),
     }
 }

@@ -7,6 +7,7 @@ mod symptoms;
 
 use super::*;
 use crate::detection::{Exit, FaultStatus, Finding, LinkCondition, NodeCondition};
+use crate::scanner::OverloadFigures;
 use crate::{ObjectAddress, Severity};
 use std::sync::Arc;
 
@@ -132,6 +133,15 @@ fn state(state: Lifecycle) -> Finding {
 
 fn silent() -> Finding {
     Finding::Silent { age: Duration::from_millis(350) }
+}
+
+fn overloaded(victims: &[&str]) -> Finding {
+    let figures = OverloadFigures {
+        utilisation_percent: 97,
+        missed_rounds: 40,
+        ..OverloadFigures::default()
+    };
+    Finding::Overloaded { figures, victims: victims.iter().map(|name| object(name)).collect() }
 }
 
 fn declared() -> Finding {

@@ -1,8 +1,9 @@
-//! What somebody who measures it elsewhere has seen: handlers that take too long, silence, and a
-//! process that stood still.
+//! What the watch thread has seen: handlers that take too long, overload, silence, and a process that
+//! stood still.
 
 use super::Monitor;
 use crate::detection::Finding;
+use crate::scanner::{OverloadFigures, QueueReading};
 use crate::{Incarnation, Instant, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
@@ -67,7 +68,7 @@ impl Monitor {
         self.settle(now);
     }
 
-    /// Somebody who measures it elsewhere found this object silent for `age`.
+    /// The watch thread found this object silent for `age`.
     pub fn handle_silent(
         &mut self,
         object: &ObjectName,
@@ -76,13 +77,51 @@ impl Monitor {
         now: Instant,
     ) {
         let Some(entry) = self.alive(object, incarnation, now) else { return };
-        if !std::mem::replace(&mut entry.silent, true) {
-            self.observe_object(object, incarnation, Finding::Silent { age }, now);
+        entry.silent = true;
+        self.observe_object(object, incarnation, Finding::Silent { age }, now);
+        self.settle(now);
+    }
+
+    /// The watch thread found this object working and late, and those behind it.
+    pub fn handle_overloaded(
+        &mut self,
+        object: &ObjectName,
+        incarnation: Incarnation,
+        figures: OverloadFigures,
+        victims: Arc<[ObjectName]>,
+        now: Instant,
+    ) {
+        if self.alive(object, incarnation, now).is_some() {
+            let finding = Finding::Overloaded { figures, victims };
+            self.observe_object(object, incarnation, finding, now);
         }
         self.settle(now);
     }
 
-    /// Somebody who measures it elsewhere heard this object.
+    /// The watch thread found that this object takes no messages.
+    pub fn handle_stuck(
+        &mut self,
+        object: &ObjectName,
+        incarnation: Incarnation,
+        queue: QueueReading,
+        now: Instant,
+    ) {
+        if self.alive(object, incarnation, now).is_some() {
+            let QueueReading { queued, oldest } = queue;
+            self.observe_object(object, incarnation, Finding::Stuck { oldest, queued }, now);
+        }
+        self.settle(now);
+    }
+
+    /// The watch thread found that this object, and those behind it, have caught up.
+    pub fn handle_flows(&mut self, object: &ObjectName, incarnation: Incarnation, now: Instant) {
+        if self.alive(object, incarnation, now).is_some() {
+            self.observe_object(object, incarnation, Finding::Flows, now);
+        }
+        self.settle(now);
+    }
+
+    /// The watch thread heard this object.
     pub fn handle_spoke(&mut self, object: &ObjectName, incarnation: Incarnation, now: Instant) {
         let Some(entry) = self.alive(object, incarnation, now) else { return };
         entry.last_sign = Some(now);
@@ -95,7 +134,7 @@ impl Monitor {
 
     /// The watch, or the whole process, was not scheduled for `gap`: every silence up to now is void.
     pub fn handle_stall(&mut self, gap: Duration, now: Instant) {
-        self.watchdog.handle_stall(gap, now);
+        self.stalls += 1;
         self.inquiry.handle_stall(gap, now);
         self.settle(now);
     }

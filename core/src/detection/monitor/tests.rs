@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::detection::Current;
+use crate::scanner::OverloadFigures;
 use proptest::prelude::*;
 use std::time::Duration;
 
@@ -81,92 +82,82 @@ fn panicked() -> Exit {
 
 #[test]
 fn nothing_is_expected_of_an_object_before_its_first_life_is_reported() {
-    let pull = Watch::pull(Duration::from_millis(100), Duration::from_millis(100));
-    for watch in [pull, Watch::push(Duration::from_millis(100), 3)] {
-        let mut monitor = Monitor::new("m".parse().unwrap(), MonitorLimits::default(), at(0));
-        let laser = object("laser");
-        let enrolment = Enrolment::new(laser.clone()).incarnation(Incarnation::default());
-        monitor.enrol(enrolment.watch(watch), at(0)).unwrap();
-        while monitor.poll_output().is_some() {}
+    let watch = Watch::pull(TENTH, TENTH);
+    let mut monitor = monitor();
+    let laser = object("laser");
+    let enrolment = Enrolment::new(laser.clone()).incarnation(Incarnation::default());
+    monitor.enrol(enrolment.watch(watch), at(0)).unwrap();
+    while monitor.poll_output().is_some() {}
 
-        monitor.handle_timeout(at(60_000));
-        monitor.handle_state(&laser, ONE, Lifecycle::Created, None, at(60_000));
+    monitor.handle_timeout(at(60_000));
+    monitor.handle_state(&laser, ONE, Lifecycle::Created, None, at(60_000));
 
-        let row = row(&monitor, "m:laser", 60_000);
-        assert_eq!((row.incarnation, row.restarts, row.suspicions), (ONE, 0, 0), "{watch:?}");
-        assert!(monitor.poll_timeout().is_some(), "from now on it is watched");
-    }
+    let row = row(&monitor, "m:laser", 60_000);
+    assert_eq!((row.incarnation, row.restarts, row.suspicions), (ONE, 0, 0));
+    assert!(monitor.poll_timeout().is_some(), "from now on it is watched");
 }
 
 #[test]
-fn silence_is_observed_once_and_so_is_its_end() {
+fn silence_is_observed_and_so_is_its_end() {
     let mut monitor = watched(Watch::push(TENTH, 3));
-    monitor.handle_heartbeat(&object("laser"), TWO, at(10));
+    monitor.handle_silent(&object("laser"), TWO, TENTH, at(360));
 
-    assert_eq!(run(&mut monitor, 3000), [(360, "m:laser Silent".to_string())]);
+    assert_eq!(seen(&mut monitor, 360), ["m:laser Silent"]);
     assert_eq!(row(&monitor, "m:laser", 3000).opinion, Opinion::Failed);
 
-    monitor.handle_heartbeat(&object("laser"), TWO, at(3000));
-    assert_eq!(seen(&mut monitor, 3000), ["m:laser Spoke"]);
+    monitor.handle_spoke(&object("laser"), TWO, at(3000));
+    monitor.handle_spoke(&object("laser"), TWO, at(3001));
+    assert_eq!(seen(&mut monitor, 3001), ["m:laser Spoke"]);
     assert_eq!(row(&monitor, "m:laser", 3001).opinion, Opinion::Trusted);
 }
 
-#[test]
-fn a_suspicion_is_counted_and_shown_and_nobody_else_is_told() {
-    let mut monitor = watched(Watch::push(TENTH, 3));
-    for beat in [0, 200, 400] {
-        assert_eq!(run(&mut monitor, beat), []);
-        monitor.handle_heartbeat(&object("laser"), TWO, at(beat));
-    }
-    run(&mut monitor, 560);
-
-    let row = row(&monitor, "m:laser", 560);
-    assert_eq!((row.opinion, row.suspicions), (Opinion::Suspect, 3));
-    assert_eq!(row.last_sign, Some(Duration::from_millis(160)));
+fn answer(life: Incarnation, state: Lifecycle) -> Progress {
+    Progress { incarnation: life, state }
 }
 
 #[test]
-fn an_object_that_is_asked_shows_its_queue_with_the_age_of_the_answer() {
-    let mut monitor = watched(Watch::pull(TENTH, TENTH));
-    assert_eq!(run(&mut monitor, 0), [(0, "ask laser".to_string())]);
+fn a_suspicion_is_counted_and_shown_and_is_no_finding() {
+    let mut monitor = watched(Watch::pull(TENTH, TENTH / 2));
+    for question in [0, 100, 200] {
+        let told = run(&mut monitor, question + 60);
+        assert!(told.iter().all(|(_, text)| text == "ask laser" || text.ends_with("State")));
+        let alive = answer(TWO, Lifecycle::Active);
+        monitor.handle_alive(&object("laser"), alive, at(question + 60));
+    }
+    run(&mut monitor, 360);
 
-    let oldest = Duration::from_millis(7);
-    let state = Lifecycle::Active;
-    let answer =
-        Progress { incarnation: TWO, state, queued: 3, oldest, served: 0, long_operation: false };
-    monitor.handle_alive(&object("laser"), answer, at(20));
+    let row = row(&monitor, "m:laser", 360);
+    assert_eq!((row.opinion, row.suspicions), (Opinion::Suspect, 4));
+    assert_eq!(row.last_sign, Some(TENTH));
+}
 
-    let row = row(&monitor, "m:laser", 50);
-    let queue = QueueSeen { queued: 3, oldest, age: Duration::from_millis(30) };
-    assert_eq!((row.queue, row.opinion), (Some(queue), Opinion::Trusted));
-    assert_eq!(row.state, Some(Lifecycle::Active));
+#[test]
+fn an_overload_is_observed_with_its_victims_and_condemns_nobody() {
+    let mut monitor = watched(Watch::Guard);
+    let (laser, figures) = (object("laser"), OverloadFigures::default());
+    monitor.handle_overloaded(&laser, TWO, figures, [object("map")].into(), at(1));
+    monitor.handle_overloaded(&laser, ONE, figures, [].into(), at(2));
+    monitor.handle_flows(&laser, TWO, at(3));
+
+    assert_eq!(seen(&mut monitor, 3), ["m:laser Overloaded", "m:laser Flows"]);
+    assert_eq!(monitor.stale(), 1);
+    assert_ne!(row(&monitor, "m:laser", 3).opinion, Opinion::Failed);
 }
 
 #[test]
 fn answers_tell_the_state_of_an_object_only_while_no_guard_does() {
     let mut monitor = watched(Watch::pull(TENTH, TENTH));
-    let oldest = Duration::ZERO;
-    let mut answer = |state, now| {
-        let answer = Progress {
-            incarnation: TWO,
-            state,
-            queued: 0,
-            oldest,
-            served: 0,
-            long_operation: false,
-        };
-        monitor.handle_alive(&object("laser"), answer, at(now));
+    let mut says = |state, now| {
+        monitor.handle_alive(&object("laser"), answer(TWO, state), at(now));
         seen(&mut monitor, now)
     };
-    assert_eq!(answer(Lifecycle::Active, 1), ["m:laser State"]);
-    assert_eq!(answer(Lifecycle::Active, 2), [""; 0]);
-    assert_eq!(answer(Lifecycle::Error, 3), ["m:laser State"]);
+    assert_eq!(says(Lifecycle::Active, 1), ["m:laser State"]);
+    assert_eq!(says(Lifecycle::Active, 2), [""; 0]);
+    assert_eq!(says(Lifecycle::Error, 3), ["m:laser State"]);
 
     monitor.handle_state(&object("laser"), TWO, Lifecycle::Active, None, at(4));
     seen(&mut monitor, 4);
-    let (state, queued) = (Lifecycle::Error, 0);
-    let late =
-        Progress { incarnation: TWO, state, queued, oldest, served: 0, long_operation: false };
+    let late = answer(TWO, Lifecycle::Error);
     monitor.handle_alive(&object("laser"), late, at(5));
 
     assert_eq!(seen(&mut monitor, 5), [""; 0]);
@@ -174,28 +165,19 @@ fn answers_tell_the_state_of_an_object_only_while_no_guard_does() {
 }
 
 #[test]
-fn whoever_is_asked_and_answers_nothing_is_silent_and_its_work_is_another_matter() {
+fn whoever_is_asked_and_answers_nothing_is_silent() {
     let mut monitor = watched(Watch::pull(TENTH, TENTH));
     let mut told = Vec::new();
     for turn in 0..=20 {
         told.extend(run(&mut monitor, turn * 100));
-        let oldest = Duration::from_millis(turn * 100);
-        let state = Lifecycle::Active;
-        let answer = Progress {
-            incarnation: TWO,
-            state,
-            queued: 3,
-            oldest,
-            served: 0,
-            long_operation: false,
-        };
-        monitor.handle_alive(&object("laser"), answer, at(turn * 100));
+        let alive = answer(TWO, Lifecycle::Active);
+        monitor.handle_alive(&object("laser"), alive, at(turn * 100));
         told.extend(run(&mut monitor, turn * 100));
     }
     told.extend(run(&mut monitor, 5000));
     told.retain(|(_, text)| !text.starts_with("ask"));
 
-    let texts = ["m:laser State", "m:laser Stuck", "m:laser Silent"].map(String::from);
+    let texts = ["m:laser State", "m:laser Silent"].map(String::from);
     assert_eq!(told.iter().map(|(_, text)| text.clone()).collect::<Vec<_>>(), texts);
 }
 
@@ -228,25 +210,13 @@ enum State {
     Died,
 }
 
-const INPUTS: [&str; 9] =
-    ["beat", "alive", "died", "stopped", "state", "declared", "waits", "silent", "resumed"];
+const INPUTS: [&str; 8] =
+    ["alive", "died", "stopped", "state", "declared", "waits", "silent", "resumed"];
 
 fn feed(monitor: &mut Monitor, input: &str, life: Incarnation, now: Instant) {
     let laser = object("laser");
     match input {
-        "beat" => monitor.handle_heartbeat(&laser, life, now),
-        "alive" => {
-            let (state, oldest) = (Lifecycle::Active, Duration::ZERO);
-            let answer = Progress {
-                incarnation: life,
-                state,
-                queued: 0,
-                oldest,
-                served: 0,
-                long_operation: false,
-            };
-            monitor.handle_alive(&laser, answer, now);
-        }
+        "alive" => monitor.handle_alive(&laser, answer(life, Lifecycle::Active), now),
         "died" => monitor.handle_exited(&laser, life, panicked(), None, now),
         "stopped" => monitor.handle_exited(&laser, life, Exit::Stopped, None, now),
         "state" => monitor.handle_state(&laser, life, Lifecycle::Active, None, now),
@@ -338,9 +308,7 @@ fn whatever_a_newer_life_says_begins_a_new_history() {
 
 #[test]
 fn a_death_that_the_guard_has_mended_leaves_the_next_life_in_the_table() {
-    let mut monitor = watched(Watch::push(TENTH, 3));
-    monitor.handle_heartbeat(&object("laser"), TWO, at(0));
-    run(&mut monitor, 200);
+    let mut monitor = watched(Watch::Guard);
 
     monitor.handle_exited(&object("laser"), TWO, panicked(), Some(THREE), at(210));
 
@@ -348,8 +316,6 @@ fn a_death_that_the_guard_has_mended_leaves_the_next_life_in_the_table() {
     let row = row(&monitor, "m:laser", 220);
     assert_eq!((row.incarnation, row.restarts, row.suspicions), (THREE, 1, 0));
     assert_eq!((row.opinion, row.last_sign, row.state), (Opinion::Unheard, None, None));
-    let told = run(&mut monitor, 9000);
-    assert_eq!(told, [(5210, "m:laser Silent".to_string())]);
 }
 
 #[test]
@@ -427,7 +393,6 @@ fn a_stranger_that_dies_is_not_lost_and_one_that_was_stopped_is_no_news() {
     monitor.handle_exited(&object("a"), ONE, panicked(), None, at(0));
     monitor.handle_exited(&object("b"), ONE, Exit::Stopped, None, at(0));
     monitor.handle_state(&object("c"), ONE, Lifecycle::Finalized, None, at(0));
-    monitor.handle_heartbeat(&object("d"), ONE, at(0));
 
     assert_eq!(seen(&mut monitor, 0), ["m:a Exited"]);
     assert_eq!(monitor.read_table(at(0)).len(), 1);
@@ -473,7 +438,6 @@ fn whoever_is_dismissed_is_forgotten() {
 
     monitor.dismiss(&object("laser"), at(10));
     monitor.dismiss(&object("laser"), at(10));
-    monitor.handle_heartbeat(&object("laser"), TWO, at(20));
 
     assert_eq!(seen(&mut monitor, 20), ["m:laser Dismissed"]);
     assert_eq!(run(&mut monitor, 9000), []);
@@ -492,14 +456,16 @@ fn isolation_is_shown_and_outlives_a_restart() {
 
 #[test]
 fn a_stall_of_the_monitor_itself_condemns_nobody() {
-    let mut monitor = watched(Watch::push(TENTH, 3));
-    monitor.handle_heartbeat(&object("laser"), TWO, at(0));
+    let mut monitor = watched(Watch::pull(TENTH, TENTH));
+    run(&mut monitor, 0);
 
     monitor.handle_stall(Duration::from_secs(60), at(60_000));
     monitor.handle_timeout(at(60_000));
-    monitor.handle_heartbeat(&object("laser"), TWO, at(60_010));
+    monitor.handle_alive(&object("laser"), answer(TWO, Lifecycle::Active), at(60_010));
 
-    assert_eq!(run(&mut monitor, 60_300), []);
+    let told = run(&mut monitor, 60_100);
+    assert!(told.iter().all(|(_, text)| text != "m:laser Silent"), "{told:?}");
+    assert_eq!(monitor.stalls(), 1);
 }
 
 #[test]
@@ -517,13 +483,13 @@ fn a_monitor_that_was_struck_keeps_its_table_and_sends_again_what_was_not_confir
 }
 
 proptest! {
-    /// Whatever else happens, in whatever order: an object whose beats come in time is never taken
-    /// for silent.
+    /// Whatever else happens, in whatever order: an object that answers in time is never taken for
+    /// silent.
     #[test]
-    fn nobody_is_silent_while_its_beats_come_in_time(
-        inputs in prop::collection::vec((0..INPUTS.len(), 1..4u64, 0..350u64), 0..100)
+    fn an_object_that_answers_in_time_is_never_silent(
+        inputs in prop::collection::vec((0..INPUTS.len(), 1..4u64, 0..100u64), 0..100)
     ) {
-        let mut monitor = watched(Watch::push(TENTH, 3));
+        let mut monitor = watched(Watch::pull(TENTH, TENTH));
         let mut now = at(0);
         for (input, life, wait) in inputs {
             // An outsider's word that it is silent is believed; it is not what is tested here.
@@ -531,8 +497,8 @@ proptest! {
                 feed(&mut monitor, INPUTS[input], Incarnation(life), now);
             }
             let life = row(&monitor, "m:laser", 0).incarnation;
-            monitor.handle_heartbeat(&object("laser"), life, now);
-            now = now + Duration::from_millis(wait.min(349));
+            monitor.handle_alive(&object("laser"), answer(life, Lifecycle::Active), now);
+            now = now + Duration::from_millis(wait);
             for told in run(&mut monitor, now.as_nanos() / 1_000_000) {
                 prop_assert_ne!(&told.1, "m:laser Silent");
             }

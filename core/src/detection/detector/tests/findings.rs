@@ -18,7 +18,7 @@ fn everything_on_the_list_is_found_under_its_kind() {
         ("arm", state(Lifecycle::Error), FaultKind::ErrorState),
         ("arm", state(Lifecycle::Fatal), FaultKind::InitializationFailed),
         ("arm", declared(), FaultKind::CheckFailed),
-        ("arm", Finding::Overloaded { oldest: age, queued: 3 }, FaultKind::Overload),
+        ("arm", overloaded(&[]), FaultKind::Overload),
         ("-eth-n", down(), FaultKind::LinkDown),
         (
             "-eth-n",
@@ -110,7 +110,7 @@ fn each_fault_that_goes_by_itself_is_cleared_by_what_says_so() {
         ("arm", hangs(&[]), Finding::Resumed),
         ("arm", Finding::Waits { during: "Scan", age }, Finding::Resumed),
         ("arm", Finding::Stuck { oldest: age, queued: 3 }, Finding::Flows),
-        ("arm", Finding::Overloaded { oldest: age, queued: 3 }, Finding::Flows),
+        ("arm", overloaded(&[]), Finding::Flows),
         ("arm", declared(), Finding::Dismissed),
         ("-eth-n", down(), Finding::Link(LinkCondition::Up)),
         (

@@ -140,3 +140,36 @@ fn nobody_is_reminded_of_a_symptom_while_its_root_stands() {
 
     assert_eq!(bench.run_until(31_500), ["Recovered 1", "+2"]);
 }
+
+#[test]
+fn who_is_silent_behind_an_overload_is_told_and_nothing_is_done_about_it_while_that_stands() {
+    let mut bench = Bench::new();
+    ["planner", "safety"].iter().for_each(|name| bench.depend(name, &[]));
+    bench.see("planner", ONE, overloaded(&["safety"]));
+    assert_eq!(bench.said(), ["Found 1", "+1"]);
+
+    bench.see("safety", ONE, silent());
+
+    assert_eq!(bench.said(), ["Found 2"], "it is not handed over");
+    assert_eq!(bench.fault(2).symptom_of, Some(FaultId(1)));
+    bench.see("safety", ONE, Finding::Spoke);
+    assert_eq!(bench.said(), ["Cleared 2"]);
+}
+
+#[test]
+fn who_is_still_silent_when_the_overload_is_over_is_a_fault_of_its_own() {
+    let mut bench = Bench::new();
+    ["planner", "safety"].iter().for_each(|name| bench.depend(name, &[]));
+    bench.see("planner", ONE, overloaded(&["safety"]));
+    bench.see("safety", ONE, silent());
+    bench.said();
+
+    bench.see("planner", ONE, Finding::Flows);
+    assert_eq!(bench.said(), ["Cleared 1", "-1"]);
+    bench.see("safety", ONE, silent());
+
+    assert_eq!(bench.said(), ["Repeated 2", "Explained 2", "+2"]);
+    assert_eq!(bench.fault(2).symptom_of, None);
+    bench.see("safety", ONE, Finding::Spoke);
+    assert_eq!(bench.said(), ["Cleared 2", "-2"]);
+}

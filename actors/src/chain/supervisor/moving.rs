@@ -1,0 +1,25 @@
+//! A child goes on on a thread of its own.
+
+use super::{Outcome, Supervisor};
+use actix::prelude::*;
+use blastema_contract::supervisor::{GaveUp, MoveChild};
+use blastema_core::recovery::{Cause, GiveUpReason};
+
+impl Handler<MoveChild> for Supervisor {
+    type Result = ResponseFuture<Outcome>;
+
+    /// The next life begins elsewhere: no restart that a budget counts, because nothing has failed.
+    fn handle(&mut self, message: MoveChild, context: &mut Context<Self>) -> Self::Result {
+        let MoveChild { object, fault } = message;
+        let struck = fault.map(|fault| fault.incarnation);
+        if let Some(child) = self.child(&object)
+            && let Err(reason) = child.move_to_own_thread()
+        {
+            let why = GiveUpReason::StartFailed { reason: reason.to_owned() };
+            return Box::pin(async move { Err(GaveUp { object, why }) });
+        }
+        self.ask(context, object, |machine, object, ticket, now| {
+            machine.handle_restart(object, ticket, Cause::Asked, struck, now);
+        })
+    }
+}

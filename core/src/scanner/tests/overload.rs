@@ -1,0 +1,253 @@
+//! A planner (slot 0) that keeps the thread, and a neighbour (slot 2) behind it.
+
+use super::*;
+
+/// A thread that the planner keeps by short handlers, while the neighbour's rounds are due every 20 ms.
+struct Road {
+    world: World,
+    /// The planner's handlers keep so many of ten looks.
+    kept: u64,
+    /// The neighbour runs one round in so many looks; 0 for none.
+    rounds: u64,
+    planner_speaks: bool,
+    /// The arbiter beats once in so many looks: a turn of many messages holds it up.
+    beats: u64,
+}
+
+impl Road {
+    fn new(kept: u64, rounds: u64) -> Self {
+        let mut world = World::new();
+        world.every = 10;
+        world.eyes.stamps[2].interval = ms(20);
+        world.eyes.stamps[2].speaks = true;
+        Road { world, kept, rounds, planner_speaks: false, beats: 3 }
+    }
+
+    fn pass(&mut self, millis: u64) -> Vec<(u64, Sighting)> {
+        let mut seen = Vec::new();
+        for _ in 0..millis / 10 {
+            let look = self.world.now / 10;
+            let runs = look % 10 < self.kept;
+            self.world.pulse.running = runs.then_some(0);
+            // Each handler ends within 30 ms, so that no beat stands for long.
+            self.world.eyes.stamps[0].turn += if runs { 2 } else { 0 };
+            self.world.eyes.stamps[0].alive += u64::from(runs && self.planner_speaks);
+            if self.rounds > 0 && look.is_multiple_of(self.rounds) {
+                self.world.eyes.stamps[2].turn += 2;
+                self.world.eyes.stamps[2].rounds += 1;
+                self.world.eyes.stamps[2].alive += 1;
+            }
+            let told = self.world.pass(10, look.is_multiple_of(self.beats));
+            seen.extend(told.into_iter().map(|sighting| (self.world.now, sighting)));
+        }
+        seen
+    }
+}
+
+fn names(seen: &[(u64, Sighting)]) -> Vec<String> {
+    let text = |sighting: &Sighting| match sighting {
+        Sighting::Overloaded { object, victims, .. } => format!("{object} overloads {victims:?}"),
+        Sighting::Flows { object, .. } => format!("{object} flows"),
+        Sighting::Silent { object, .. } => format!("{object} is silent"),
+        Sighting::Spoke { object, .. } => format!("{object} spoke"),
+        Sighting::Stuck { object, .. } => format!("{object} is stuck"),
+        other => format!("{other:?}"),
+    };
+    seen.iter().map(|(_, sighting)| text(sighting)).collect()
+}
+
+fn overloads() -> String {
+    format!("culprit overloads {:?}", [name("victim")])
+}
+
+#[test]
+fn who_keeps_the_thread_while_a_neighbour_misses_its_rounds_is_overloaded_and_the_root() {
+    let mut road = Road::new(10, 3);
+    road.world.eyes.queues[0] = QueueReading { queued: 7, oldest: ms(400) };
+
+    let seen = road.pass(10_000);
+
+    assert_eq!(names(&seen), [overloads()], "once");
+    let (when, Sighting::Overloaded { figures, .. }) = &seen[0] else { panic!("{seen:?}") };
+    assert!(*when <= 3000, "{when}");
+    assert_eq!((figures.utilisation_percent, figures.queued, figures.oldest), (100, 7, ms(400)));
+    assert!((14..=20).contains(&figures.missed_rounds), "16 of 50 each second: {figures:?}");
+}
+
+#[test]
+fn an_overload_is_over_when_the_load_has_been_gone_for_a_while_and_not_before() {
+    let mut road = Road::new(10, 3);
+    road.pass(5000);
+
+    (road.kept, road.rounds) = (1, 2);
+    let seen = road.pass(10_000);
+
+    assert_eq!(names(&seen), ["culprit flows"]);
+    assert!(seen[0].0 >= 6000 && seen[0].0 <= 8000, "{seen:?}");
+    (road.kept, road.rounds) = (10, 3);
+    assert_eq!(names(&road.pass(5000)), [overloads()], "and comes again with the load");
+}
+
+#[test]
+fn a_neighbour_that_keeps_its_rounds_makes_no_overload_of_a_busy_thread() {
+    let mut road = Road::new(10, 2);
+    assert_eq!(names(&road.pass(20_000)), [""; 0]);
+}
+
+#[test]
+fn a_single_delay_is_no_overload() {
+    let mut road = Road::new(10, 2);
+    road.pass(2000);
+    road.rounds = 0;
+    road.pass(250);
+    road.rounds = 2;
+
+    assert_eq!(names(&road.pass(10_000)), [""; 0]);
+}
+
+#[test]
+fn a_component_that_misses_rounds_on_a_free_thread_is_overloaded_itself() {
+    let mut road = Road::new(2, 4);
+    assert_eq!(names(&road.pass(5000)), ["victim overloads []"]);
+}
+
+#[test]
+fn a_neighbour_that_is_silent_behind_a_kept_thread_is_told_after_its_root_at_once() {
+    let mut road = Road::new(10, 2);
+    road.pass(1000);
+    road.rounds = 0;
+
+    let seen = road.pass(500);
+
+    assert_eq!(names(&seen), [overloads(), "victim is silent".into()]);
+    road.rounds = 2;
+    assert_eq!(names(&road.pass(200)), ["victim spoke"]);
+}
+
+#[test]
+fn a_neighbour_that_is_silent_on_a_free_thread_is_silent_of_itself() {
+    let mut road = Road::new(5, 2);
+    road.pass(1000);
+    road.rounds = 0;
+    assert_eq!(names(&road.pass(500)), ["victim is silent"]);
+}
+
+#[test]
+fn a_victim_that_says_nothing_after_the_overload_is_silent_of_itself() {
+    let mut road = Road::new(10, 2);
+    road.pass(1000);
+    road.rounds = 0;
+    road.pass(500);
+    road.kept = 0;
+
+    let seen = names(&road.pass(5000));
+
+    assert_eq!(seen[0], "culprit flows");
+    assert_eq!(seen.iter().filter(|text| *text == "victim is silent").count(), 1, "{seen:?}");
+}
+
+#[test]
+fn a_victim_is_silent_behind_one_long_handler_too_before_that_is_a_hang() {
+    let mut world = World::new();
+    world.eyes.stamps[2].speaks = true;
+    world.look();
+    world.eyes.stamps[2].alive += 1;
+    world.pass(100, true);
+    let mut patient = judged("culprit");
+    patient.max_block = ms(10_000);
+    world.scanner.handle_enter(0, patient, at(world.now));
+    world.pulse.running = Some(0);
+    world.eyes.stamps[0].turn = 1;
+    world.look();
+
+    let seen: Vec<_> = world.pass(1000, false).into_iter().map(|seen| (0, seen)).collect();
+
+    assert_eq!(names(&seen), [overloads(), "victim is silent".into()]);
+}
+
+#[test]
+fn a_flooded_component_that_is_asked_is_alive_and_overloaded() {
+    let mut road = Road::new(10, 2);
+    let mut asked = judged("culprit");
+    (asked.max_silence, asked.max_unanswered) = (None, Some(ms(300)));
+    road.world.scanner.handle_enter(0, asked, at(0));
+    road.world.eyes.queues[0] = QueueReading { queued: 64, oldest: ms(1500) };
+
+    assert_eq!(names(&road.pass(10_000)), ["culprit overloads []"]);
+    road.world.eyes.queues[0] = QueueReading::default();
+    assert_eq!(names(&road.pass(3000)), ["culprit flows"]);
+}
+
+#[test]
+fn messages_that_wait_are_seen_also_while_a_turn_of_many_holds_the_beat_up() {
+    let mut road = Road::new(10, 2);
+    road.beats = 200;
+    road.world.eyes.queues[0] = QueueReading { queued: 64, oldest: ms(1500) };
+    assert_eq!(names(&road.pass(3000)), ["culprit overloads []"]);
+}
+
+#[test]
+fn a_component_that_is_asked_and_does_not_move_on_a_free_thread_is_stuck_and_not_silent() {
+    let mut world = World::new();
+    let mut asked = judged("victim");
+    (asked.max_silence, asked.max_unanswered) = (None, Some(ms(300)));
+    asked.max_wait = Duration::MAX;
+    world.scanner.handle_enter(2, asked, at(0));
+    world.look();
+    world.eyes.stamps[2].turn = 1;
+    world.pass(1100, true);
+    world.eyes.queues[2] = QueueReading { queued: 5, oldest: ms(1050) };
+
+    let seen: Vec<_> = world.pass(5000, true).into_iter().map(|seen| (0, seen)).collect();
+    assert_eq!(names(&seen), ["victim is stuck"]);
+
+    world.eyes.queues[2] = QueueReading::default();
+    let seen: Vec<_> = world.pass(100, true).into_iter().map(|seen| (0, seen)).collect();
+    assert_eq!(names(&seen), ["victim flows"]);
+}
+
+#[test]
+fn a_component_that_gives_signs_by_its_rounds_and_is_flooded_is_overloaded_and_not_silent() {
+    let mut road = Road::new(10, 0);
+    road.world.scanner.handle_leave(2);
+    road.world.eyes.stamps[0].speaks = true;
+    road.planner_speaks = true;
+    road.pass(500);
+    road.planner_speaks = false;
+
+    assert_eq!(names(&road.pass(3000)), ["culprit overloads []"]);
+}
+
+#[test]
+fn messages_that_nobody_waits_for_any_more_are_an_overload() {
+    let mut world = World::new();
+    let mut seen = Vec::new();
+    for _ in 0..50 {
+        world.eyes.stamps[0].expired += 1;
+        seen.extend(world.pass(100, true).into_iter().map(|seen| (0, seen)));
+    }
+    assert_eq!(names(&seen), ["culprit overloads []"]);
+}
+
+#[test]
+fn rounds_that_are_missed_are_counted_for_people() {
+    let mut road = Road::new(0, 4);
+    road.pass(10_000);
+
+    let missed: Vec<_> = road.world.scanner.missed_rounds().collect();
+
+    let [(2, missed)] = missed[..] else { panic!("{missed:?}") };
+    assert!((240..=250).contains(&missed), "half of 500: {missed}");
+}
+
+#[test]
+fn a_scanner_that_was_not_scheduled_counts_no_round_as_missed() {
+    let mut road = Road::new(10, 2);
+    road.pass(3000);
+    road.world.now += 60_000;
+
+    let seen = road.pass(10_000);
+
+    assert!(matches!(seen[..], [(_, Sighting::Stalled { .. })]), "{seen:?}");
+    assert!(road.world.scanner.missed_rounds().all(|(_, missed)| missed <= 1));
+}
