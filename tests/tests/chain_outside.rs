@@ -103,7 +103,8 @@ async fn fault_of(node: &Node, place: &str) -> Option<(FaultKind, String, bool)>
     let entries = node.faults().await.entries;
     let place = format!("module1:{place}");
     let entry = entries.into_iter().rev().find(|entry| entry.fault.place.to_string() == place)?;
-    Some((entry.fault.kind, entry.fault.detail, !entry.stands()))
+    let ended = !entry.stands();
+    Some((entry.fault.kind, entry.fault.detail, ended))
 }
 
 /// Blocks its caller until the other end is dropped.

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 #[blastema::main]
 async fn program_with_a_wrong_endpoint() -> Result<(), Box<dyn Error + Send + Sync>> {
     let bus = Network::new("bus", "serial:///dev/ttyUSB0?buad=9600");
-    Node::builder("n").network(bus).start().await?;
+    let _node = Node::builder("n").network(bus).start().await?;
     Ok(())
 }
 
