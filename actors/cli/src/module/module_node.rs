@@ -32,7 +32,6 @@ const PERIOD: Duration = Duration::from_secs(10);
 const BLOCK: Duration = Duration::from_millis(400);
 /// Signs of life in a row that an object may miss, for the same reason.
 const MISSED_SIGNS: u32 = 5;
-/// How long a passive object may take to answer a ping, for the same reason.
 /// How long a message may wait for a passive object before that is an overload.
 const PATIENCE: Duration = Duration::from_millis(500);
 /// Messages that wait for an object: two seconds of the fastest flow. What a cable cut holds back
