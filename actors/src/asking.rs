@@ -2,8 +2,9 @@
 
 use crate::platform;
 use crate::sender::{Inlet, RequestError, next_id};
-use blastema_core::retry::Attempt;
-use blastema_core::{Contract, Instant, MessageId, RetryRule, Why, codec};
+use blastema_core::contract::codec;
+use blastema_core::delivery::retry::Attempt;
+use blastema_core::{Contract, Instant, MessageId, RetryRule, Why};
 use std::time::Duration;
 
 /// Asks by this rule.

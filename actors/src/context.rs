@@ -8,13 +8,12 @@ use crate::host::life::{Life, Rhythm, TimerId};
 use crate::host::pulse;
 use crate::host::stamp::Stamp;
 use crate::lease::{self, Commander};
-use crate::platform;
 use crate::reference::ActorRef;
-use crate::remote_watch;
 use crate::sender::{Detached, Sender};
 use crate::service::ServiceRef;
 use crate::topic::Publisher;
 use crate::variable::{self, VariableRef};
+use crate::{platform, remote_watch};
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::parameters::Parameters;
 use blastema_core::{

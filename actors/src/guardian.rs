@@ -6,8 +6,7 @@
 //! Only the message that it was serving is lost.
 
 use crate::death_watch::{Deaths, Ending};
-use crate::panics;
-use crate::platform;
+use crate::{panics, platform};
 use actix::dev::{ContextFut, channel};
 use actix::prelude::*;
 use blastema_contract::reports::{Alive, Exit, Exited};

@@ -4,7 +4,8 @@
 //! hung thread. Only the life that owns it may take from it. What a full lane does is the owner's
 //! stated policy, [`WhenFull`].
 
-use crate::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
+use crate::sync::atomic::Ordering::Relaxed;
+use crate::sync::atomic::{AtomicBool, AtomicUsize};
 use crate::sync::{Mutex, MutexGuard};
 use blastema_core::{Incarnation, Why};
 use std::collections::VecDeque;

@@ -93,18 +93,13 @@ mod errors;
 mod fault_log;
 mod guardian;
 mod host;
-#[cfg(feature = "journal")]
-pub mod journal;
 mod lane;
 mod lease;
 mod letter;
-pub mod manual;
 mod net;
 mod node;
 mod panics;
 mod parameters;
-pub mod plain;
-pub mod platform;
 mod ports;
 mod reference;
 mod registry;
@@ -115,6 +110,12 @@ mod service;
 mod sync;
 mod topic;
 mod variable;
+
+#[cfg(feature = "journal")]
+pub mod journal;
+pub mod manual;
+pub mod plain;
+pub mod platform;
 
 #[cfg(panic = "abort")]
 compile_error!(
@@ -142,7 +143,7 @@ pub use platform::sleep;
 pub use ports::{ListenPort, Ports};
 
 // Sending, and what becomes of messages.
-pub use blastema_core::dead_letters::DeadReason;
+pub use blastema_core::delivery::dead_letters::DeadReason;
 pub use blastema_core::lease::{CommanderId, LeaseStanding};
 pub use blastema_core::{
     Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, RetryRule, Why,

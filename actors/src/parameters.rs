@@ -7,8 +7,9 @@ use crate::component::{Component, Handle};
 use crate::host::anchor::Anchor;
 use crate::host::pulse;
 use crate::variable::{Declared, RestorePolicy, VariableRef};
+use blastema_core::contract::codec;
 use blastema_core::parameters::{ParameterError, ParameterValue, Parameters};
-use blastema_core::{ObjectName, Why, codec, spelling};
+use blastema_core::{ObjectName, Why, suggestion};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 use toml::{Table, Value};
@@ -66,7 +67,7 @@ impl Configured {
             return Ok(());
         };
         let takers = inner.takers.iter().map(String::as_str);
-        Err(match spelling::nearest(wrong, takers) {
+        Err(match suggestion::nearest(wrong, takers) {
             Some(nearest) => {
                 format!("no component `{wrong}` has parameters: did you mean `{nearest}`?")
             }

@@ -14,10 +14,11 @@ use crate::panics;
 use crate::reply::{Answer, Reply};
 use crate::sender::{Inlet, Receiver, RequestError, SendError, Sender};
 use blastema_contract::reports::FaultMended;
+use blastema_core::contract::codec;
 use blastema_core::net::NodeId;
 use blastema_core::{
     Contract, ContractIdentity, FaultKind, Former, Incarnation, Instant, Lifecycle, MessageId,
-    NodeName, ObjectAddress, ObjectName, Parcel, PeerIdentity, Why, codec, spelling,
+    NodeName, ObjectAddress, ObjectName, Parcel, PeerIdentity, Why, suggestion,
 };
 use bytes::Bytes;
 use std::any::{Any, type_name};
@@ -413,7 +414,7 @@ impl Inner {
         let known = self.objects.keys().map(ObjectName::as_str);
         let object = name.split_once(':').map_or(name, |(_, object)| object);
         let name = name.to_owned();
-        match spelling::nearest(object, known) {
+        match suggestion::nearest(object, known) {
             // It is there, and the wrong one for what is asked.
             Some(nearest) if nearest == object => Why::Unknown { name },
             Some(nearest) => Why::Misspelt { nearest: nearest.to_owned(), name },

@@ -7,7 +7,8 @@
 use crate::host::pulse::{Deadline, Pulse};
 use crate::platform;
 use crate::sender::RequestError;
-use crate::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use crate::sync::atomic::AtomicBool;
+use crate::sync::atomic::Ordering::Relaxed;
 use crate::sync::{Mutex, MutexGuard};
 use blastema_core::{Contract, Instant, Why};
 use std::future::Future;

@@ -3,60 +3,49 @@
 //! Nothing here performs IO, reads a clock or knows an actor. Time, randomness and identity are
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
-pub mod audience;
-pub mod blob;
-pub mod can;
-pub mod codec;
-pub mod contract;
-pub mod dead_letters;
-pub mod delivery;
-pub mod dependencies;
-pub mod description;
-pub mod detection;
-pub mod difference;
-pub mod fault;
-pub mod field;
-pub mod former;
+mod backoff;
 mod hash;
-pub mod identity;
-pub mod impairment;
-pub mod layout;
+
+pub mod contract;
+pub mod delivery;
+pub mod detection;
+pub mod fault;
+pub mod global_name;
+pub mod incarnation;
 pub mod lease;
 pub mod lifecycle;
 pub mod machine;
+pub mod machine_set;
+pub mod medium;
 pub mod name;
 pub mod net;
-pub mod occupancy;
 pub mod parameters;
-pub mod parcel;
-pub mod quarantine;
 pub mod random;
 pub mod recovery;
-pub mod retry;
-pub mod scanner;
 pub mod service;
-pub mod spelling;
+pub mod snapshot_server;
+pub mod suggestion;
 pub mod time;
 pub mod variables;
 
-pub use blob::Blob;
-pub use codec::{DecodeError, EncodeError};
+pub use contract::blob::Blob;
+pub use contract::codec::{DecodeError, EncodeError};
+pub use contract::gather_buffer::Parcel;
+pub use contract::layout::description::{DescriptionError, LayoutDescription};
+pub use contract::layout::difference::Difference;
+pub use contract::layout::{Described, Layout};
+pub use contract::previous_version::Former;
 pub use contract::{
     Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,
 };
+pub use delivery::quarantine::MessageId;
+pub use delivery::retry::RetryRule;
 pub use delivery::{Delivery, Outcome, Why};
-pub use description::{DescriptionError, LayoutDescription};
-pub use difference::Difference;
 pub use fault::{Fault, FaultId, FaultKind, Place, Severity};
-pub use former::Former;
-pub use identity::Incarnation;
-pub use layout::{Described, Layout};
+pub use incarnation::Incarnation;
 pub use lifecycle::Lifecycle;
 pub use machine::Machine;
 pub use name::{NameError, NodeName, ObjectAddress, ObjectName};
-pub use parcel::Parcel;
-pub use quarantine::MessageId;
-pub use retry::RetryRule;
 /// The codec's interface, for the code that the derives write.
 #[doc(hidden)]
 pub use serde;

@@ -3,7 +3,7 @@
 //! `#[derive(Parameters)]` writes the impl; what it calls stands here.
 
 use crate::Variable;
-use crate::spelling::nearest;
+use crate::suggestion::nearest;
 use std::fmt;
 
 /// The settings of a component. Derived.

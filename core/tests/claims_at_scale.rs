@@ -2,7 +2,7 @@
 //! what keeping them costs. Run with `--nocapture` for the figures.
 #![allow(clippy::print_stdout, reason = "the figures are the point")]
 
-use blastema_core::net::claims::{ClaimPolicy, Claims, ClaimsConfig, ClaimsOutput, Wanted};
+use blastema_core::global_name::{ClaimPolicy, Claims, ClaimsConfig, ClaimsOutput, Wanted};
 use blastema_core::random::Random;
 use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName};
 use bytes::Bytes;

@@ -1,10 +1,10 @@
 //! Messages as bytes: what travels, and what is refused.
 
-use blastema_core::codec::{
+use blastema_core::contract::codec::{
     decode, decode_bounded, decode_reply, encode, encode_bounded, encode_into, encode_out_of,
     encode_parcel_reply, encode_reply,
 };
-use blastema_core::field::DEPTH_LIMIT;
+use blastema_core::contract::field::DEPTH_LIMIT;
 use blastema_core::{Contract, DecodeError, EncodeError};
 use blastema_macros::{Event, Request, Structure};
 use proptest::prelude::*;

@@ -1,8 +1,8 @@
 //! When two parties bind, and what they are told when they do not.
 
-use blastema_core::codec::{decode_bounded, encode_bounded};
-use blastema_core::difference::{Half, compare};
-use blastema_core::layout::{Field, Fields, Leaf, Shape};
+use blastema_core::contract::codec::{decode_bounded, encode_bounded};
+use blastema_core::contract::layout::difference::{Half, compare};
+use blastema_core::contract::layout::{Field, Fields, Leaf, Shape};
 use blastema_core::{
     ContractIdentity, DecodeError, Described, DescriptionError, FaultKind, LayoutDescription,
     Lifecycle, ObjectAddress, PeerIdentity, Place,

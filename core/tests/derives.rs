@@ -1,6 +1,6 @@
 //! What the derives make of right uses. Wrong uses stand in `tests/tests/compile_fail`.
 
-use blastema_core::codec::{decode, encode};
+use blastema_core::contract::codec::{decode, encode};
 use blastema_core::{Contract, ContractIdentity, Described, LayoutDescription};
 use blastema_macros::{Event, Request, Structure};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};

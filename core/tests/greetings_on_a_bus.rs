@@ -1,7 +1,7 @@
 //! Hellos of whole nodes on a simulated CAN bus: every frame that they cost is counted.
 
-use blastema_core::can::isotp::IsoTpOutput;
-use blastema_core::can::{
+use blastema_core::medium::can::isotp::IsoTpOutput;
+use blastema_core::medium::can::{
     Addressing, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, bits_on_bus,
 };
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};

@@ -1,10 +1,10 @@
 //! How many bytes stand before a small message on the wire. The page on networks and the module `net`
 //! state these numbers.
 
-use blastema_core::net::frame::Frame;
-use blastema_core::net::message::Message;
-use blastema_core::net::packet::{Packet, Payload};
-use blastema_core::net::segment::{Ack, Data, Datagram, Segment, Stream};
+use blastema_core::net::wire::frame::Frame;
+use blastema_core::net::wire::message::Message;
+use blastema_core::net::wire::packet::{Packet, Payload};
+use blastema_core::net::wire::segment::{Ack, Data, Datagram, Segment, Stream};
 use blastema_core::net::{Class, NodeId};
 use bytes::{BufMut, Bytes, BytesMut};
 

@@ -1,15 +1,15 @@
 //! Bytes from outside: garbage, and messages that were true once and were changed on the way. Nothing
 //! panics, everything is counted, and nothing grows without bound.
 
-use blastema_core::net::advertisement::{Advertisement, Edge, Routing, Stamp};
-use blastema_core::net::exchange::ExchangeOutput;
-use blastema_core::net::frame::{Echo, Frame, Hello, Stance};
 use blastema_core::net::link::LinkConfig;
-use blastema_core::net::message::Message;
-use blastema_core::net::packet::{Packet, Payload};
-use blastema_core::net::router::{Health, LinkStatus};
-use blastema_core::net::segment::{Ack, Data, Datagram, Open, Piece, Segment, Stream};
+use blastema_core::net::peer_protocol::ExchangeOutput;
+use blastema_core::net::routing::{Health, LinkStatus};
 use blastema_core::net::session::VERSION;
+use blastema_core::net::wire::advertisement::{Advertisement, Edge, Routing, Stamp};
+use blastema_core::net::wire::frame::{Echo, Frame, Hello, Stance};
+use blastema_core::net::wire::message::Message;
+use blastema_core::net::wire::packet::{Packet, Payload};
+use blastema_core::net::wire::segment::{Ack, Data, Datagram, Open, Piece, Segment, Stream};
 use blastema_core::net::{
     Class, Exchange, Link, LinkNumber, Neighbour, NodeId, Router, RouterConfig, Session,
     SessionConfig, SessionOutput,

@@ -1,12 +1,11 @@
 //! Runs every example as its reader would, and checks what it prints.
 
-use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::mpsc::sync_channel;
-use std::thread;
 use std::time::Duration;
+use std::{fs, thread};
 
 /// The slowest example takes about a second; the rest is for a machine that is busy with other tests.
 const PATIENCE: Duration = Duration::from_secs(60);

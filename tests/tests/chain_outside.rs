@@ -3,7 +3,8 @@
 use blastema::core::recovery::{Done, Failed, Order};
 use blastema::prelude::*;
 use blastema::{ActuatorSpec, NodeBuilder, RecoveryStrategy, Tools, Turn};
-use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
+use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::Ordering::SeqCst;
 use std::sync::mpsc::{Receiver, Sender as Hold, channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;

@@ -1,10 +1,10 @@
 //! What the manual says is what the code does: its tables, and sentences that nothing else proves.
 
-use blastema::core::codec::SIZE_LIMIT;
-use blastema::core::dead_letters::DeadLetterLimits;
+use blastema::core::contract::codec::SIZE_LIMIT;
+use blastema::core::delivery::dead_letters::DeadLetterLimits;
+use blastema::core::delivery::quarantine::QuarantineConfig;
 use blastema::core::detection::{DetectorLimits, MonitorLimits, NotifierLimits};
 use blastema::core::net::{RouterConfig, SessionConfig};
-use blastema::core::quarantine::QuarantineConfig;
 use blastema::core::recovery::{RecovererLimits, Step, SupervisorRules};
 use blastema::core::service::MEMBERS_MAX;
 use blastema::prelude::*;

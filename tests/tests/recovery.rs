@@ -6,7 +6,8 @@ use blastema::core::recovery::{ChildState, Done, Failed, Order};
 use blastema::prelude::*;
 use blastema::{Fault, NodeBuilder, RecoveryStrategy, Tools};
 use blastema_doubles::{advance, paused};
-use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
+use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 

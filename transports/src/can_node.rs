@@ -16,8 +16,8 @@
 use crate::endpoint::CanNodeConfig;
 use crate::frame_medium::{Arrival, FrameMedium, Opening, QueueLimits, Sending};
 use blastema_contract::transport::MediumAddress;
-use blastema_core::can::isotp::{IsoTpRefusals, Separation, TakeError};
-use blastema_core::can::{
+use blastema_core::medium::can::isotp::{IsoTpRefusals, Separation, TakeError};
+use blastema_core::medium::can::{
     AddressClaim, Addressing, BusAddress, CanFrame, Claim, ClaimOutput, Format, IsoTp, IsoTpConfig,
     IsoTpOutput, bits_on_bus,
 };

@@ -1,10 +1,10 @@
 //! The body around any [`FrameMedium`].
 
 use crate::frame_medium::{Arrival, FrameMedium, Opening, Sending};
-use crate::lanes::Lanes;
 use crate::medium::{BUDGET, Medium, transport};
-use crate::outlet::Outlet;
-use crate::reopening::Reopening;
+use crate::reopen_backoff::Reopening;
+use crate::transmit_queues::Lanes;
+use crate::upstream::Outlet;
 use actix::Context;
 use blastema_contract::transport::{Lane, MediumAddress, Transmit, TransportReport};
 use bytes::Bytes;

@@ -18,47 +18,48 @@
 //! (router, session), order and repetition (session).
 
 #[cfg(any(feature = "udp", feature = "tcp"))]
-mod binding;
+mod bound_address;
+#[cfg(any(feature = "udp", feature = "tcp", feature = "unix"))]
+mod frame_split;
+mod frame_transport;
+mod medium;
+mod reopen_backoff;
+#[cfg(any(feature = "tcp", feature = "unix"))]
+mod stream;
+mod transmit_queues;
+mod upstream;
+#[cfg(any(feature = "serial", feature = "slcan"))]
+mod usb_device;
+
 #[cfg(all(feature = "can", target_os = "linux"))]
 pub mod can;
 #[cfg(any(all(feature = "can", target_os = "linux"), feature = "slcan"))]
 pub mod can_node;
 pub mod endpoint;
 #[cfg(feature = "fault")]
-pub mod fault;
+pub mod fault_injector;
 pub mod frame_medium;
-mod frame_transport;
-mod lanes;
-mod medium;
 #[cfg(feature = "memory")]
 pub mod memory;
-#[cfg(feature = "udp")]
-mod multicast;
-mod outlet;
-#[cfg(any(feature = "udp", feature = "tcp", feature = "unix"))]
-mod part;
-mod reopening;
 #[cfg(feature = "serial")]
 pub mod serial;
 #[cfg(feature = "slcan")]
 pub mod slcan;
-#[cfg(any(feature = "tcp", feature = "unix"))]
-mod stream;
 #[cfg(feature = "tcp")]
 pub mod tcp;
 #[cfg(feature = "udp")]
 pub mod udp;
 #[cfg(feature = "unix")]
 pub mod unix;
-#[cfg(any(feature = "serial", feature = "slcan"))]
-mod usb_device;
 
 #[cfg(all(feature = "can", target_os = "linux"))]
 pub use can::CanBus;
 pub use endpoint::{CanConfig, CanNodeConfig, Endpoint, EndpointError, SlcanConfig};
 
 #[cfg(feature = "fault")]
-pub use fault::{Faulty, FaultyConfig};
+pub use crate::fault_injector::Faulty;
+#[cfg(feature = "fault")]
+pub use crate::fault_injector::FaultyConfig;
 pub use frame_medium::FrameMedium;
 pub use frame_transport::FrameTransport;
 #[cfg(feature = "memory")]

@@ -1,6 +1,6 @@
 //! What every transport does in the same way: live, take orders, poll its medium.
 
-use crate::outlet::Outlet;
+use crate::upstream::Outlet;
 use actix::fut::ActorFuture;
 use actix::{Actor, AsyncContext, Context, Supervised};
 use blastema_contract::transport::Transmit;

@@ -1,8 +1,8 @@
 //! Frames between actors of one process: for tests, and for nodes that share a process.
 
 use crate::medium::{Budget, Medium, transport};
-use crate::outlet::Outlet;
-use crate::reopening::Reopening;
+use crate::reopen_backoff::Reopening;
+use crate::upstream::Outlet;
 use actix::Context;
 use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use bytes::Bytes;

@@ -5,7 +5,7 @@ use blastema_contract::transport::{
     Attach, Cut, Direction, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults,
     Received, Restore, Transmit, Transport, TransportReport,
 };
-use blastema_core::impairment::Impairment;
+use blastema_core::medium::impairment::Impairment;
 use blastema_doubles::{MockTransport, Probe, advance, now, paused};
 use blastema_transports::{Faulty, FaultyConfig};
 use std::time::Duration;

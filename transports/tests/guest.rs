@@ -9,10 +9,10 @@ use actix::Actor;
 use blastema_contract::transport::{
     Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
-use blastema_core::can::isotp::Separation;
-use blastema_core::can::slcan::{self, BitRate, Command as Line, Lines, Reply};
-use blastema_core::can::{
-    Addressing, BusAddress, CanFrame, CanId, Format, IsoTp, IsoTpConfig, IsoTpOutput,
+use blastema_core::medium::can::isotp::Separation;
+use blastema_core::medium::can::slcan::{BitRate, Command as Line, Lines, Reply};
+use blastema_core::medium::can::{
+    Addressing, BusAddress, CanFrame, CanId, Format, IsoTp, IsoTpConfig, IsoTpOutput, slcan,
 };
 use blastema_core::{Instant, Machine};
 use blastema_doubles::{Probe, now};
@@ -20,9 +20,9 @@ use blastema_transports::{
     CanBus, CanConfig, FrameMedium, FrameTransport, Rs485, SerialConfig, SerialLine, Turning,
 };
 use bytes::Bytes;
+use socketcan::id::FdFlags;
 use socketcan::{
     CanAnyFrame, CanDataFrame, CanFdFrame, CanFdSocket, EmbeddedFrame, ExtendedId, Frame, Socket,
-    id::FdFlags,
 };
 use std::future::Future;
 use std::io::{Read, Write};

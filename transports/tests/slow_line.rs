@@ -4,11 +4,11 @@ use actix::Actor;
 use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
-use blastema_core::net::frame::{FRAME_HEADER, Frame, is_hello, is_urgent};
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
-use blastema_core::net::packet::{PACKET_HEADER, Packet, Payload};
-use blastema_core::net::segment::Stream;
 use blastema_core::net::session::{Session, SessionConfig, SessionOutput};
+use blastema_core::net::wire::frame::{FRAME_HEADER, Frame, is_hello, is_urgent};
+use blastema_core::net::wire::packet::{PACKET_HEADER, Packet, Payload};
+use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{Bundle, BundleOutput, Class, Link, LinkNumber, NodeId};
 use blastema_core::{Incarnation, Machine, NodeName, Parcel};
 use blastema_doubles::{Probe, advance, now, paused};

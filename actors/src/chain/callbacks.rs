@@ -13,8 +13,7 @@
 
 use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
 use crate::host::environment::Reports;
-use crate::panics;
-use crate::platform;
+use crate::{panics, platform};
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};

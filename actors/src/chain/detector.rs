@@ -1,9 +1,8 @@
 //! The detector's body.
 
 use crate::drive::{Body, Wake};
-use crate::fault_log;
 use crate::guardian::answers_the_monitor;
-use crate::platform;
+use crate::{fault_log, platform};
 use actix::fut::wrap_future;
 use actix::prelude::*;
 use blastema_contract::Confirmed;

@@ -10,12 +10,12 @@
 mod names;
 mod roaming;
 
-pub use blastema_core::net::claims::{ClaimPolicy, Holder, NameHeld};
+pub use blastema_core::global_name::{ClaimPolicy, Holder, NameHeld};
 
 pub(crate) use names::{Names, Wish};
 pub(crate) use roaming::Roaming;
 
-use blastema_core::net::claims::{ClaimRefused, Wanted};
+use blastema_core::global_name::{ClaimRefused, Wanted};
 use blastema_core::{Incarnation, NameError, NodeName, ObjectName};
 use std::fmt;
 use std::time::Duration;

@@ -3,10 +3,11 @@
 use super::{ClaimRow, ClaimState};
 use crate::platform;
 use actix::{Message, Recipient};
-use blastema_core::net::claims::{Holder, Wanted};
+use blastema_core::global_name::{Holder, Wanted};
 use blastema_core::{Incarnation, Instant, ObjectName};
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use tokio::sync::watch;
 

@@ -4,7 +4,7 @@ use super::Names;
 use crate::registry::Registry;
 use crate::reply::Reply;
 use crate::sender::{Inlet, RequestError, SendError, Sender};
-use blastema_core::net::claims::Holder;
+use blastema_core::global_name::Holder;
 use blastema_core::{Contract, MessageId, ObjectName, Why};
 use std::future::Future;
 use std::pin::Pin;

@@ -3,34 +3,33 @@
 //! The queue, the name and the record of messages that kill belong here, not to a life, so that they
 //! outlive panics and hung threads.
 
-use super::Host;
 use super::arbiters::Seat;
 use super::environment::HostEnvironment;
 use super::injection::Injected;
 use super::life::LifeToken;
 use super::limits::Limits;
-use super::pulse;
 use super::stamp::Place;
 use super::watch::Glimpsed;
+use super::{Host, pulse};
 use crate::component::{Component, Handle};
 use crate::death_watch::{Down, Mourners};
 use crate::lane::{Lane, WhenFull};
 use crate::letter::{Mail, Times, pack, posting_time};
-use crate::panics;
-use crate::platform;
 use crate::reply::{Answer, Reply, Revocable};
 use crate::sender::{Inlet, Receiver, RequestError, SendError};
 use crate::topic::Subscriptions;
+use crate::{panics, platform};
 use actix::Addr;
 use blastema_contract::child::StandingOrder;
 use blastema_contract::reports::FaultDeclared;
-use blastema_core::net::claims::Wanted;
-use blastema_core::quarantine::Quarantine;
-use blastema_core::scanner::QueueReading;
+use blastema_core::delivery::quarantine::Quarantine;
+use blastema_core::detection::hang::QueueReading;
+use blastema_core::global_name::Wanted;
 use blastema_core::{Contract, FaultKind, Incarnation, Lifecycle, MessageId, ObjectName, Why};
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicU8, AtomicU64};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 use tracing::warn;

@@ -8,7 +8,8 @@ use super::threads::ThreadKind;
 use actix_rt::{Arbiter, ArbiterHandle, System};
 use blastema_core::ObjectName;
 use std::fmt;
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Threads that may be given up before that is told: each holds its stack, and whatever its handler

@@ -12,7 +12,7 @@ use crate::topic::Topics;
 use crate::variable::Store;
 use actix::Recipient;
 use blastema_contract::reports::{Exited, FaultDeclared, FaultMended, StateReported};
-use blastema_core::spelling::nearest;
+use blastema_core::suggestion::nearest;
 use blastema_core::{FaultKind, ObjectName};
 use std::collections::BTreeSet;
 use std::sync::Arc;

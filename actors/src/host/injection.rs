@@ -6,7 +6,8 @@
 use blastema_core::Instant;
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64};
 use std::time::Duration;
 
 /// A fault that is put into a component on purpose, by [`Node::inject`](crate::Node::inject).

@@ -3,7 +3,8 @@
 use super::stamp::Stamp;
 use crate::component::{Component, Failure};
 use crate::context::Context;
-use crate::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use crate::sync::atomic::AtomicBool;
+use crate::sync::atomic::Ordering::Relaxed;
 use blastema_core::{Incarnation, Instant, Why};
 use std::cell::{Cell, RefCell};
 use std::future::Future;

@@ -1,7 +1,7 @@
 //! The dead-letter office: what was not delivered, readable by anyone.
 
 use crate::platform;
-use blastema_core::dead_letters::{
+use blastema_core::delivery::dead_letters::{
     DeadLetter, DeadLetterCount, DeadLetterLimits, DeadLetters, DeadReason,
 };
 use blastema_core::{NodeName, ObjectName, Why};

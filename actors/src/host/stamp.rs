@@ -3,10 +3,8 @@
 //! Every store is plain and every stamp has one writer, the thread that runs its component. Who
 //! wants to know since when looks twice.
 
-use crate::sync::atomic::{
-    AtomicU32, AtomicU64,
-    Ordering::{Acquire, Relaxed, Release},
-};
+use crate::sync::atomic::Ordering::{Acquire, Relaxed, Release};
+use crate::sync::atomic::{AtomicU32, AtomicU64};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 

@@ -11,14 +11,15 @@ use super::stamp::Stamp;
 use crate::platform;
 use actix::Recipient;
 use blastema_contract::reports::Sighted;
-use blastema_core::detection::{Current, Pull, QueueSeen, Row, Watch};
-use blastema_core::scanner::{
+use blastema_core::detection::hang::{
     ArbiterSeen, Judged, Looked, MaxSilence, PulseReading, QueueReading, Scanner, ScannerConfig,
     Sighting, SlotId, StampReading,
 };
+use blastema_core::detection::{Current, Pull, QueueSeen, Row, Watch};
 use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName, Place};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::JoinHandle;
 use std::time::Duration;

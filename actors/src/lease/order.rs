@@ -1,6 +1,7 @@
 //! What a commander says to an actuator's node, and hears.
 
-use blastema_core::{Why, codec};
+use blastema_core::Why;
+use blastema_core::contract::codec;
 use blastema_macros::{Request, Structure};
 
 /// The most bytes of an error on its way.

@@ -20,7 +20,8 @@ use std::io;
 use std::net::IpAddr;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
 use std::thread::JoinHandle;
 use std::time::Duration;
 use tracing::{debug, info};
@@ -196,7 +197,8 @@ impl News {
 
 #[cfg(target_os = "linux")]
 fn open() -> io::Result<Socket> {
-    use rustix::net::{AddressFamily, SocketFlags, SocketType, netlink::SocketAddrNetlink};
+    use rustix::net::netlink::SocketAddrNetlink;
+    use rustix::net::{AddressFamily, SocketFlags, SocketType};
     /// `RTMGRP_LINK` of `linux/rtnetlink.h`.
     const LINKS: u32 = 1;
     let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;

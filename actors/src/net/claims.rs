@@ -1,7 +1,7 @@
 //! The body of the claims: names of the whole robot, as this node knows them.
 
-use super::letters::{LetterArrived, Letters};
-use super::own_faults::OwnFaults;
+use super::fault_reporter::OwnFaults;
+use super::peer_messages::{LetterArrived, Letters};
 use crate::claim::{ClaimState, Names, Wish};
 use crate::drive::{Body, Wake};
 use crate::guardian::{Guardian, answers_the_monitor};
@@ -11,11 +11,11 @@ use actix::prelude::*;
 use blastema_contract::reports::{AreYouAlive, FaultDeclared, FaultMended};
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::PeerSeen;
-use blastema_core::net::claims::{
+use blastema_core::global_name::{
     ClaimRefused, Claims, ClaimsConfig, ClaimsOutput, Holder, NameHeld, Wanted, Without,
 };
-use blastema_core::net::complaints::Complaints;
-use blastema_core::net::latch::Latch;
+use blastema_core::net::active_alarms::Latch;
+use blastema_core::net::refusal_alarms::Complaints;
 use blastema_core::net::{NodeId, Refusals};
 use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName};
 use std::collections::BTreeMap;
@@ -390,7 +390,7 @@ impl Handler<PanicOnPurpose> for ClaimsBody {
 mod tests {
     use super::*;
     use crate::claim::Claim;
-    use blastema_core::net::claims::ClaimPolicy;
+    use blastema_core::global_name::ClaimPolicy;
     use blastema_doubles::{Probe, advance, paused, settle};
 
     fn wanted() -> Wanted {

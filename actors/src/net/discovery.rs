@@ -1,9 +1,9 @@
 //! The body of discovery: neighbours that nobody has described.
 
 use super::LinkSpec;
-use super::letters::{LetterArrived, Letters};
+use super::fault_reporter::OwnFaults;
 use super::links::{Forget, Learn, Seen, TellNeighbours};
-use super::own_faults::OwnFaults;
+use super::peer_messages::{LetterArrived, Letters};
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
@@ -14,10 +14,10 @@ use blastema_contract::session::PeerSeen;
 use blastema_contract::transport::{
     Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
-use blastema_core::net::complaints::Complaints;
 use blastema_core::net::discovery::{
     Admission, Discovery, DiscoveryConfig, DiscoveryOutput, Ground,
 };
+use blastema_core::net::refusal_alarms::Complaints;
 use blastema_core::net::{LinkNumber, NodeId};
 use blastema_core::{FaultKind, NodeName};
 use bytes::Bytes;

@@ -1,19 +1,18 @@
 //! Between the objects of this node and those of all others.
 
-mod errand;
+mod inbound;
 mod inputs;
-mod losses;
 mod peer;
-mod serving;
+mod undelivered;
 
-pub(super) use errand::{Notify, Ship};
+pub(super) use super::gateway_messages::{Notify, Ship};
 
-use super::NetEnvironment;
-use super::door::{Condition, Doors, Gate};
-use super::notice;
-use super::own_faults::OwnFaults;
-use super::wardens::{Told, Wardens};
-use super::way::Freight;
+use super::credit::Freight;
+use super::fault_reporter::OwnFaults;
+use super::gateway_messages::{Answered, Interested, Noticed, Published};
+use super::isolation::{Told, Wardens};
+use super::stub::{Condition, Doors, Gate};
+use super::{NetEnvironment, fault_forwarding};
 use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterOffice;
 use crate::platform;
@@ -26,24 +25,23 @@ use blastema_contract::recoverer::Recover;
 use blastema_contract::router::KeepOut;
 use blastema_contract::session::{BeginAnew, Credit, Leave, PeerSeen, Say, SayNewest};
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::exchange::{Epoch, Exchange, ExchangeOutput, TopicContract};
 use blastema_core::net::isolation::Isolation;
-use blastema_core::net::naming::Naming;
-use blastema_core::net::segment::Stream;
+use blastema_core::net::peer_protocol::naming::Naming;
+use blastema_core::net::peer_protocol::{Epoch, Exchange, ExchangeOutput, TopicContract};
+use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{NodeId, Strand};
 use blastema_core::{
     ContractIdentity, Delivery, FaultKind, NodeName, Parcel, PeerIdentity, Place, Why,
 };
 use bytes::Bytes;
-use errand::{Answered, Interested, Noticed, Published};
-use losses::{Losses, Past};
+use inbound::{Bound, LOOK, Queues};
 use peer::Peer;
-use serving::{Bound, LOOK, Queues};
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::oneshot;
 use tracing::{debug, error, info, warn};
+use undelivered::{Losses, Past};
 
 /// How often the registry is looked at for objects that came or went, and what was lost is brought together.
 const NAMES_INTERVAL: Duration = Duration::from_millis(200);
@@ -395,7 +393,7 @@ impl Gateway {
         payload: &Bytes,
         context: &mut Context<Self>,
     ) {
-        let fault = match notice::decode(payload, platform::now()) {
+        let fault = match fault_forwarding::decode(payload, platform::now()) {
             Ok(fault) => fault,
             Err(error) => return warn!(%peer, %error, "a fault that cannot be read"),
         };

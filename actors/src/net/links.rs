@@ -1,11 +1,11 @@
 //! The body of the links over one transport.
 
-mod learned;
+mod discovered;
 
-pub(super) use learned::{Forget, Learn, Seen, TellNeighbours};
+pub(super) use discovered::{Forget, Learn, Seen, TellNeighbours};
 
 use super::LinkSpec;
-use super::own_faults::OwnFaults;
+use super::fault_reporter::OwnFaults;
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
@@ -19,10 +19,10 @@ use blastema_contract::transport::{
     Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
 use blastema_core::detection::LinkCondition;
-use blastema_core::net::complaints::Complaints;
-use blastema_core::net::frame::{is_hello, is_urgent};
 use blastema_core::net::link::LinkRefusal;
-use blastema_core::net::router::{Health, LinkStatus};
+use blastema_core::net::refusal_alarms::Complaints;
+use blastema_core::net::routing::{Health, LinkStatus};
+use blastema_core::net::wire::frame::{is_hello, is_urgent};
 use blastema_core::net::{
     Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
 };

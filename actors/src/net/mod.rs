@@ -18,32 +18,32 @@
 
 mod carrier;
 pub(crate) mod claims;
+mod credit;
 mod discovery;
-mod door;
+mod fault_forwarding;
+mod fault_reporter;
 mod gateway;
-mod letters;
+mod gateway_messages;
+mod isolation;
 mod links;
-mod notice;
 mod outcast;
-mod own_faults;
-pub(crate) mod rest;
+mod peer_messages;
 mod router;
+pub(crate) mod safe_state;
 mod sessions;
+mod stub;
 #[cfg(test)]
 mod tests;
-mod wardens;
-mod way;
 
 pub(crate) use carrier::Interface;
 pub(crate) use discovery::DiscoverySpec;
 
-use self::own_faults::OwnFaults;
+use self::fault_reporter::OwnFaults;
 use crate::guardian::Guardian;
 use crate::host::office::DeadLetterOffice;
-use crate::platform;
 use crate::registry::{Registry, RemoteDoors};
-use crate::remote_watch;
 use crate::topic::Topics;
+use crate::{platform, remote_watch};
 use actix::prelude::*;
 use actix_rt::ArbiterHandle;
 use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
@@ -180,8 +180,8 @@ pub(crate) struct NetHandle {
     discovery: Option<Addr<DiscoveryBody>>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
-    doors: Arc<door::Doors>,
-    wardens: Arc<OnceLock<wardens::Wardens>>,
+    doors: Arc<stub::Doors>,
+    wardens: Arc<OnceLock<isolation::Wardens>>,
     carrier: Arc<carrier::CarrierWatch>,
 }
 
@@ -212,7 +212,7 @@ pub(crate) fn start(
         guardian.start(named("discovery"), place, make)
     });
     if discovery.is_none() {
-        letters::read_by_nobody(named("discovery"), &environment.registry);
+        peer_messages::read_by_nobody(named("discovery"), &environment.registry);
     }
     environment.envoys.extend(discovery.clone().map(Addr::recipient));
 
@@ -233,7 +233,7 @@ pub(crate) fn start(
         paths: sessions.clone().recipient(),
     });
 
-    let doors = Arc::new(door::Doors::new(outcast));
+    let doors = Arc::new(stub::Doors::new(outcast));
     let to_sessions = gateway::SessionPorts {
         say: sessions.clone().recipient(),
         say_newest: sessions.clone().recipient(),
@@ -354,7 +354,9 @@ impl NetHandle {
     pub(crate) fn recoverer_of(&self, node: &NodeName) -> Recipient<Recover> {
         let (peer, gateway) = (NodeId::of(node), self.gateway.clone().recipient());
         let name = named(&format!("port/{node}"));
-        let make = move |_: &mut Context<notice::Port>| notice::Port::new(peer, gateway);
+        let make = move |_: &mut Context<fault_forwarding::Port>| {
+            fault_forwarding::Port::new(peer, gateway)
+        };
         self.guardian.start(name, self.arbiter.as_ref(), make).recipient()
     }
 

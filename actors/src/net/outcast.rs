@@ -2,7 +2,8 @@
 
 use blastema_core::{Incarnation, NodeName, Why};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
 
 /// Whether this node is kept out. Clones are the same.
 #[derive(Clone)]

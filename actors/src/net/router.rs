@@ -1,7 +1,7 @@
 //! The router's body.
 
+use super::fault_reporter::OwnFaults;
 use super::outcast::Outcast;
-use super::own_faults::OwnFaults;
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
@@ -14,7 +14,7 @@ use blastema_contract::router::{
 };
 use blastema_contract::strategy::Reroute;
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::router::Trouble;
+use blastema_core::net::routing::Trouble;
 use blastema_core::net::{self, LinkNumber, NodeId, RouterConfig, RouterOutput};
 use blastema_core::recovery::{Done, Failed};
 use blastema_core::{FaultKind, Incarnation, NodeName, Place};

@@ -1,6 +1,6 @@
 //! The body of all sessions of this node.
 
-use super::own_faults::OwnFaults;
+use super::fault_reporter::OwnFaults;
 use crate::drive::{Body, Wake};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
@@ -11,8 +11,8 @@ use blastema_contract::session::{
     AddGateway, BeginAnew, Leave, ReadSessions, Say, SayNewest, SessionReported, SessionRow,
 };
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::complaints::{Complaints, MANY};
-use blastema_core::net::segment::Stream;
+use blastema_core::net::refusal_alarms::{Complaints, MANY};
+use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{Crowd, NodeId, Refusals, Session, SessionConfig, SessionOutput};
 use blastema_core::{FaultKind, Incarnation, NodeName, Why};
 use bytes::Bytes;

@@ -18,8 +18,9 @@ use crate::guardian::Guardian;
 use crate::host::arbiters::Arbiters;
 use crate::host::environment::{HostEnvironment, Reports};
 use crate::host::spec::ChildSpec;
-use crate::platform;
-use crate::{Component, Context, Contract, Event, Handle, Ports, Publisher, Request, Sender};
+use crate::{
+    Component, Context, Contract, Event, Handle, Ports, Publisher, Request, Sender, platform,
+};
 use actix::{Actor, Addr};
 use blastema_contract::Confirmed;
 use blastema_contract::child::{Child, ChildEvent, ChildReport};
@@ -31,7 +32,7 @@ use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::transport::{
     Close, Cut, Direction, MediumAddress, Restore, Transport, TransportReport,
 };
-use blastema_core::dead_letters::DeadReason;
+use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::detection::{LinkCondition, NodeCondition};
 use blastema_core::net::isolation::Judges;
 use blastema_core::net::{LinkNumber, LinkState};

@@ -35,11 +35,11 @@ use actix::prelude::*;
 use blastema_contract::monitor::Enrol;
 use blastema_contract::reports::AreYouAlive;
 use blastema_contract::strategy::RestNode;
-use blastema_core::dependencies::Dependencies;
+use blastema_core::detection::dependencies::Dependencies;
+use blastema_core::detection::hang::ScannerConfig;
 use blastema_core::detection::{Enrolment, ObjectKind, Watch};
 use blastema_core::net::isolation::Judges;
 use blastema_core::recovery::{Plan, Restart};
-use blastema_core::scanner::ScannerConfig;
 use blastema_core::{
     Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
 };

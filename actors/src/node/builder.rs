@@ -11,16 +11,15 @@ use crate::chain::strategy::{Apply, RecoveryStrategy, StrategyTable};
 use crate::component::Component;
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::service::{Carried, ServiceSpec, Stateful};
-use blastema_core::dependencies::DependencyError;
 use blastema_core::detection::EnrolError;
+use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::recovery::{Plan, PlanError, Restart, Strategy, WhenExceeded};
 use blastema_core::{Fault, FaultKind, NameError, ObjectName};
 use blastema_transports::EndpointError;
-use std::fmt;
-use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
+use std::{fmt, io};
 use tokio::sync::watch;
 
 /// Why a node did not start. What had been started is stopped again.

@@ -4,7 +4,8 @@ use super::{NodeState, Step, Subscriptions};
 use actix::prelude::*;
 use blastema_contract::detector::{FaultEvent, Subscribe};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
 use tokio::sync::{mpsc, watch};
 
 /// Steps that a slow reader may be behind: a storm of a few seconds at the notifier's own limit.

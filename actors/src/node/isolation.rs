@@ -2,7 +2,7 @@
 
 use super::Node;
 use blastema_core::net::isolation::{Decision, NoSay};
-use blastema_core::spelling::nearest;
+use blastema_core::suggestion::nearest;
 use blastema_core::{NameError, NodeName};
 
 /// Why a node was neither isolated nor let in again: nothing has changed.

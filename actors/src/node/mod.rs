@@ -61,9 +61,9 @@ use blastema_contract::naming::NodeRow;
 use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::SessionRow;
 use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
-use blastema_core::dependencies::Dependencies;
+use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::detection::{Record, Row};
-use blastema_core::net::claims::Wanted;
+use blastema_core::global_name::Wanted;
 use blastema_core::net::{Refusals, Route};
 use blastema_core::{
     Contract, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable, Why,

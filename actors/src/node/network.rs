@@ -19,7 +19,7 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 pub use blastema_contract::transport::Direction;
-pub use blastema_core::impairment::Impairment;
+pub use blastema_core::medium::impairment::Impairment;
 pub use blastema_transports::MemoryMedium;
 
 /// One network that a node is on: a medium, and the neighbours that it leads to.

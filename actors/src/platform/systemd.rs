@@ -2,14 +2,13 @@
 //! library.
 
 use super::ProcessWatchdog;
-use std::env;
 use std::ffi::OsString;
-use std::io;
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::sync::Arc;
 use std::time::Duration;
+use std::{env, io};
 
 /// Where the service manager listens.
 const SOCKET: &str = "NOTIFY_SOCKET";

@@ -7,10 +7,10 @@ use super::words::{Answered, AskService, Task};
 use crate::platform;
 use crate::registry::Registry;
 use crate::sender::{RequestError, next_id};
-use blastema_core::retry::Attempt;
+use blastema_core::contract::codec;
+use blastema_core::delivery::retry::Attempt;
 use blastema_core::{
     ContractIdentity, Instant, MessageId, NameError, NodeName, ObjectName, Request, RetryRule, Why,
-    codec,
 };
 use std::collections::BTreeSet;
 use std::fmt;

@@ -78,7 +78,7 @@ impl<M: Signed> Doorway for Gate<M> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use blastema_core::codec;
+    use blastema_core::contract::codec;
     use blastema_doubles::{Probe, paused};
 
     #[test]

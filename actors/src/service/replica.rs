@@ -19,12 +19,13 @@ use crate::reply::Answer;
 use crate::sender::Sender;
 use actix::prelude::*;
 use blastema_contract::reports::{AreYouAlive, FaultDeclared};
+use blastema_core::contract::codec;
 use blastema_core::service::{
     MESSAGE_MAX, Replica, ReplicaConfig, ReplicaOutput, Role, ServiceOutcome, ServiceRequest,
     StandbyKind,
 };
 use blastema_core::{
-    Contract, FaultKind, MessageId, NodeName, ObjectName, Parcel, PeerIdentity, Why, codec,
+    Contract, FaultKind, MessageId, NodeName, ObjectName, Parcel, PeerIdentity, Why,
 };
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};

@@ -14,7 +14,8 @@ use std::cell::{Cell, RefCell};
 use std::hint::black_box;
 use std::rc::Weak;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
 
 /// One listener, as its hub sees it: what is looked at for every event, side by side with the others.
 pub(super) struct Ear<E> {

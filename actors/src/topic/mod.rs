@@ -34,8 +34,9 @@ use crate::letter::{Times, posting_time};
 use crate::panics::{self, Guarded};
 use crate::platform;
 use crate::registry::difference;
+use blastema_core::contract::codec;
 use blastema_core::{
-    ContractIdentity, Event, Former, Instant, ObjectName, Parcel, Why, codec, spelling,
+    ContractIdentity, Event, Former, Instant, ObjectName, Parcel, Why, suggestion,
 };
 use bytes::Bytes;
 use hub::HubLane;
@@ -43,7 +44,8 @@ use std::any::{Any, type_name};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, Location, catch_unwind};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use tokio::sync::watch;
@@ -577,7 +579,7 @@ impl Inner {
             *other != key && known.is_none_or(|known| !known.erased.has_publishers())
         };
         let names = listened.filter(is_lonely).map(|other| &*other.topic);
-        spelling::nearest(&key.topic, names).map(Arc::from)
+        suggestion::nearest(&key.topic, names).map(Arc::from)
     }
 
     fn renew_forwards(&self, key: &TopicKey) {

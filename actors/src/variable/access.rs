@@ -1,6 +1,6 @@
 //! How variables are asked for, in this process and from other nodes alike.
 
-use blastema_core::codec;
+use blastema_core::contract::codec;
 use blastema_core::variables::{Choice, ValueReport, ValueState};
 use blastema_core::{ObjectName, Why};
 use blastema_macros::{Request, Structure};

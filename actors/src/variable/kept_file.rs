@@ -8,7 +8,7 @@
 //! ends the process, or the power, leaves the old one or the new one, and nothing in between.
 
 use crate::platform;
-use blastema_core::codec;
+use blastema_core::contract::codec;
 use blastema_core::variables::KeptValue;
 use crc::{CRC_32_ISCSI, Crc};
 use std::fs::{self, File};

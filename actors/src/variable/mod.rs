@@ -19,8 +19,9 @@ pub(crate) use store::{Declared, Store};
 use crate::registry::Registry;
 use crate::sender::Sender;
 use access::{Access, Accessed, Chosen, WATCH_WITHIN, Wanted, Written};
+use blastema_core::contract::codec;
 use blastema_core::{
-    ContractIdentity, NodeName, ObjectAddress, ObjectName, PeerIdentity, Variable, Why, codec,
+    ContractIdentity, NodeName, ObjectAddress, ObjectName, PeerIdentity, Variable, Why,
 };
 use std::fmt;
 use std::marker::PhantomData;

@@ -9,10 +9,11 @@ use crate::panics::{self, Guarded};
 use crate::platform;
 use crate::registry::{Port, Registry};
 use crate::reply::Answer;
+use blastema_core::contract::codec;
 use blastema_core::variables::{
     Choice, Declaration, KeptValue, RestorePolicy, ValueWrite, VariableKey, Variables, Watched,
 };
-use blastema_core::{ContractIdentity, ObjectName, PeerIdentity, Variable, Why, codec};
+use blastema_core::{ContractIdentity, ObjectName, PeerIdentity, Variable, Why};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::io;

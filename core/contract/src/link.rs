@@ -7,7 +7,7 @@
 
 use actix::{Message, Recipient};
 use blastema_core::Parcel;
-use blastema_core::net::router::LinkStatus;
+use blastema_core::net::routing::LinkStatus;
 use blastema_core::net::{LinkNumber, LinkState, Neighbour, Quality, Refusals};
 use bytes::Bytes;
 use std::sync::Arc;

@@ -8,7 +8,7 @@
 
 use actix::Message;
 pub use blastema_core::detection::Exit;
-use blastema_core::scanner::{OverloadFigures, QueueReading};
+use blastema_core::detection::hang::{OverloadFigures, QueueReading};
 use blastema_core::{FaultKind, Incarnation, Lifecycle, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;

@@ -5,7 +5,7 @@
 //! ```
 
 use actix::{Message, Recipient};
-use blastema_core::net::packet::Undelivered;
+use blastema_core::net::wire::packet::Undelivered;
 use blastema_core::net::{Class, NodeId, Refusals, Route};
 use blastema_core::{Incarnation, NodeName, Parcel};
 use bytes::Bytes;

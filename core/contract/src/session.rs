@@ -5,8 +5,8 @@
 //! ```
 
 use actix::{Message, Recipient};
-use blastema_core::net::segment::Stream;
 use blastema_core::net::session::SessionStanding;
+use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{Load, NodeId, Strand};
 use blastema_core::{Incarnation, NodeName, Parcel, Why};
 use bytes::Bytes;

@@ -6,7 +6,7 @@
 use actix::dev::ToEnvelope;
 use actix::{Actor, Addr, Handler, Message, Recipient};
 use blastema_core::Parcel;
-use blastema_core::impairment::{Carried, Impairment, Injected};
+use blastema_core::medium::impairment::{Carried, Impairment, Injected};
 use bytes::Bytes;
 use std::collections::BTreeSet;
 use std::fmt;

@@ -10,7 +10,7 @@
 //!
 //! ```
 //! use blastema_contract::transport::{Attach, MediumAddress, Transmit};
-//! use blastema_core::impairment::Impairment;
+//! use blastema_core::medium::impairment::Impairment;
 //! use blastema_doubles::{Probe, SimulatedNetwork, paused};
 //! use std::time::Duration;
 //!

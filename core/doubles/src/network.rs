@@ -3,7 +3,7 @@
 use crate::mock_transport::{Arrival, MockTransport};
 use crate::paused::now;
 use actix::Recipient;
-use blastema_core::impairment::{Impairer, Impairment, Injected};
+use blastema_core::medium::impairment::{Impairer, Impairment, Injected};
 use blastema_core::{Instant, Machine};
 use bytes::Bytes;
 use std::collections::BTreeMap;

@@ -80,7 +80,7 @@ fn contract(
             const MAX_SIZE: usize = {
                 let size: usize = #size;
                 ::std::assert!(
-                    size > 0 && size <= #facade::core::codec::SIZE_LIMIT,
+                    size > 0 && size <= #facade::core::contract::codec::SIZE_LIMIT,
                     "max_size is zero or above 16 MiB: send larger data in parts"
                 );
                 size

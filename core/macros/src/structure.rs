@@ -53,7 +53,7 @@ fn layout(input: &DeriveInput, attributes: &TypeAttributes) -> Result<TokenStrea
         Data::Struct(data) => {
             let fields = fields(&data.fields, facade)?;
             let shape = quote! {
-                #facade::core::layout::Shape::Struct(::std::borrow::Cow::Borrowed(#name), #fields)
+                #facade::core::contract::layout::Shape::Struct(::std::borrow::Cow::Borrowed(#name), #fields)
             };
             let fields = data.fields.iter().map(|field| described(&field.ty, facade));
             let empty = quote!(true #(&& #fields::EMPTY)*);
@@ -65,7 +65,7 @@ fn layout(input: &DeriveInput, attributes: &TypeAttributes) -> Result<TokenStrea
                 let name = variant.ident.unraw().to_string();
                 let fields = fields(&variant.fields, facade)?;
                 Ok(quote! {
-                    #facade::core::layout::Variant {
+                    #facade::core::contract::layout::Variant {
                         name: ::std::borrow::Cow::Borrowed(#name),
                         fields: #fields,
                     }
@@ -73,7 +73,7 @@ fn layout(input: &DeriveInput, attributes: &TypeAttributes) -> Result<TokenStrea
             });
             let variants = all(variants)?;
             let shape = quote! {
-                #facade::core::layout::Shape::Enum(
+                #facade::core::contract::layout::Shape::Enum(
                     ::std::borrow::Cow::Borrowed(#name),
                     ::std::borrow::Cow::Borrowed(const { &[#(#variants),*] }),
                 )
@@ -120,7 +120,7 @@ fn last_bytes(fields: &Fields, facade: &syn::Path) -> Option<TokenStream> {
 
 fn fields(fields: &Fields, facade: &syn::Path) -> Result<TokenStream> {
     let kind = match fields {
-        Fields::Unit => return Ok(quote!(#facade::core::layout::Fields::Unit)),
+        Fields::Unit => return Ok(quote!(#facade::core::contract::layout::Fields::Unit)),
         Fields::Unnamed(_) => quote!(Tuple),
         Fields::Named(_) => quote!(Named),
     };
@@ -131,7 +131,7 @@ fn fields(fields: &Fields, facade: &syn::Path) -> Result<TokenStream> {
             field.ident.as_ref().map_or_else(|| index.to_string(), |i| i.unraw().to_string());
         let described = described(&field.ty, facade);
         Ok(quote! {
-            #facade::core::layout::Field {
+            #facade::core::contract::layout::Field {
                 name: ::std::borrow::Cow::Borrowed(#name),
                 unit: #unit,
                 frame: #frame,
@@ -140,7 +140,7 @@ fn fields(fields: &Fields, facade: &syn::Path) -> Result<TokenStream> {
         })
     }))?;
     Ok(quote! {
-        #facade::core::layout::Fields::#kind(::std::borrow::Cow::Borrowed(const { &[#(#fields),*] }))
+        #facade::core::contract::layout::Fields::#kind(::std::borrow::Cow::Borrowed(const { &[#(#fields),*] }))
     })
 }
 
@@ -154,7 +154,9 @@ fn option(text: Option<LitStr>) -> TokenStream {
 /// The trait through which a field's type is described; arrays have one that knows any length.
 fn described(of: &Type, facade: &syn::Path) -> TokenStream {
     match of {
-        Type::Array(_) => quote_spanned!(of.span()=> <#of as #facade::core::layout::ArrayField>),
+        Type::Array(_) => {
+            quote_spanned!(of.span()=> <#of as #facade::core::contract::layout::ArrayField>)
+        }
         _ => quote_spanned!(of.span()=> <#of as #facade::core::Described>),
     }
 }
@@ -182,7 +184,7 @@ fn encoding(input: &DeriveInput, attributes: &TypeAttributes) -> TokenStream {
                 &self,
                 to: __S,
             ) -> ::std::result::Result<__S::Ok, __S::Error> {
-                #facade::core::field::nested(
+                #facade::core::contract::field::nested(
                     || __BlastemaMirror #turbofish::serialize(self, to),
                     <__S::Error as #facade::serde::ser::Error>::custom,
                 )
@@ -196,7 +198,7 @@ fn encoding(input: &DeriveInput, attributes: &TypeAttributes) -> TokenStream {
             fn deserialize<__D: #facade::serde::Deserializer<'de>>(
                 from: __D,
             ) -> ::std::result::Result<Self, __D::Error> {
-                #facade::core::field::nested(
+                #facade::core::contract::field::nested(
                     || __BlastemaMirror #turbofish::deserialize(from),
                     <__D::Error as #facade::serde::de::Error>::custom,
                 )
@@ -248,7 +250,8 @@ fn encoding_of(field: &Field, facade_text: &str) -> Attribute {
         _ => "plain",
     };
     let span = field.ty.span();
-    let path = LitStr::new(&format!("{facade_text} :: core :: field :: {module}"), span);
+    let path =
+        LitStr::new(&format!("{facade_text} :: core :: contract :: field :: {module}"), span);
     parse_quote_spanned!(span=> #[serde(with = #path)])
 }
 

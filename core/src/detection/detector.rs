@@ -1,11 +1,9 @@
 //! What is wrong, where, and why: the judge of the fault chain.
 
-mod judgement;
-
-use super::conduct::Conduct;
+use super::correlation::{Dependencies, is_down};
 use super::crash_loops::CrashLoops;
+use super::offence_window::Conduct;
 use super::reminders::{Reminder, Reminders};
-use super::symptoms::{Dependencies, is_down};
 use super::{
     Chronicle, Handed, Handover, HandoverLimits, Notice, Observation, Outcome, Record, Turn,
 };
@@ -512,5 +510,6 @@ impl Machine for Detector {
     }
 }
 
+mod rules;
 #[cfg(test)]
 mod tests;

@@ -6,7 +6,7 @@
 //! exits, states, links ─┴─ Monitor ══► Detector ══► Notifier ══► recoverers
 //!                           sees        judges       tells
 //! ```
-//! Components are judged by the [scanner](crate::scanner), from counters that cost no message. The
+//! Components are judged by the [scanner](hang), from counters that cost no message. The
 //! middleware's own objects have none, and are asked.
 //!
 //! `══►` is a [`Handover`]: repeated until it is confirmed, given up loudly. The monitor keeps the table
@@ -26,31 +26,34 @@
 //! body is lost, and nothing else.
 
 mod checks;
-mod chronicle;
-mod conduct;
+mod confirmed_queue;
+mod correlation;
 mod crash_loops;
 mod detector;
-mod enrolment;
 mod entry;
-mod handover;
-mod inquiry;
+mod fault_log;
 mod monitor;
-mod neighbourhood;
 mod notifier;
 mod observation;
+mod offence_window;
 mod outcome;
+mod peer_table;
+mod ping;
+mod registration;
 mod reminders;
-mod symptoms;
 mod table;
 
+pub mod dependencies;
+pub mod hang;
+
 pub use checks::{CheckFailed, Freshness, Invariant, Range, Rate};
-pub use chronicle::Chronicle;
+pub use confirmed_queue::{Handed, Handover, HandoverLimits};
 pub use detector::{Detector, DetectorLimits, DetectorOutput};
-pub use enrolment::{EnrolError, Enrolment, ObjectKind, Pull, Push, Watch};
-pub use handover::{Handed, Handover, HandoverLimits};
-pub use inquiry::{Inquiry, InquiryOutput, Verdict};
+pub use fault_log::Chronicle;
 pub use monitor::{Monitor, MonitorLimits, MonitorOutput};
 pub use notifier::{Notifier, NotifierLimits, NotifierOutput, Port, PortRow};
 pub use observation::{Exit, Finding, LinkCondition, NodeCondition, Observation, Progress};
 pub use outcome::{Entry, FaultStatus, Notice, Outcome, Record, Turn};
+pub use ping::{Inquiry, InquiryOutput, Verdict};
+pub use registration::{EnrolError, Enrolment, ObjectKind, Pull, Push, Watch};
 pub use table::{Current, Opinion, QueueSeen, Row};

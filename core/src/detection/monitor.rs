@@ -1,10 +1,8 @@
 //! Who lives, in which life and state: the table, and what is new in it.
 
-mod sighting;
-
 use super::entry::{Ending, Entry, NoteCause, describe};
-use super::inquiry::InquiryOutput;
-use super::neighbourhood::{Neighbourhood, News};
+use super::peer_table::{Neighbourhood, News};
+use super::ping::InquiryOutput;
 use super::{
     EnrolError, Enrolment, Exit, Finding, Handed, Handover, HandoverLimits, Inquiry, LinkCondition,
     NodeCondition, ObjectKind, Observation, Opinion, Progress, Row, Verdict, Watch,
@@ -486,5 +484,6 @@ impl Machine for Monitor {
     }
 }
 
+mod reports;
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,6 @@
 //! What the monitor saw, before anybody has judged it.
 
-use crate::scanner::OverloadFigures;
+use crate::detection::hang::OverloadFigures;
 use crate::{FaultKind, Incarnation, Instant, Lifecycle, ObjectAddress, ObjectName, Place};
 use std::sync::Arc;
 use std::time::Duration;

@@ -14,7 +14,7 @@
 //! network, as is how often a neighbour is listened to. What goes beyond is counted, by who said it.
 
 use super::wire::Refusals;
-use crate::codec;
+use crate::contract::codec;
 use crate::{Instant, Machine, NodeName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};

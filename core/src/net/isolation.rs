@@ -15,8 +15,8 @@
 //! Votes are told to every node that a session is open with, and again whenever a session begins. Those
 //! of a node that is kept out are void.
 
-use super::node_id::NodeId;
-use crate::codec;
+use super::wire::node_id::NodeId;
+use crate::contract::codec;
 use crate::{Incarnation, NodeName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};

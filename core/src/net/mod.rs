@@ -33,46 +33,28 @@
 //! What this module does not do: encryption, multicast, congestion control towards strangers. A robot's
 //! network is its own.
 
-mod age;
-mod arrival;
-mod topology;
-mod wire;
-
-pub mod advertisement;
-pub mod bundle;
-pub mod claims;
-pub mod complaints;
-pub mod crowd;
+pub mod active_alarms;
 pub mod discovery;
-pub mod exchange;
-pub mod frame;
-pub mod greeting;
 pub mod isolation;
-pub mod latch;
 pub mod link;
-pub mod load;
-pub mod message;
-pub mod naming;
-pub mod node_id;
-pub mod packet;
-pub mod router;
-pub mod segment;
+pub mod peer_protocol;
+pub mod refusal_alarms;
+pub mod routing;
 pub mod session;
-pub mod strand;
-pub mod waiting_room;
+pub mod wire;
 
-pub use bundle::{Bundle, BundleOutput};
-pub use crowd::Crowd;
-pub use exchange::{Exchange, ExchangeOutput};
+pub use crate::machine_set::Crowd;
+pub use link::link_set::{Bundle, BundleOutput};
 pub use link::{Link, LinkConfig, LinkOutput, LinkState, Neighbour, Quality};
-pub use load::Load;
-pub use node_id::NodeId;
-pub use packet::Class;
-pub use router::{LinkNumber, Router, RouterConfig, RouterOutput};
+pub use peer_protocol::receive_backlog::WaitingRoom;
+pub use peer_protocol::{Exchange, ExchangeOutput};
+pub use routing::topology::Route;
+pub use routing::{LinkNumber, Router, RouterConfig, RouterOutput};
+pub use session::ordering_key::Strand;
+pub use session::size_class::Load;
 pub use session::{Session, SessionConfig, SessionOutput};
-pub use strand::Strand;
-pub use topology::Route;
-pub use waiting_room::WaitingRoom;
+pub use wire::node_id::NodeId;
+pub use wire::packet::Class;
 pub use wire::{Refusals, WireError};
 
 /// Smaller segments are those of a medium that is taken for slow until it is measured: a serial line, or CAN,

@@ -13,19 +13,19 @@
 //! Erlang/OTP: start in order, stop in reverse, restart one, all, or the rest; more restarts than the
 //! intensity allows, and it ends and escalates. Neither of them detects anything.
 
-mod backoff;
-mod intensity;
 mod ladder;
 mod plan;
-pub mod recoverer;
+mod restart_window;
 mod rules;
+
+pub mod recoverer;
 pub mod supervision;
 
-pub use backoff::Backoff;
-pub use intensity::{RestartWindow, add_restart};
+pub use crate::backoff::Backoff;
 pub use ladder::{Ladder, Measure, Step};
 pub use plan::{Plan, PlanError};
 pub use recoverer::{Done, Failed, Order, Recoverer, RecovererAction, RecovererLimits, Settled};
+pub use restart_window::{RestartWindow, add_restart};
 pub use rules::{ChildRules, Restart, StandingOrder, Strategy, SupervisorRules, WhenExceeded};
 pub use supervision::{
     Cause, ChildState, ChildStatus, GiveUpReason, Supervision, SupervisorAction, Ticket,

@@ -1,7 +1,7 @@
 //! Which ladder of measures answers which kind of fault: fixed when the robot is designed.
 
 use super::{Ladder, Measure, Step};
-use crate::spelling::nearest;
+use crate::suggestion::nearest;
 use crate::{FaultKind, NodeName, ObjectName, Place};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

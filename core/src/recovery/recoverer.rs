@@ -13,12 +13,12 @@ use super::{Ladder, Measure, Plan};
 use crate::{Fault, FaultId, FaultKind, Instant, Machine, NodeName, Place};
 use std::collections::{BTreeMap, VecDeque};
 
-mod rest;
+mod safe_state;
 #[cfg(test)]
 mod tests;
-mod vocabulary;
+mod types;
 
-pub use self::vocabulary::{Done, Failed, Order, RecovererAction, RecovererLimits, Settled};
+pub use self::types::{Done, Failed, Order, RecovererAction, RecovererLimits, Settled};
 
 /// The detector latches by place and kind: a place with more faults than this is out of its mind.
 const FAULTS_LIMIT: usize = 32;

@@ -2,8 +2,7 @@
 
 use super::change::Change;
 use super::table::Table;
-use crate::MessageId;
-use crate::Why;
+use crate::{MessageId, Why};
 use serde::{Deserialize, Serialize};
 
 /// How far a replica has come: under which epoch its last entry was made, and the how manieth it was.

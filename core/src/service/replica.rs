@@ -16,7 +16,7 @@ use super::message::{After, Message, Position, Served, Standing};
 use super::table::Table;
 use super::vocabulary::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
 use super::{OnPartition, ReplicaConfig, StandbyKind};
-use crate::codec;
+use crate::contract::codec;
 use crate::{FaultKind, Instant, Machine, MessageId, NodeName, Why};
 use accord::Accord;
 use bytes::Bytes;

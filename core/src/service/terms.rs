@@ -2,7 +2,8 @@
 
 use super::change::sum;
 use super::{HELLO_MAX, HELLO_MIN, OnPartition, ReplicaConfig, StandbyKind};
-use crate::{NodeName, codec};
+use crate::NodeName;
+use crate::contract::codec;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Write};
 use std::time::Duration;

@@ -1,8 +1,8 @@
 //! One end of a cable loses its carrier, and a switch stands between: the other end learns it by another way.
 
 use crate::world::{CALM, MS, STORM, World, for_seeds, name};
-use blastema_core::net::advertisement::{Advertisement, Edge, Routing, Stamp};
 use blastema_core::net::link::LinkState;
+use blastema_core::net::wire::advertisement::{Advertisement, Edge, Routing, Stamp};
 use blastema_core::net::{LinkNumber, NodeId};
 use blastema_core::{Incarnation, Instant};
 use std::time::Duration;

@@ -2,8 +2,8 @@
 
 use crate::world::{CALM, MS, World, for_seeds, name};
 use blastema_core::net::link::LinkState;
-use blastema_core::net::segment::Stream;
 use blastema_core::net::session::SessionCounters;
+use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{NodeId, Session};
 use blastema_core::random::Random;
 use std::cell::Cell;

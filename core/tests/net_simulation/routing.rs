@@ -2,7 +2,7 @@
 
 use crate::world::{CALM, MS, World, for_seeds, name};
 use blastema_core::Incarnation;
-use blastema_core::net::advertisement::{Advertisement, Edge, Routing, Stamp};
+use blastema_core::net::wire::advertisement::{Advertisement, Edge, Routing, Stamp};
 use blastema_core::net::{LinkNumber, NodeId};
 
 #[test]

@@ -2,8 +2,8 @@
 //! double, are cut and mended, between nodes that die and live again: one seed, one run.
 
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
-use blastema_core::net::router::{Health, LinkStatus};
-use blastema_core::net::segment::Stream;
+use blastema_core::net::routing::{Health, LinkStatus};
+use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{
     Link, LinkNumber, NodeId, Router, RouterConfig, RouterOutput, Session, SessionConfig,
     SessionOutput,

@@ -7,7 +7,8 @@
 use crate::measure::{Quantiles, Table};
 use blastema::prelude::*;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
 const HANDLER: Duration = Duration::from_millis(30);

@@ -2,7 +2,7 @@
 
 #![no_main]
 
-use blastema_core::net::frame::Frame;
+use blastema_core::net::wire::frame::Frame;
 use bytes::Bytes;
 use libfuzzer_sys::fuzz_target;
 

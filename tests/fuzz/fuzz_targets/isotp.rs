@@ -3,10 +3,15 @@
 
 #![no_main]
 
-use blastema_core::can::isotp::Separation;
-use blastema_core::can::{
-    Addressing, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput, Parties,
-};
+use blastema_core::medium::can::isotp::Separation;
+use blastema_core::medium::can::Addressing;
+use blastema_core::medium::can::BusAddress;
+use blastema_core::medium::can::CanFrame;
+use blastema_core::medium::can::Format;
+use blastema_core::medium::can::IsoTp;
+use blastema_core::medium::can::IsoTpConfig;
+use blastema_core::medium::can::IsoTpOutput;
+use blastema_core::medium::can::Parties;
 use blastema_core::{Instant, Machine};
 use bytes::Bytes;
 use libfuzzer_sys::fuzz_target;

@@ -2,7 +2,7 @@
 
 #![no_main]
 
-use blastema_core::net::packet::Packet;
+use blastema_core::net::wire::packet::Packet;
 use bytes::Bytes;
 use libfuzzer_sys::fuzz_target;
 

@@ -2,8 +2,9 @@
 
 #![no_main]
 
-use blastema_core::net::packet::Packet;
-use blastema_core::net::router::{Health, LinkStatus};
+use blastema_core::net::wire::packet::Packet;
+use blastema_core::net::routing::Health;
+use blastema_core::net::routing::LinkStatus;
 use blastema_core::net::{LinkNumber, Neighbour, Router, RouterConfig, RouterOutput};
 use blastema_core::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;

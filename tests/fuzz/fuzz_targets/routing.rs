@@ -2,7 +2,7 @@
 
 #![no_main]
 
-use blastema_core::net::advertisement::Routing;
+use blastema_core::net::wire::advertisement::Routing;
 use bytes::Bytes;
 use libfuzzer_sys::fuzz_target;
 

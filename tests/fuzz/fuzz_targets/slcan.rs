@@ -3,7 +3,10 @@
 
 #![no_main]
 
-use blastema_core::can::slcan::{Command, LINE_MAX, Listener, Reply};
+use blastema_core::medium::can::slcan::Command;
+use blastema_core::medium::can::slcan::LINE_MAX;
+use blastema_core::medium::can::slcan::Listener;
+use blastema_core::medium::can::slcan::Reply;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {

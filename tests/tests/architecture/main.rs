@@ -79,7 +79,7 @@ fn only_the_platform_reads_a_clock() {
 
 #[test]
 fn only_the_codec_knows_bincode() {
-    holds(sources::codec, "encode and decode through core/src/codec.rs");
+    holds(sources::codec, "encode and decode through core/src/contract/codec.rs");
 }
 
 #[test]
@@ -265,7 +265,7 @@ mod a_rule_can_fail {
     fn when_bincode_leaves_the_codec() {
         let texts = [
             ("core/src/lib.rs", "mod codec;\nuse bincode::config;\n"),
-            ("core/src/codec.rs", "use bincode::config;\n"),
+            ("core/src/contract/codec.rs", "use bincode::config;\n"),
         ];
         check(sources::codec, &texts, &[("core/src/lib.rs", 2)]);
     }

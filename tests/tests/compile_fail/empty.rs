@@ -6,5 +6,5 @@ use blastema::Event;
 struct Ticks(Vec<()>);
 
 fn main() {
-    let _ = blastema::core::codec::decode::<Ticks>(&[1]);
+    let _ = blastema::core::contract::codec::decode::<Ticks>(&[1]);
 }

@@ -1,9 +1,8 @@
 //! The token of an incarnation, which fences what it left behind in threads.
 
-use crate::Model;
-use crate::bell;
 use crate::host::life::LifeToken;
 use crate::lane::{Lane, Taken, WhenFull};
+use crate::{Model, bell};
 use blastema_core::{Incarnation, Why};
 use loom::thread;
 use std::sync::Arc;

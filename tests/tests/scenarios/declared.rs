@@ -7,7 +7,8 @@ use blastema::prelude::*;
 use blastema::{RecoveryStrategy, Severity, Tools};
 use blastema_testkit::TestNode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 #[blastema_testkit::test]

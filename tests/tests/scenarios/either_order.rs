@@ -3,7 +3,8 @@
 use blastema::prelude::*;
 use blastema::{ActuatorSpec, Commander, Link, MemoryMedium, Network, NodeBuilder};
 use blastema_testkit::{TestNode, now};
-use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 

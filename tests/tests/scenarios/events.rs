@@ -1,7 +1,7 @@
 //! Publishing and listening, across deaths.
 
 use crate::puppet::{Deed, News, Strings, ask, life, strike};
-use blastema::core::dead_letters::DeadReason;
+use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::prelude::*;
 use blastema_testkit::{Harness, TestNode};
 use std::time::Duration;

@@ -1,7 +1,7 @@
 //! More messages than a component can serve.
 
 use crate::puppet::{Deed, Do, Note, Puppet, Strings, ask};
-use blastema::core::dead_letters::DeadReason;
+use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::core::detection::{Opinion, Pull, Watch};
 use blastema::prelude::*;
 use blastema_testkit::{TestNode, now};

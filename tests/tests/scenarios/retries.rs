@@ -5,7 +5,8 @@ use blastema::prelude::*;
 use blastema::{Link, MemoryMedium, Network, RetryRule, ServiceSpec, StandbyKind, Stateful};
 use blastema_testkit::{TestNode, now};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+use std::sync::atomic::AtomicU32;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);

@@ -1,7 +1,7 @@
 //! Every result of sending, and that each request resolves.
 
 use crate::puppet::{Deed, Do, Note, Pull, Strings, ask, strike};
-use blastema::core::dead_letters::DeadReason;
+use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::prelude::*;
 use blastema_testkit::{Harness, TestNode, now};
 use std::time::Duration;

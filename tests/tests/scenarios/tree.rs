@@ -2,7 +2,7 @@
 
 use crate::puppet::{Deed, Do, Note, Pull, Puppet, Strings, ask, life, strike};
 use blastema::SpecError;
-use blastema::core::dead_letters::DeadReason;
+use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema_testkit::TestNode;

@@ -1,6 +1,6 @@
 //! CAN adapters on ptys, and the bus between them: what one says, all others that are open hear.
 
-use blastema_core::can::slcan::{Command, Line, Lines, Reply};
+use blastema_core::medium::can::slcan::{Command, Line, Lines, Reply};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fd::OwnedFd;
 use rustix::fs::{Mode, OFlags};

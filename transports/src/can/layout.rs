@@ -8,7 +8,7 @@
 //!   id: 31 extended, 30 request, 29 error      flags, FD only: 0 data at the faster rate
 //! ```
 
-use blastema_core::can::{CLASSIC_MAX, CanFrame, CanId, FD_MAX, Format};
+use blastema_core::medium::can::{CLASSIC_MAX, CanFrame, CanId, FD_MAX, Format};
 
 /// In front of the data.
 const HEADER: usize = 8;

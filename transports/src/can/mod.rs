@@ -13,7 +13,7 @@ mod layout;
 use crate::can_node::{CanNode, CanPort, addressing};
 use crate::endpoint::CanConfig;
 use blastema_core::Instant;
-use blastema_core::can::{Addressing, CanFrame, Format};
+use blastema_core::medium::can::{Addressing, CanFrame, Format};
 use layout::{BUS_OFF, EXTENDED, REMOTE};
 use socket2::SockRef;
 use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};

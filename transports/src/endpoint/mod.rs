@@ -11,9 +11,9 @@
 
 mod can;
 mod error;
-#[cfg(any(feature = "udp", feature = "tcp"))]
-mod own;
 mod settings;
+#[cfg(any(feature = "udp", feature = "tcp"))]
+mod validation;
 
 pub use self::can::{CanConfig, CanNodeConfig, SLCAN_BIT_RATES, SLCAN_DATA_RATES, SlcanConfig};
 pub use self::error::{EndpointError, EndpointProblem};
@@ -30,8 +30,8 @@ use crate::udp::UdpConfig;
 #[cfg(feature = "unix")]
 use crate::unix::UnixConfig;
 use blastema_contract::transport::MediumAddress;
-use blastema_core::net::router::MTU_MIN;
-use blastema_core::spelling::nearest;
+use blastema_core::net::routing::MTU_MIN;
+use blastema_core::suggestion::nearest;
 #[cfg(feature = "udp")]
 use std::net::Ipv4Addr;
 #[cfg(any(feature = "udp", feature = "tcp"))]
@@ -227,9 +227,9 @@ impl Endpoint {
     pub fn check(&self) -> Result<(), String> {
         match self {
             #[cfg(feature = "udp")]
-            Endpoint::Udp(config) => own::check_udp(config),
+            Endpoint::Udp(config) => validation::check_udp(config),
             #[cfg(feature = "tcp")]
-            Endpoint::Tcp(config) => own::check_tcp(config),
+            Endpoint::Tcp(config) => validation::check_tcp(config),
             _ => Ok(()),
         }
     }
@@ -241,13 +241,12 @@ impl Endpoint {
             #[cfg(feature = "udp")]
             (Endpoint::Udp(config), MediumAddress::Ip(peer)) => {
                 let is_group = config.group == Some(*peer);
-                let nobody = own::no_peer(*peer).filter(|_| !is_group);
-                nobody.or(own::is_own(config.bind, *peer).then_some(OURSELVES))
+                let nobody = validation::no_peer(*peer).filter(|_| !is_group);
+                nobody.or(validation::is_own(config.bind, *peer).then_some(OURSELVES))
             }
             #[cfg(feature = "tcp")]
-            (Endpoint::Tcp(config), MediumAddress::Ip(peer)) => {
-                own::no_peer(*peer).or(own::is_own(config.bind, *peer).then_some(OURSELVES))
-            }
+            (Endpoint::Tcp(config), MediumAddress::Ip(peer)) => validation::no_peer(*peer)
+                .or(validation::is_own(config.bind, *peer).then_some(OURSELVES)),
             #[cfg(feature = "unix")]
             (Endpoint::Unix(config), MediumAddress::Unix(path)) => {
                 (config.path == **path).then_some(OURSELVES)
@@ -298,7 +297,7 @@ impl<'a> Parts<'a> {
 
     #[cfg(any(feature = "udp", feature = "tcp"))]
     fn no_broadcast(&self, address: SocketAddr) -> Result<(), EndpointError> {
-        if own::is_broadcast(address.ip()) {
+        if validation::is_broadcast(address.ip()) {
             let found = address.ip().to_string();
             return Err(self.error(EndpointProblem::Broadcast { found }));
         }
@@ -384,7 +383,7 @@ fn udp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
             let example = SocketAddr::new(address.ip(), 7400).to_string();
             return Err(parts.error(EndpointProblem::NoPort { example }));
         }
-        if own::is_reserved(address.ip()) {
+        if validation::is_reserved(address.ip()) {
             let found = address.ip().to_string();
             return Err(parts.error(EndpointProblem::ReservedGroup { found }));
         }
@@ -396,7 +395,7 @@ fn udp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
             format!("our own address with its port, as in {}", SocketAddr::new(any, 7401));
         let own = settings.take("own", expected, |text| {
             let own: SocketAddr = text.parse().ok()?;
-            let everybodys = own.ip().is_multicast() || own::is_broadcast(own.ip());
+            let everybodys = own.ip().is_multicast() || validation::is_broadcast(own.ip());
             (own.is_ipv4() == address.is_ipv4() && !everybodys).then_some(own)
         })?;
         settings.number("hops", 1..=255, &mut config.hops)?;

@@ -1,7 +1,7 @@
 //! The part of an endpoint string behind the question mark: pairs of keys and values.
 
 use super::error::{EndpointError, EndpointProblem};
-use blastema_core::spelling::nearest;
+use blastema_core::suggestion::nearest;
 use std::ops::{Range, RangeInclusive};
 use std::time::Duration;
 

@@ -1,6 +1,6 @@
 //! Which serial line, and how fast.
 
-use blastema_core::net::router::MTU_MIN;
+use blastema_core::net::routing::MTU_MIN;
 use std::path::PathBuf;
 use std::time::Duration;
 

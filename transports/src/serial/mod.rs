@@ -12,13 +12,14 @@
 //! by [`Rs485`]; two nodes that speak at once spoil each other's frames, which the session repeats.
 
 mod config;
+mod line_pacer;
+
 pub mod framing;
-mod pace;
 
 pub use self::config::{Parity, Rs485, SerialConfig, StopBits, Turning};
 
 use self::framing::{Deframer, encode, encoded_length};
-use self::pace::{Held, PIECE, Pace};
+use self::line_pacer::{Held, PIECE, Pace};
 use crate::frame_medium::{Arrival, FrameMedium, Opening, QueueLimits, Sending};
 use crate::usb_device::is_usb_device;
 use blastema_contract::transport::MediumAddress;

@@ -11,7 +11,7 @@
 //!             │ length │ bytes …                  numbers are big-endian
 //! ```
 
-use crate::part::part_frame;
+use crate::frame_split::part_frame;
 use bytes::{Bytes, BytesMut};
 
 /// How long a preamble is, in bytes.

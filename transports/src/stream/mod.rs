@@ -12,13 +12,14 @@
 //! * **Strangers**, who have connected and said nothing yet, have places of their own, of which the
 //!   oldest is given up when all are taken. So those who never say anything keep nobody out.
 
-pub mod framing;
 mod outgoing;
 mod peer;
 
+pub mod framing;
+
 use self::peer::{Broken, Peer, State};
-use crate::outlet::Outlet;
-use crate::reopening::Reopening;
+use crate::reopen_backoff::Reopening;
+use crate::upstream::Outlet;
 use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use bytes::BytesMut;
 use bytes::buf::Limit;

@@ -4,7 +4,7 @@ use super::framing::{decode, room};
 use super::outgoing::Outgoing;
 use super::{ByteStream, Family, Underway};
 use crate::medium::Budget;
-use crate::outlet::Outlet;
+use crate::upstream::Outlet;
 use blastema_core::recovery::Backoff;
 use bytes::{BufMut, BytesMut};
 use std::future::Future;

@@ -9,7 +9,7 @@
 //! ```
 
 use super::TcpConfig;
-use crate::binding::confine;
+use crate::bound_address::confine;
 use crate::stream::framing::{FramingError, PREAMBLE, decode_preamble, encode_preamble};
 use socket2::SockRef;
 use std::io;

@@ -8,10 +8,10 @@ mod handshake;
 pub use crate::stream::framing;
 
 use self::handshake::{dial, greet, introduce};
-use crate::binding::{Binding, confine, explain};
+use crate::bound_address::{Binding, confine, explain};
 use crate::medium::{Medium, transport};
-use crate::outlet::Outlet;
 use crate::stream::{BACKLOG, Bounds, Family, Streams, Underway, byte_stream};
+use crate::upstream::Outlet;
 use actix::Context;
 use blastema_contract::transport::{MediumAddress, Transmit};
 use socket2::{Domain, Protocol, Socket, Type};

@@ -17,8 +17,8 @@ pub use crate::stream::framing;
 
 use self::socket::{dial, greet, introduce};
 use crate::medium::{Medium, transport};
-use crate::outlet::Outlet;
 use crate::stream::{Bounds, Family, Streams, Underway, byte_stream};
+use crate::upstream::Outlet;
 use actix::Context;
 use blastema_contract::transport::{MediumAddress, Transmit};
 use std::hash::{DefaultHasher, Hash, Hasher};

@@ -9,7 +9,8 @@ use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
 use blastema_core::{Fault, FaultId, FaultKind, NodeName, Place};
 use blastema_doubles::{Probe, advance, paused, settle};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
+use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
 
 struct Chain {

@@ -3,7 +3,8 @@
 use crate::chain::callbacks::{CallOutcome, Callbacks};
 use crate::host::environment::Reports;
 use blastema_core::Fault;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::oneshot;
 use tracing::error;

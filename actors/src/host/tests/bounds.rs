@@ -3,7 +3,7 @@
 use super::{Add, Note, Slow, Stage, acc, logged};
 use crate::{ChildSpec, Component, Context, Event, Handle, WhenFull, Why};
 use blastema_contract::child::ChildEvent;
-use blastema_core::dead_letters::DeadReason;
+use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, paused, settle};
 use std::time::Duration;
 use tokio::task::spawn_local;

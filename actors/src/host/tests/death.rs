@@ -5,7 +5,7 @@ use crate::{ChildSpec, Component, Context, Down, Ending, Event, Handle, Incarnat
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::Exit;
 use blastema_core::Lifecycle;
-use blastema_core::dead_letters::DeadReason;
+use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, paused, settle};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;

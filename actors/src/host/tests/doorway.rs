@@ -6,14 +6,14 @@ use crate::{
     Blob, ChildSpec, Component, Context, DeadReason, Event, Handle, Incarnation, ObjectName, Ports,
     Request, SpecError, WhenFull, Why,
 };
-use blastema_core::{
-    Contract, ContractIdentity, MessageId, NodeName, ObjectAddress, Parcel, codec,
-};
+use blastema_core::contract::codec;
+use blastema_core::{Contract, ContractIdentity, MessageId, NodeName, ObjectAddress, Parcel};
 use blastema_doubles::{paused, settle};
 use bytes::Bytes;
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex};
 
 fn encoded<M: Contract>(message: &M) -> Bytes {

@@ -4,7 +4,7 @@ use super::{Boom, Log, Stage, boom, logged, order};
 use crate::host::arbiters::Arbiters;
 use crate::topic::Publisher;
 use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Ports, Why};
-use blastema_core::dead_letters::DeadReason;
+use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::{Contract, ObjectName};
 use blastema_doubles::{advance, paused, settle};
 use std::sync::mpsc::{Receiver, Sender, channel};

@@ -9,12 +9,11 @@ use crate::{
 };
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::Sighted;
+use blastema_core::detection::hang::ScannerConfig;
 use blastema_core::detection::{Current, ObjectKind, Row, Watch};
-use blastema_core::scanner::ScannerConfig;
 use blastema_core::{NodeName, ObjectAddress, Place};
 use blastema_doubles::{Probe, advance, paused};
-use std::sync::mpsc;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
 
 /// Says this when it is heard.

@@ -5,7 +5,7 @@ use crate::host::Control;
 use crate::host::watch::Glimpsed;
 use crate::{Sender, WhenFull, Why};
 use blastema_core::Lifecycle;
-use blastema_core::dead_letters::DeadReason;
+use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, now, paused, settle};
 use std::time::Duration;
 use tokio::task::spawn_local;

@@ -7,9 +7,10 @@ use crate::{ChildSpec, Component, Context, Event, Handle, ObjectName, Ports};
 use blastema_contract::child::{Child, ChildEvent};
 use blastema_contract::reports::Sighted;
 use blastema_core::Contract;
-use blastema_core::scanner::ScannerConfig;
+use blastema_core::detection::hang::ScannerConfig;
 use blastema_doubles::{Probe, paused, settle};
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 

@@ -6,7 +6,7 @@ use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Ports, WhenFu
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::Exit;
 use blastema_core::Contract;
-use blastema_core::dead_letters::DeadReason;
+use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, paused, settle};
 use bytes::Bytes;
 use std::sync::{Arc, Mutex};

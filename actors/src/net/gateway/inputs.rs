@@ -1,10 +1,10 @@
 //! What the gateway is told and asked.
 
-use super::errand::{Answered, Interested, Noticed, Notify, Published, Ship};
 use super::peer::Peer;
 use super::{Gateway, LEAVE_PATIENCE, topic};
-use crate::net::door::Condition;
-use crate::net::wardens::KeptOut;
+use crate::net::gateway_messages::{Answered, Interested, Noticed, Notify, Published, Ship};
+use crate::net::isolation::KeptOut;
+use crate::net::stub::Condition;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::naming::{FindObject, FoundObject, NodeRow, ReadDifferences, ReadNames};
@@ -12,8 +12,8 @@ use blastema_contract::router::PanicOnPurpose;
 use blastema_contract::session::{BeginAnew, Leave, PeerSeen, SessionReported};
 use blastema_contract::strategy::IsolateNode;
 use blastema_core::net::NodeId;
-use blastema_core::net::exchange::{Call, Sent};
 use blastema_core::net::isolation::{Decision, NoSay};
+use blastema_core::net::peer_protocol::{Call, Sent};
 use blastema_core::recovery::{Done, Failed};
 use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
 use tracing::debug;

@@ -1,6 +1,6 @@
 //! Another node, as the gateway knows it.
 
-use crate::net::door::Gate;
+use crate::net::stub::Gate;
 use blastema_core::{Incarnation, NodeName};
 use std::sync::Arc;
 

@@ -3,8 +3,8 @@
 use super::*;
 use blastema_contract::router::SegmentArrived;
 use blastema_core::net::NodeId;
-use blastema_core::net::segment::{Ack, Open, Segment};
 use blastema_core::net::session::VERSION;
+use blastema_core::net::wire::segment::{Ack, Open, Segment};
 use bytes::Bytes;
 
 /// Three nodes, each with a cable to both others.

@@ -8,7 +8,7 @@ fn counted(module: &Module) -> Vec<(String, String, DeadReason, u64)> {
     let right = NodeName::new("right").unwrap();
     let counts = module.host.dead_letters.counts().into_iter();
     let counts = counts.filter(|count| count.node.as_ref() == Some(&right));
-    let row = |count: blastema_core::dead_letters::DeadLetterCount| {
+    let row = |count: blastema_core::delivery::dead_letters::DeadLetterCount| {
         (count.object.to_string(), count.contract.to_string(), count.reason, count.count)
     };
     counts.map(row).collect()

@@ -3,10 +3,10 @@
 use super::*;
 use crate::{Event, Outcome, WhenFull};
 use blastema_contract::session::Say;
-use blastema_core::codec;
-use blastema_core::net::message::Message;
-use blastema_core::net::segment::Stream;
-use blastema_core::net::waiting_room::MESSAGES_MAX;
+use blastema_core::contract::codec;
+use blastema_core::net::peer_protocol::receive_backlog::MESSAGES_MAX;
+use blastema_core::net::wire::message::Message;
+use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{NodeId, Strand};
 use bytes::Bytes;
 

@@ -5,7 +5,7 @@ use super::{middleware, named};
 use crate::guardian::own_arbiter;
 use crate::host::environment::HostEnvironment;
 use crate::net::claims::{ClaimsBody, ClaimsSetup};
-use crate::net::rest::{RestBody, RestSetup};
+use crate::net::safe_state::{RestBody, RestSetup};
 use crate::net::{self, NetEnvironment, NetHandle, NetworkSpec};
 use crate::node::builder::{Placement, StartError};
 use crate::node::keeper::TellRest;

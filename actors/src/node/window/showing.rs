@@ -5,7 +5,7 @@ use crate::host::environment::Reports;
 use crate::node::{Node, Shared};
 use crate::platform;
 use blastema_core::Machine;
-use blastema_core::audience::{Audience, AudienceOutput, PictureNumber, Viewer};
+use blastema_core::snapshot_server::{Audience, AudienceOutput, PictureNumber, Viewer};
 use blastema_transports::unix::PathListener;
 use futures_util::StreamExt;
 use futures_util::future::{AbortHandle, abortable};

@@ -6,8 +6,8 @@ mod record;
 mod symptoms;
 
 use super::*;
+use crate::detection::hang::OverloadFigures;
 use crate::detection::{Exit, FaultStatus, Finding, LinkCondition, NodeCondition};
-use crate::scanner::OverloadFigures;
 use crate::{ObjectAddress, Severity};
 use std::sync::Arc;
 

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::detection::Current;
-use crate::scanner::OverloadFigures;
+use crate::detection::hang::OverloadFigures;
 use proptest::prelude::*;
 use std::time::Duration;
 

@@ -24,9 +24,9 @@
 
 use super::quality::Gauge;
 use super::{Heard, Link, LinkRefusal, Neighbour};
-use crate::net::arrival::{Arrival, Arrivals};
-use crate::net::frame::Hello;
-use crate::net::node_id::NodeId;
+use crate::net::link::arrival::{Arrival, Arrivals};
+use crate::net::wire::frame::Hello;
+use crate::net::wire::node_id::NodeId;
 use crate::{Incarnation, Instant};
 use std::time::Duration;
 

@@ -1,7 +1,7 @@
 //! Messages that are sent once, if at all: of one channel, the newest that arrives counts.
 
-use super::assembly::{Assembly, pieces_of};
-use crate::net::segment::{Datagram, PIECES_MAX};
+use super::reassembly::{Assembly, pieces_of};
+use crate::net::wire::segment::{Datagram, PIECES_MAX};
 use crate::{Instant, Parcel};
 use bytes::Bytes;
 use std::collections::BTreeMap;

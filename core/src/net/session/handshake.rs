@@ -1,9 +1,9 @@
 //! How a session begins and ends.
 
 use super::{Peer, Session, SessionOutput, State, VERSION, tag};
-use crate::net::packet::Class;
-use crate::net::segment::{Open, Segment};
 use crate::net::wire::WireError;
+use crate::net::wire::packet::Class;
+use crate::net::wire::segment::{Open, Segment};
 use crate::{Incarnation, Why};
 
 impl Session {

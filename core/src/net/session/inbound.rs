@@ -1,7 +1,7 @@
 //! The receiving half of an ordered stream.
 
 use crate::Instant;
-use crate::net::segment::{Ack, RANGES_MAX};
+use crate::net::wire::segment::{Ack, RANGES_MAX};
 use crate::net::wire::{Reader, WireError};
 use bytes::{Bytes, BytesMut};
 use std::collections::{BTreeMap, VecDeque};

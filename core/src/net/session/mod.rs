@@ -23,38 +23,41 @@
 //! What it does not do: wait for the application. What has arrived in order is output at once; whoever
 //! takes it must decide what to do when its receiver is busy.
 
-mod assembly;
 mod best_effort;
 mod config;
+mod duplicates;
 mod handshake;
 mod inbound;
 mod outbound;
 mod output;
 mod queue;
+mod reassembly;
 mod reception;
-mod replicas;
 mod round_trip;
-mod standing;
+mod status;
 mod tag;
 mod transmission;
 
+pub mod ordering_key;
+pub mod size_class;
+
 pub use self::config::{PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
-pub use self::standing::{SessionStanding, SessionState};
+pub use self::status::{SessionStanding, SessionState};
 
-use self::assembly::Assembly;
 use self::best_effort::BestEffort;
+use self::duplicates::Replicas;
 use self::inbound::Inbound;
 use self::outbound::{Outbound, load_of};
-use self::replicas::Replicas;
+use self::reassembly::Assembly;
 use self::round_trip::RoundTrip;
-use super::load::Load;
-use super::packet::{Class, Undelivered};
-use super::segment::{Data, Datagram, Segment, Stream};
-use super::strand::Strand;
 use super::wire::Refusals;
+use super::wire::packet::{Class, Undelivered};
+use super::wire::segment::{Data, Datagram, Segment, Stream};
 use crate::{Incarnation, Instant, Machine, Parcel, Why};
 use bytes::Bytes;
+use ordering_key::Strand;
+use size_class::Load;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -247,7 +250,7 @@ impl Session {
     ///
     /// # Errors
     /// [`Why::Restarting`] while there is no session yet, [`Why::TooLargeForSession`] also for what the
-    /// path's segments would carry in more than [`PIECES_MAX`](crate::net::segment::PIECES_MAX) pieces,
+    /// path's segments would carry in more than [`PIECES_MAX`](crate::net::wire::segment::PIECES_MAX) pieces,
     /// otherwise as [`handle_send`](Session::handle_send). The message comes back.
     pub fn handle_send_newest(
         &mut self,

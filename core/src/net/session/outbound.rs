@@ -2,9 +2,9 @@
 
 use super::config::HEADER_MAX;
 use super::queue::Queue;
-use crate::net::load::Load;
-use crate::net::segment::Ack;
-use crate::net::strand::Strand;
+use crate::net::session::ordering_key::Strand;
+use crate::net::session::size_class::Load;
+use crate::net::wire::segment::Ack;
 use crate::net::wire::{WireError, Write, varint_length};
 use crate::{Instant, Parcel};
 use bytes::{Bytes, BytesMut};

@@ -1,8 +1,8 @@
 //! What a session wants done, and what it did.
 
-use crate::net::load::Load;
-use crate::net::packet::{Class, Undelivered};
-use crate::net::segment::Stream;
+use crate::net::session::size_class::Load;
+use crate::net::wire::packet::{Class, Undelivered};
+use crate::net::wire::segment::Stream;
 use crate::{Incarnation, Parcel, Why};
 use bytes::Bytes;
 

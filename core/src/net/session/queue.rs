@@ -1,7 +1,7 @@
 //! What waits to be cut into parts: each strand in its order.
 
 use crate::Parcel;
-use crate::net::strand::Strand;
+use crate::net::session::ordering_key::Strand;
 use std::collections::BTreeMap;
 use std::ops::RangeFrom;
 

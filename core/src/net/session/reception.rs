@@ -2,11 +2,10 @@
 
 use super::best_effort::Came;
 use super::inbound::Arrived;
-use super::replicas;
-use super::{Session, SessionOutput, State};
+use super::{Session, SessionOutput, State, duplicates};
 use crate::Why;
-use crate::net::packet::Class;
-use crate::net::segment::{Data, Datagram, Segment, Stream};
+use crate::net::wire::packet::Class;
+use crate::net::wire::segment::{Data, Datagram, Segment, Stream};
 use std::time::Duration;
 
 impl Session {
@@ -16,7 +15,7 @@ impl Session {
             self.handle_ack(stream, &ack);
         }
         let copied = stream == Stream::Redundant && !again && piece.is_none();
-        if copied && self.replicas.handle(sequence) == replicas::Came::Replica {
+        if copied && self.replicas.handle(sequence) == duplicates::Came::Replica {
             return self.close_when_done();
         }
         let payload = payload.into_bytes();

@@ -1,7 +1,7 @@
 //! The number by which a session knows what is meant for it.
 
 use super::SessionConfig;
-use crate::net::node_id::NodeId;
+use crate::net::wire::node_id::NodeId;
 use crate::random::Random;
 
 /// A tag that no other session of this node with this peer has, as far as 32 bits can tell.

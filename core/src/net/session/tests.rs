@@ -8,7 +8,7 @@ mod paths;
 
 use super::*;
 use crate::NodeName;
-use crate::net::segment::{Ack, Open};
+use crate::net::wire::segment::{Ack, Open};
 
 const MS: Duration = Duration::from_millis(1);
 

@@ -1,12 +1,12 @@
 //! What a session sends when, and what acknowledgements tell it.
 
-use super::assembly::pieces_of;
 use super::outbound::Part;
+use super::reassembly::pieces_of;
 use super::{STREAMS, Session, SessionOutput, State, lane};
 use crate::net::is_narrow;
-use crate::net::load::Load;
-use crate::net::packet::{Class, Undelivered, WAY_MAX};
-use crate::net::segment::{Ack, Data, PIECE_HEADER, Segment, Stream, data_header};
+use crate::net::session::size_class::Load;
+use crate::net::wire::packet::{Class, Undelivered, WAY_MAX};
+use crate::net::wire::segment::{Ack, Data, PIECE_HEADER, Segment, Stream, data_header};
 use crate::{Instant, Why};
 
 /// Which stream goes first when several wait.

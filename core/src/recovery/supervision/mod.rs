@@ -22,7 +22,7 @@
 
 mod budget;
 mod child;
-mod moves;
+mod steps;
 #[cfg(test)]
 mod tests;
 mod vocabulary;

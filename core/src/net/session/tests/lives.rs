@@ -1,7 +1,7 @@
 //! How sessions end, and one follows the other.
 
 use super::*;
-use crate::dead_letters::DeadReason;
+use crate::delivery::dead_letters::DeadReason;
 
 #[test]
 fn a_restarted_peer_is_a_new_session_and_the_old_ones_messages_come_back() {

@@ -156,16 +156,17 @@ fn a_session_takes_a_path_for_narrow_by_its_frames_as_the_router_does() {
         session.is_narrow()
     };
     // Of CAN, and of a network that is configured for little, however many nodes pass on there.
-    let [can, ethernet] = [1_024, 1_200].map(crate::net::topology::segment_limit);
+    let [can, ethernet] = [1_024, 1_200].map(crate::net::routing::topology::segment_limit);
     assert!(is_narrow(can) && !is_narrow(ethernet));
     assert!(!is_narrow(
-        ethernet - crate::net::packet::passed_length(crate::net::packet::HOPS_MAX.into())
+        ethernet
+            - crate::net::wire::packet::passed_length(crate::net::wire::packet::HOPS_MAX.into())
     ));
 }
 
 #[test]
 fn the_least_segment_of_a_path_carries_everything() {
-    const LEAST: usize = crate::net::topology::SEGMENT_MIN;
+    const LEAST: usize = crate::net::routing::topology::SEGMENT_MIN;
     let mut pair = Pair::open();
     pair.sent.clear();
     let large = Bytes::from(vec![7; 3_000]);

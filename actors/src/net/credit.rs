@@ -1,0 +1,147 @@
+//! What shares room on the way from the objects of this node to a peer's session, and how much may be there.
+
+use blastema_contract::session::{Credit, Lender};
+use blastema_core::Delivery;
+use blastema_core::net::Load;
+use blastema_core::net::wire::segment::Stream;
+use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::Ordering::Relaxed;
+use tokio::sync::Notify;
+
+/// Messages that may be on their way in one room: what a burst sends before the network's arbiter has its
+/// turn. A session takes as many again once it has said that it is full.
+const MESSAGES_MAX: usize = 2048;
+/// Their bytes, likewise. One message more may be on its way, whose bytes go beyond this.
+const BYTES_MAX: usize = 1 << 20;
+
+/// What decides which messages share room.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Freight {
+    pub(super) delivery: Delivery,
+    pub(super) load: Load,
+}
+
+impl Freight {
+    /// That of a message of so many bytes, which is to travel so.
+    pub(super) fn of(delivery: Delivery, bytes: usize) -> Self {
+        Freight { delivery, load: Load::of(bytes) }
+    }
+
+    /// By which stream it goes.
+    pub(super) fn stream(self) -> Stream {
+        match self.delivery {
+            Delivery::Reliable | Delivery::Newest => Stream::Data,
+            Delivery::Redundant => Stream::Redundant,
+        }
+    }
+}
+
+/// The ways to one peer: `redundant` messages, such as stops, have room that nothing else takes, and so has
+/// what is small beside bulk.
+pub(super) struct Ways {
+    /// By stream, and by load.
+    rooms: [[Arc<Pool>; 2]; 2],
+}
+
+/// Room for what shares it.
+struct Pool {
+    messages: AtomicUsize,
+    bytes: AtomicUsize,
+    /// Told when there is room again.
+    changed: Arc<Notify>,
+}
+
+impl Ways {
+    pub(super) fn new(changed: &Arc<Notify>) -> Self {
+        let none = AtomicUsize::default;
+        let room = || Pool { messages: none(), bytes: none(), changed: changed.clone() };
+        Ways { rooms: [(); 2].map(|()| [(); 2].map(|()| Arc::new(room()))) }
+    }
+
+    fn room(&self, freight: Freight) -> &Arc<Pool> {
+        let redundant = usize::from(freight.stream() == Stream::Redundant);
+        &self.rooms[redundant][freight.load as usize]
+    }
+
+    /// More may be under way.
+    pub(super) fn have_room(&self, freight: Freight) -> bool {
+        self.room(freight).is_open(1)
+    }
+
+    /// Takes room for so many bytes; it is given back when the credit is dropped.
+    pub(super) fn lend(&self, bytes: usize, freight: Freight) -> Option<Credit> {
+        self.room(freight).lend(bytes)
+    }
+
+    /// Takes room for an event, which never waits, and leaves half to what does.
+    pub(super) fn lend_to_event(&self, bytes: usize, freight: Freight) -> Option<Credit> {
+        let room = self.room(freight);
+        if room.is_open(2) { room.lend(bytes) } else { None }
+    }
+}
+
+impl Pool {
+    /// More may be under way, up to this share of all.
+    fn is_open(&self, share: usize) -> bool {
+        self.messages.load(Relaxed) < MESSAGES_MAX / share
+            && self.bytes.load(Relaxed) < BYTES_MAX / share
+    }
+
+    fn lend(self: &Arc<Self>, bytes: usize) -> Option<Credit> {
+        let messages = self.messages.fetch_add(1, Relaxed);
+        let before = self.bytes.fetch_add(bytes, Relaxed);
+        // Many threads may have found room for one.
+        let credit = Credit::new(self.clone(), bytes);
+        (messages < MESSAGES_MAX && before < BYTES_MAX).then_some(credit)
+    }
+}
+
+impl Lender for Pool {
+    fn give_back(&self, bytes: usize) {
+        let messages = self.messages.fetch_sub(1, Relaxed);
+        let before = self.bytes.fetch_sub(bytes, Relaxed);
+        // Decided by what these found: when several give back at once, each may see only its own, and one of them
+        // opens it. Whoever is woken too early looks and waits on.
+        if messages >= MESSAGES_MAX || before >= BYTES_MAX {
+            self.changed.notify_waiters();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_fills_one_room_leaves_the_others_theirs_and_gives_it_back() {
+        let ways = Ways::new(&Arc::new(Notify::new()));
+        let all = [Delivery::Reliable, Delivery::Redundant]
+            .map(|delivery| Load::ALL.map(|load| Freight { delivery, load }));
+        for full in all.concat() {
+            let each = if full.load == Load::Bulk { 1 << 19 } else { 64 };
+            let fill = || -> Vec<_> { (0..9_999).map_while(|_| ways.lend(each, full)).collect() };
+
+            let credits = fill();
+
+            assert_eq!(credits.len(), if full.load == Load::Bulk { 2 } else { MESSAGES_MAX });
+            for freight in all.concat() {
+                assert_eq!(ways.have_room(freight), freight != full, "{full:?}, {freight:?}");
+            }
+            let took = credits.len();
+            drop(credits);
+            assert_eq!(fill().len(), took);
+        }
+    }
+
+    #[test]
+    fn events_leave_half_of_their_room_to_what_waits() {
+        let ways = Ways::new(&Arc::new(Notify::new()));
+        let freight = Freight::of(Delivery::Reliable, 64);
+
+        let events: Vec<_> = (0..9_999).map_while(|_| ways.lend_to_event(64, freight)).collect();
+
+        assert_eq!(events.len(), MESSAGES_MAX / 2);
+        assert!(ways.lend(64, freight).is_some());
+    }
+}

@@ -1,0 +1,126 @@
+//! Faults on their way to another node's recoverer.
+
+use super::gateway::Notify;
+use crate::platform;
+use actix::dev::{MessageResponse, OneshotSender};
+use actix::prelude::*;
+use blastema_contract::Confirmed;
+use blastema_contract::recoverer::Recover;
+use blastema_core::contract::codec;
+use blastema_core::contract::codec::DecodeError;
+use blastema_core::net::NodeId;
+use blastema_core::{Fault, FaultId, FaultKind, Incarnation, Instant, Place, Severity};
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+use tokio::sync::oneshot;
+
+/// The most bytes of one fault: its detail may hold a panic's text.
+const FAULT_MAX: usize = 16 * 1024;
+
+/// A fault as it travels. Instants are no good elsewhere: its age is.
+#[derive(Serialize, Deserialize)]
+struct Travelling {
+    id: FaultId,
+    kind: FaultKind,
+    severity: Severity,
+    place: Place,
+    incarnation: Incarnation,
+    detail: String,
+    age_us: u64,
+    symptom_of: Option<FaultId>,
+    count: u32,
+}
+
+pub(super) fn encode(fault: Fault, now: Instant) -> Bytes {
+    let Fault { id, kind, severity, place, incarnation, detail, found_at, symptom_of, count } =
+        fault;
+    let age_us = u64::try_from((now - found_at).as_micros()).unwrap_or(u64::MAX);
+    // Four bytes a letter at most, and room for the rest.
+    let detail: String = detail.chars().take(FAULT_MAX / 8).collect();
+    let travelling =
+        Travelling { id, kind, severity, place, incarnation, detail, age_us, symptom_of, count };
+    let mut bytes = Vec::new();
+    codec::encode_bounded(&travelling, FAULT_MAX, &mut bytes)
+        .expect("names and a shortened text fit into the limit");
+    bytes.into()
+}
+
+pub(super) fn decode(bytes: &[u8], now: Instant) -> Result<Fault, DecodeError> {
+    let Travelling { id, kind, severity, place, incarnation, detail, age_us, symptom_of, count } =
+        codec::decode_bounded::<Travelling, FAULT_MAX>(bytes)?;
+    let age = Duration::from_micros(age_us);
+    let found_at = Instant::ORIGIN + (now - Instant::ORIGIN).saturating_sub(age);
+    Ok(Fault { id, kind, severity, place, incarnation, detail, found_at, symptom_of, count })
+}
+
+/// Stands in for the recoverer of one other node.
+pub(super) struct Port {
+    peer: NodeId,
+    gateway: Recipient<Notify>,
+}
+
+impl Port {
+    pub(super) fn new(peer: NodeId, gateway: Recipient<Notify>) -> Self {
+        Port { peer, gateway }
+    }
+}
+
+impl Actor for Port {
+    type Context = Context<Self>;
+}
+
+impl Supervised for Port {}
+
+impl Handler<Recover> for Port {
+    type Result = Later;
+
+    fn handle(&mut self, message: Recover, _: &mut Context<Self>) -> Later {
+        let payload = encode(message.fault, platform::now());
+        let (confirm, confirmed) = oneshot::channel();
+        self.gateway.do_send(Notify { peer: self.peer, payload, confirm });
+        Later(confirmed)
+    }
+}
+
+/// An answer that comes later. If it does not come, the asker's request fails instead of waiting.
+pub(super) struct Later(oneshot::Receiver<Confirmed>);
+
+impl MessageResponse<Port, Recover> for Later {
+    fn handle(self, _: &mut Context<Port>, answer: Option<OneshotSender<Confirmed>>) {
+        actix_rt::spawn(async move {
+            if let (Ok(confirmed), Some(answer)) = (self.0.await, answer) {
+                // Whoever asked may have given up.
+                let _ = answer.send(confirmed);
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_core::NodeName;
+
+    #[test]
+    fn a_fault_keeps_its_age_on_another_nodes_clock() {
+        let fault = Fault {
+            id: FaultId(7),
+            kind: FaultKind::Custom("grip".into()),
+            severity: Severity::Error,
+            place: Place::Node(NodeName::new("module2").unwrap()),
+            incarnation: Incarnation(3),
+            detail: "ä".repeat(100_000),
+            found_at: Instant::from_millis(900),
+            symptom_of: None,
+            count: 2,
+        };
+
+        let bytes = encode(fault.clone(), Instant::from_millis(1000));
+        let there = decode(&bytes, Instant::from_millis(5_000_000)).unwrap();
+
+        assert_eq!(there.found_at, Instant::from_millis(4_999_900));
+        assert_eq!((there.kind, there.place, there.count), (fault.kind, fault.place, 2));
+        assert_eq!(there.detail.chars().count(), FAULT_MAX / 8);
+    }
+}

@@ -1,0 +1,262 @@
+//! What other nodes send to the objects of this one: who takes it, and what waits for room.
+
+use super::Gateway;
+use crate::platform;
+use crate::registry::{Doorway, Postmark, ReplyTo, Room};
+use actix::prelude::*;
+use blastema_core::net::NodeId;
+use blastema_core::net::peer_protocol::Epoch;
+use blastema_core::net::peer_protocol::receive_backlog::{Admission, WaitingRoom};
+use blastema_core::net::refusal_alarms::Complaints;
+use blastema_core::{Delivery, FaultKind, Instant, ObjectName, PeerIdentity, Why};
+use bytes::Bytes;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::task::{Context as Waiting, Waker};
+use std::time::Duration;
+use tracing::{debug, error, info, warn};
+
+/// How often it is looked at who does not stop.
+pub(super) const LOOK: Duration = Duration::from_secs(1);
+/// So many that waited are handed over in one turn; then the network has its own.
+const AT_ONCE: usize = 64;
+
+/// What a peer has bound here.
+#[derive(Clone)]
+pub(super) struct Bound {
+    object: ObjectName,
+    doorway: Arc<dyn Doorway>,
+    /// Of what comes this way the newest counts: it waits for nothing.
+    newest: bool,
+}
+
+/// What waits for room with objects of this node.
+#[derive(Default)]
+pub(super) struct Queues {
+    room: WaitingRoom<Held>,
+    /// Who waits for room, for each line.
+    watches: BTreeMap<(NodeId, ObjectName), Watch>,
+    complaints: Complaints<NodeId>,
+}
+
+/// A message that waits.
+struct Held {
+    binding: u32,
+    payload: Bytes,
+    postmark: Postmark,
+    arrived: Instant,
+}
+
+/// Waits for room until dropped: a receiver that hangs may never have any.
+struct Watch(actix_rt::task::JoinHandle<()>);
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
+/// An object may have room for what waits.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct RoomFound {
+    peer: NodeId,
+    object: ObjectName,
+}
+
+impl Gateway {
+    pub(super) fn bind(
+        &mut self,
+        peer: NodeId,
+        epoch: Epoch,
+        binding: u32,
+        object: &ObjectName,
+        identity: &PeerIdentity,
+    ) {
+        let newest = identity.delivery == Delivery::Newest;
+        let mut open = |doorway| {
+            let bound = Bound { object: object.clone(), doorway, newest };
+            self.doorways.insert((peer, binding), bound);
+        };
+        let result = match self.wiring.registry.doorway(object, &identity.name) {
+            Err(why) => Err((why, None)),
+            Ok((known, doorway)) => match (known.check(identity), doorway.former(identity)) {
+                (Ok(()), _) => {
+                    open(doorway);
+                    Ok(())
+                }
+                (Err(_), Some(former)) => {
+                    let (here, there) = (known.version, identity.version);
+                    info!(%object, contract = known.name, here, there, "an earlier version");
+                    open(former);
+                    Ok(())
+                }
+                (Err(difference), None) => {
+                    let difference = difference.to_string();
+                    error!(%object, "a peer's contract differs: {difference}");
+                    doorway.declare(FaultKind::ContractMismatch, difference.clone());
+                    if let Some(peer) = self.peers.get_mut(&peer) {
+                        peer.differs(&difference);
+                    }
+                    Err((Why::ContractDiffers { difference }, Some(known)))
+                }
+            },
+        };
+        self.exchange.handle_bound(peer, epoch, binding, result);
+    }
+
+    pub(super) fn serve(
+        &mut self,
+        (peer, binding): (NodeId, u32),
+        payload: &Bytes,
+        postmark: Postmark,
+        reply_to: Option<ReplyTo>,
+        context: &mut Context<Self>,
+    ) {
+        let Some(bound) = self.doorways.get(&(peer, binding)) else {
+            match reply_to {
+                Some(reply_to) => reply_to(Err(Why::Unknown { name: "binding".into() })),
+                None => debug!(%peer, binding, "a message for what is not bound any more"),
+            }
+            return;
+        };
+        // Nobody overtakes what waits.
+        let behind = self.queues.room.is_waiting(peer, &bound.object)
+            && !bound.newest
+            && bound.doorway.room().is_some();
+        match reply_to {
+            Some(reply_to) if behind => reply_to(Err(Why::Full)),
+            None if behind => self.hold((peer, binding), (payload, postmark), &Why::Full, context),
+            reply_to => {
+                let told = reply_to.is_none();
+                match bound.doorway.deliver(payload, postmark, reply_to) {
+                    Err(why @ (Why::Full | Why::Restarting)) if told => {
+                        self.hold((peer, binding), (payload, postmark), &why, context);
+                    }
+                    // The object's own dead letters tell of what it did not take.
+                    Err(Why::Undecodable { .. }) => self.breaks_its_word(peer),
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    /// The receiver has no room for this, for that reason: it waits, if it is to.
+    fn hold(
+        &mut self,
+        (peer, binding): (NodeId, u32),
+        (payload, postmark): (&Bytes, Postmark),
+        why: &Why,
+        context: &mut Context<Self>,
+    ) {
+        let Some(bound) = self.doorways.get(&(peer, binding)).cloned() else { return };
+        let Bound { object, doorway, newest } = bound;
+        let Some(room) = doorway.room().filter(|_| !newest) else {
+            return doorway.bury(why);
+        };
+        // A copy: what waits must not keep the whole frame that it came in.
+        let payload = Bytes::copy_from_slice(payload);
+        let bytes = payload.len();
+        let held = Held { binding, payload, postmark, arrived: platform::now() };
+        match self.queues.room.handle_full(peer, &object, binding, (held, bytes)) {
+            Admission::First => {
+                debug!(%peer, %object, "full: the peer is told to stop");
+                self.exchange.handle_full(peer, binding);
+                self.watch(peer, object, room, context);
+            }
+            Admission::Behind => {}
+            Admission::Refused(_) => doorway.bury(why),
+        }
+    }
+
+    fn watch(&mut self, peer: NodeId, object: ObjectName, room: Room, context: &mut Context<Self>) {
+        let (gateway, found) = (context.address(), RoomFound { peer, object: object.clone() });
+        let waits = actix_rt::spawn(async move {
+            room.await;
+            gateway.do_send(found);
+        });
+        self.queues.watches.insert((peer, object), Watch(waits));
+    }
+
+    /// Hands over what has waited, in order, as far as there is room.
+    fn hand_over(&mut self, peer: NodeId, object: ObjectName, context: &mut Context<Self>) {
+        for _ in 0..AT_ONCE {
+            let Some(Held { binding, payload, postmark, arrived }) =
+                self.queues.room.first(peer, &object)
+            else {
+                return;
+            };
+            if let Some(Bound { doorway, .. }) = self.doorways.get(&(peer, *binding))
+                && let Some(mut room) = doorway.room()
+            {
+                // Asked first, so that nothing is decoded in vain.
+                if room.as_mut().poll(&mut Waiting::from_waker(Waker::noop())).is_pending() {
+                    return self.watch(peer, object, room, context);
+                }
+                let age = postmark.age + (platform::now() - *arrived);
+                match doorway.deliver(payload, Postmark { age, ..*postmark }, None) {
+                    // Somebody else was quicker.
+                    Err(Why::Full | Why::Restarting) => {
+                        if let Some(room) = doorway.room() {
+                            self.watch(peer, object, room, context);
+                        }
+                        return;
+                    }
+                    Err(Why::Undecodable { .. }) => self.breaks_its_word(peer),
+                    _ => {}
+                }
+            }
+            if let Some(binding) = self.queues.room.handle_taken(peer, &object) {
+                self.queues.watches.remove(&(peer, object));
+                self.exchange.handle_room(peer, binding);
+                return;
+            }
+        }
+        context.notify(RoomFound { peer, object });
+    }
+
+    /// The session with this peer is over: what waits is not served any more.
+    pub(super) fn end_lines(&mut self, peer: NodeId, why: &Why) {
+        for (object, held) in self.queues.room.handle_ended(peer) {
+            self.queues.watches.remove(&(peer, object));
+            if let Some(bound) = self.doorways.get(&(peer, held.binding)) {
+                bound.doorway.bury(why);
+            }
+        }
+    }
+
+    fn breaks_its_word(&self, peer: NodeId) {
+        self.offends(peer, "it breaks a contract that it has agreed to");
+    }
+
+    /// Whoever goes on for seconds although it was told to stop is named, until it was quiet.
+    pub(super) fn look_at_refusals(&mut self) {
+        let now = platform::now();
+        let looks: Vec<_> = self.queues.room.refusals().collect();
+        for (peer, refusals) in looks {
+            let told = self.queues.complaints.handle_look(peer, refusals, now);
+            let Some(since) = told else { continue };
+            let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
+            let lost = since.too_large;
+            let detail = format!(
+                "{node} does not stop sending to objects that have no room, as it was told: {lost} \
+                 messages of it were lost within a second"
+            );
+            warn!("{detail}");
+            self.offends(peer, "it did not stop sending to what has no room");
+            self.wiring.faults.declare(FaultKind::CheckFailed, detail);
+        }
+        if self.queues.complaints.take_over(now) {
+            self.wiring.faults.mend(FaultKind::CheckFailed);
+        }
+    }
+}
+
+impl Handler<RoomFound> for Gateway {
+    type Result = ();
+
+    fn handle(&mut self, message: RoomFound, context: &mut Context<Self>) {
+        self.hand_over(message.peer, message.object, context);
+        self.drive(context);
+    }
+}

@@ -1,0 +1,152 @@
+//! What did not arrive at other nodes, as dead letters.
+
+use super::peer::Peer;
+use super::{Forwarded, Gateway};
+use crate::host::office::DeadLetterOffice;
+use crate::topic::TopicKey;
+use blastema_core::delivery::dead_letters::DeadReason;
+use blastema_core::net::NodeId;
+use blastema_core::net::peer_protocol::Addressee;
+use blastema_core::{NodeName, ObjectName, Why};
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
+use tracing::debug;
+
+/// Why an event is not sent at all, to a peer that listens.
+const REASONS: [DeadReason; 5] = [
+    DeadReason::WayFull,
+    DeadReason::Restarting,
+    DeadReason::Unreachable,
+    DeadReason::Left,
+    DeadReason::Isolated,
+];
+
+/// Subscriptions of the past of which it is known what they were, of all peers: as many as one peer has at most.
+const PAST_MAX: usize = 16 * 1024;
+
+/// Counts the events of one topic that do not go to one peer.
+pub(super) struct Losses {
+    office: DeadLetterOffice,
+    node: NodeName,
+    contract: String,
+    topic: Option<ObjectName>,
+    /// Those that are not in the office yet, by reason: whoever publishes pays for nothing else, however many find
+    /// no room.
+    counts: [AtomicU64; REASONS.len()],
+}
+
+impl Losses {
+    /// One event more that is not sent.
+    pub(super) fn take(&self, reason: DeadReason) {
+        match REASONS.iter().position(|known| *known == reason) {
+            Some(place) => drop(self.counts[place].fetch_add(1, Relaxed)),
+            None => self.write_down(reason, 1),
+        }
+    }
+
+    /// Brings to the office what was counted.
+    fn collect(&self) {
+        for (reason, count) in REASONS.into_iter().zip(&self.counts) {
+            match count.swap(0, Relaxed) {
+                0 => {}
+                many => self.write_down(reason, many),
+            }
+        }
+    }
+
+    fn write_down(&self, reason: DeadReason, many: u64) {
+        if let Some(topic) = &self.topic {
+            let (node, contract) = (Some(self.node.clone()), self.contract.clone());
+            self.office.take_many(node, topic, contract, (reason, many));
+        }
+    }
+}
+
+impl Drop for Losses {
+    /// Whoever is publishing just now may count one more after the last look.
+    fn drop(&mut self) {
+        self.collect();
+    }
+}
+
+/// A subscription whose events may still come back, or be about to go.
+pub(super) struct Past {
+    /// Under which number its events went.
+    number: u32,
+    losses: Arc<Losses>,
+    /// Why it ended.
+    reason: DeadReason,
+}
+
+impl Gateway {
+    /// What this peer does not get of the topic.
+    pub(super) fn losses(&self, peer: &Peer, key: &TopicKey) -> Arc<Losses> {
+        Arc::new(Losses {
+            office: self.wiring.dead_letters.clone(),
+            node: peer.node.clone(),
+            contract: key.contract.to_string(),
+            topic: key.lost_to(),
+            counts: Default::default(),
+        })
+    }
+
+    /// Brings to the office what was counted since the last look.
+    pub(super) fn collect_losses(&self) {
+        self.forwards.values().for_each(|forwarded| forwarded.losses.collect());
+        self.past.values().for_each(|past| past.losses.collect());
+    }
+
+    /// Ends a subscription that the peer has not ended: what is lost of it is counted until the peer's next session
+    /// is open.
+    pub(super) fn retire(&mut self, forward: (NodeId, u32), why: &Why) {
+        if let Some(Forwarded { by, losses, .. }) = self.end_forward(forward)
+            && self.past.len() < PAST_MAX
+        {
+            let past = Past { number: by.0, losses, reason: why.into() };
+            self.past.insert(forward, past);
+        }
+    }
+
+    /// A session begins: nothing of the one before comes back any more.
+    pub(super) fn forget_past(&mut self, peer: NodeId) {
+        let all = (peer, 0)..=(peer, u32::MAX);
+        let past: Vec<_> = self.past.range(all).map(|(key, _)| *key).collect();
+        past.iter().for_each(|key| drop(self.past.remove(key)));
+    }
+
+    /// Counts an event that found its subscription ended. If the peer has ended it, nobody misses the event.
+    pub(super) fn bury_late(&self, forward: (NodeId, u32)) {
+        if let Some(past) = self.past.get(&forward) {
+            past.losses.write_down(past.reason, 1);
+        }
+    }
+
+    /// Counts a message to this peer that did not arrive, or perhaps not.
+    pub(super) fn bury(&self, peer: NodeId, to: Addressee, why: &Why) {
+        match to {
+            Addressee::Object(object, contract) => {
+                let node = self.peers.get(&peer).map(|peer| peer.node.clone());
+                self.wiring.dead_letters.take_for(node, &object, contract, why);
+            }
+            Addressee::Subscription(number) => match self.losses_under(peer, number) {
+                Some(losses) => losses.write_down(why.into(), 1),
+                None => debug!(%peer, %why, "an event came back that nobody listens to any more"),
+            },
+            Addressee::Forgotten => {
+                debug!(%peer, %why, "a message came back, and to whom is not known")
+            }
+        }
+    }
+
+    /// What counts the events that went to the peer under this number: the version of a contract is added to that of
+    /// the subscription, so that it is the nearest below.
+    fn losses_under(&self, peer: NodeId, number: u32) -> Option<&Losses> {
+        let below = (peer, 0)..=(peer, number);
+        let present = self.forwards.range(below.clone()).next_back();
+        let present = present.map(|(_, forwarded)| (forwarded.by.0, &forwarded.losses));
+        let past = self.past.range(below).next_back().map(|(_, past)| (past.number, &past.losses));
+        let mut all = present.into_iter().chain(past);
+        all.find(|(by, _)| *by == number).map(|(_, losses)| &**losses)
+    }
+}

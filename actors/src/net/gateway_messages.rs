@@ -1,0 +1,75 @@
+//! What this node's own side asks of the gateway, or tells it.
+
+use crate::registry::ReplyTo;
+use crate::topic::TopicKey;
+use actix::Message;
+use blastema_contract::Confirmed;
+use blastema_contract::session::Credit;
+use blastema_core::net::NodeId;
+use blastema_core::net::peer_protocol::Epoch;
+use blastema_core::{ContractIdentity, Instant, MessageId, ObjectAddress, Parcel, Why};
+use bytes::Bytes;
+use tokio::sync::oneshot;
+
+/// An object here sends a message to one of another node.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(in crate::net) struct Ship {
+    pub(in crate::net) to: ObjectAddress,
+    pub(in crate::net) contract: ContractIdentity,
+    pub(in crate::net) id: Option<MessageId>,
+    /// When it was sent: its contract may bound its age.
+    pub(in crate::net) sent: Instant,
+    /// When its answer is no use any more.
+    pub(in crate::net) until: Option<Instant>,
+    pub(in crate::net) payload: Parcel,
+    pub(in crate::net) reply_to: Option<ReplyTo>,
+    pub(in crate::net) credit: Credit,
+}
+
+/// An object here has answered another node's request.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct Answered {
+    pub(super) peer: NodeId,
+    pub(super) epoch: Epoch,
+    pub(super) call: u64,
+    pub(super) result: Result<Parcel, Why>,
+}
+
+/// An event was published here that a peer listens to.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct Published {
+    pub(super) peer: NodeId,
+    pub(super) subscription: u32,
+    pub(super) event: Parcel,
+    pub(super) sent: Instant,
+    pub(super) credit: Credit,
+}
+
+/// A topic got its first listener here, or lost its last.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct Interested {
+    pub(super) key: TopicKey,
+    pub(super) more: bool,
+}
+
+/// A fault is to be told to a peer's recoverer.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(in crate::net) struct Notify {
+    pub(in crate::net) peer: NodeId,
+    pub(in crate::net) payload: Bytes,
+    pub(in crate::net) confirm: oneshot::Sender<Confirmed>,
+}
+
+/// Our recoverer has taken a peer's fault.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct Noticed {
+    pub(super) peer: NodeId,
+    pub(super) epoch: Epoch,
+    pub(super) number: u64,
+}

@@ -1,0 +1,170 @@
+//! Keeps nodes out that were isolated: the body of the machine in the core.
+
+use super::stub::Doors;
+use crate::desk::Desk;
+use crate::registry::{Doorway, Port, Postmark, Registry, ReplyTo};
+use actix::prelude::*;
+use blastema_contract::monitor::NodeReported;
+use blastema_contract::router::KeepOut;
+use blastema_core::contract::codec;
+use blastema_core::detection::NodeCondition;
+use blastema_core::net::isolation::{Decision, Isolation, IsolationOutput, NoSay};
+use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName, Why};
+use blastema_macros::Event;
+use bytes::Bytes;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tracing::warn;
+
+/// Under which name nodes tell each other their votes. It is no object that others can see.
+const PLACE: &str = "net/isolation";
+
+/// One node tells another its votes. The bytes are the machine's.
+#[derive(Clone, Debug, Event)]
+#[contract(crate = "crate", name = "blastema/votes", version = 1, max_size = 128 * 1024)]
+struct Votes {
+    message: Vec<u8>,
+}
+
+/// A node is kept out from now on, or let in again.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct KeptOut {
+    pub(super) node: NodeName,
+    pub(super) isolated: bool,
+}
+
+/// Who is told of it.
+pub(super) struct Told {
+    pub(super) doors: Arc<Doors>,
+    pub(super) registry: Registry,
+    pub(super) gateway: Recipient<KeptOut>,
+    pub(super) router: Recipient<KeepOut>,
+    pub(super) monitor: Option<Recipient<NodeReported>>,
+}
+
+/// Who is kept out. Clones are the same.
+#[derive(Clone)]
+pub(crate) struct Wardens {
+    machine: Arc<Mutex<Isolation>>,
+    told: Arc<Told>,
+}
+
+impl Wardens {
+    pub(super) fn new(machine: Isolation, told: Told) -> Self {
+        let wardens = Wardens { machine: Arc::new(Mutex::new(machine)), told: Arc::new(told) };
+        // This node's own votes do not go this way.
+        let desk = Desk::<Votes>(Arc::new(|_, answer| answer.give(())));
+        let port = Port::of_peers(desk, Arc::new(BallotBox(wardens.clone())));
+        let place = ObjectName::new(PLACE).expect("a name of letters");
+        wardens.told.registry.hide(place, port);
+        wardens
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Isolation> {
+        self.machine.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether it has a session with this node, or somebody has voted on it.
+    pub(super) fn know(&self, node: &NodeName) -> bool {
+        self.lock().knows(node)
+    }
+
+    /// This node decides.
+    pub(super) fn decide(&self, decision: Decision<'_>) -> Result<(), NoSay> {
+        let mut machine = self.lock();
+        let said = machine.handle_decision(decision);
+        self.carry_out(machine);
+        said
+    }
+
+    /// A strategy decides. What the others have decided already it does not make its own.
+    pub(super) fn carry_decision_out(&self, decision: Decision<'_>) -> Result<(), NoSay> {
+        if self.lock().is_isolated(decision.node) == decision.isolated {
+            return Ok(());
+        }
+        self.decide(decision)
+    }
+
+    /// A session with this node has begun.
+    pub(super) fn opened(&self, node: NodeName) {
+        let mut machine = self.lock();
+        machine.handle_opened(node);
+        self.carry_out(machine);
+    }
+
+    /// The session with this node has ended.
+    pub(super) fn ended(&self, node: &NodeName) {
+        let mut machine = self.lock();
+        machine.handle_ended(node);
+        self.carry_out(machine);
+    }
+
+    /// Does what the machine wants, outside of the lock.
+    fn carry_out(&self, mut machine: MutexGuard<'_, Isolation>) {
+        let outputs: Vec<_> = std::iter::from_fn(|| machine.poll_output()).collect();
+        drop(machine);
+        for output in outputs {
+            match output {
+                IsolationOutput::Tell { to, message } => {
+                    let sender = self.told.registry.sender::<Votes>(&format!("{to}:{PLACE}"));
+                    if let Ok(sender) = sender {
+                        // Who cannot be told now is told when its session begins.
+                        let _ = sender.tell(Votes { message: message.into() });
+                    }
+                }
+                IsolationOutput::Isolate { node, isolated, reason } => {
+                    self.isolate(node, isolated, reason);
+                }
+                IsolationOutput::Accused { node, reason } => {
+                    warn!(%node, "to be isolated {reason}; more votes are needed");
+                }
+            }
+        }
+    }
+
+    fn isolate(&self, node: NodeName, isolated: bool, reason: String) {
+        warn!(%node, isolated, "isolated, or admitted again, {reason}");
+        let Told { doors, gateway, router, monitor, .. } = &*self.told;
+        let gate = doors.gate(&node);
+        if isolated {
+            gate.isolate()
+        } else {
+            gate.admit()
+        }
+        router.do_send(KeepOut { node: node.clone(), isolated });
+        gateway.do_send(KeptOut { node: node.clone(), isolated });
+        if let Some(monitor) = monitor {
+            let condition = match isolated {
+                true => NodeCondition::Isolated { reason },
+                false => NodeCondition::Admitted,
+            };
+            let incarnation = Incarnation::default();
+            monitor.do_send(NodeReported { node, incarnation, condition });
+        }
+    }
+}
+
+/// Takes votes. Whose they are, the session says that they come over.
+struct BallotBox(Wardens);
+
+impl Doorway for BallotBox {
+    fn deliver(
+        &self,
+        message: &Bytes,
+        Postmark { from: peer, .. }: Postmark,
+        _: Option<ReplyTo>,
+    ) -> Result<(), Why> {
+        let votes = codec::decode::<Votes>(message)
+            .map_err(|error| Why::Undecodable { reason: error.to_string() })?;
+        let mut machine = self.0.lock();
+        if let Some(from) = peer.and_then(|peer| machine.peer(peer)) {
+            machine.handle_told(&from, &votes.message);
+        }
+        self.0.carry_out(machine);
+        Ok(())
+    }
+
+    fn declare(&self, _: FaultKind, _: String) {
+        // The node's own contracts differ only between nodes of different versions, which sessions tell.
+    }
+}

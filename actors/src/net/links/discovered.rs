@@ -1,0 +1,118 @@
+//! Links that nobody has described: made and given up while the node runs.
+
+use super::Links;
+use crate::drive::Body;
+use crate::net::LinkSpec;
+use crate::platform;
+use actix::prelude::*;
+use blastema_contract::link::LinkChanged;
+use blastema_contract::transport::MediumAddress;
+use blastema_core::NodeName;
+use blastema_core::detection::LinkCondition;
+use blastema_core::net::routing::{Health, LinkStatus};
+use blastema_core::net::{LinkNumber, LinkState};
+
+/// What those who tell others of our neighbours must know. A ground is a network, by its place among
+/// those that discover.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(crate) enum Seen {
+    /// A link came up, or went down.
+    Neighbour { ground: usize, node: NodeName, remote: MediumAddress, up: bool },
+    /// The network is open at this port.
+    Open { ground: usize, port: u16 },
+}
+
+/// Make a link.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(crate) struct Learn {
+    pub(crate) number: LinkNumber,
+    pub(crate) spec: LinkSpec,
+}
+
+/// Give up a link that was made.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(crate) struct Forget {
+    pub(crate) number: LinkNumber,
+}
+
+/// Tell again of every link that is up.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(crate) struct TellNeighbours;
+
+impl Links {
+    /// Tells of a link's neighbour whom it is, where others are told.
+    pub(super) fn tell_discovery(&self, number: LinkNumber, state: LinkState) {
+        let (Some((ground, discovery)), Some(spec)) =
+            (&self.wiring.discovery, self.specs.get(&number))
+        else {
+            return;
+        };
+        let up = match state {
+            LinkState::Up => true,
+            LinkState::Down => false,
+            LinkState::Connecting | LinkState::Suspect => return,
+        };
+        let heard = self.bundle.get(number).and_then(|link| link.neighbour());
+        let node = heard.map(|heard| heard.node.clone()).or(spec.neighbour.clone());
+        if let Some(node) = node {
+            let (ground, remote) = (*ground, spec.remote.clone());
+            discovery.do_send(Seen::Neighbour { ground, node, remote, up });
+        }
+    }
+
+    /// Tells at which port we can be found.
+    pub(super) fn tell_port(&self, local: &MediumAddress) {
+        if let (Some((ground, discovery)), MediumAddress::Ip(local)) =
+            (&self.wiring.discovery, local)
+        {
+            discovery.do_send(Seen::Open { ground: *ground, port: local.port() });
+        }
+    }
+}
+
+impl Handler<Learn> for Links {
+    type Result = ();
+
+    fn handle(&mut self, Learn { number, spec }: Learn, context: &mut Context<Self>) {
+        // Where a link leads already, none is needed.
+        if self.by_remote.contains_key(&spec.remote) {
+            return;
+        }
+        self.by_remote.insert(spec.remote.clone(), number);
+        let link = super::link(&self.wiring, &spec, platform::now());
+        self.specs.insert(number, spec);
+        self.bundle.insert(number, link);
+        self.drive(context);
+    }
+}
+
+impl Handler<Forget> for Links {
+    type Result = ();
+
+    fn handle(&mut self, Forget { number }: Forget, context: &mut Context<Self>) {
+        if let Some(status) = self.told.remove(&number) {
+            let status = LinkStatus { health: Health::Down, ..status };
+            self.wiring.router_changes.do_send(LinkChanged { link: number, status });
+        }
+        self.tell_monitor(number, LinkCondition::Forgotten);
+        self.bundle.remove(number);
+        if let Some(spec) = self.specs.remove(&number) {
+            self.by_remote.remove(&spec.remote);
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<TellNeighbours> for Links {
+    type Result = ();
+
+    fn handle(&mut self, _: TellNeighbours, _: &mut Context<Self>) {
+        for (number, link) in self.bundle.iter() {
+            self.tell_discovery(number, link.state());
+        }
+    }
+}

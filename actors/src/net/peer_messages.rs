@@ -1,0 +1,144 @@
+//! What the middleware's own parts say to their like on other nodes: bytes of a machine's.
+//!
+//! They go as ordinary messages to a name that no object has, so that sessions bring them once and in
+//! order. What cannot be sent, or comes too fast, is dropped and counted: machines that talk like this
+//! find out by themselves what is missing.
+
+use crate::registry::{Doorway, Port, Postmark, Registry, ReplyTo};
+use crate::sender::Sender;
+use actix::prelude::*;
+use blastema_core::contract::codec;
+use blastema_core::net::NodeId;
+use blastema_core::{FaultKind, NodeName, ObjectName, Why};
+use blastema_macros::Event;
+use bytes::Bytes;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicU64, AtomicUsize};
+
+/// Letters that may wait until their reader has its turn: all that a large robot says at once.
+const UNREAD_MAX: usize = 4096;
+/// Whom a sender is kept for: as many nodes as there are sessions with.
+const SENDERS_MAX: usize = 512;
+
+/// One letter.
+#[derive(Clone, Debug, Event)]
+#[contract(crate = "crate", name = "blastema/letter", version = 1, max_size = 128 * 1024)]
+struct Letter {
+    bytes: Vec<u8>,
+}
+
+/// A letter from another node.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(crate) struct LetterArrived {
+    pub(crate) from: NodeId,
+    pub(crate) bytes: Bytes,
+}
+
+/// Writes letters, and takes those of its like.
+pub(crate) struct Letters {
+    registry: Registry,
+    place: ObjectName,
+    senders: BTreeMap<NodeName, Sender<Letter>>,
+    slot: Arc<Slot>,
+}
+
+/// Where letters come in.
+struct Slot {
+    reader: Recipient<LetterArrived>,
+    unread: AtomicUsize,
+    dropped: AtomicU64,
+}
+
+impl Letters {
+    /// Letters to and from this place, which is called the same on every node.
+    pub(crate) fn at(
+        place: ObjectName,
+        registry: &Registry,
+        reader: Recipient<LetterArrived>,
+    ) -> Self {
+        let (unread, dropped) = (AtomicUsize::new(0), AtomicU64::new(0));
+        let slot = Arc::new(Slot { reader, unread, dropped });
+        let doorway: Arc<dyn Doorway> = slot.clone();
+        registry.hide(place.clone(), Port::of_doorway::<Letter>(doorway));
+        Letters { registry: registry.clone(), place, senders: BTreeMap::new(), slot }
+    }
+
+    /// Sends one. It is dropped where the node takes none now.
+    pub(crate) fn send(&mut self, to: &NodeName, bytes: &Bytes) {
+        if !self.senders.contains_key(to) {
+            let address = format!("{to}:{}", self.place);
+            let Ok(sender) = self.registry.sender::<Letter>(&address) else { return };
+            if self.senders.len() >= SENDERS_MAX {
+                self.senders.pop_first();
+            }
+            self.senders.insert(to.clone(), sender);
+        }
+        if let Some(sender) = self.senders.get(to)
+            && sender.tell(Letter { bytes: bytes.to_vec() }).is_err()
+        {
+            self.slot.dropped.fetch_add(1, Relaxed);
+        }
+    }
+
+    /// The reader has begun to read one.
+    pub(crate) fn read_one(&self) {
+        self.slot.unread.fetch_sub(1, Relaxed);
+    }
+}
+
+/// Takes letters that nobody here reads, so that whoever writes them is not told of an unknown object.
+pub(crate) fn read_by_nobody(place: ObjectName, registry: &Registry) {
+    registry.hide(place, Port::of_doorway::<Letter>(Arc::new(Nobody)));
+}
+
+struct Nobody;
+
+impl Doorway for Nobody {
+    fn deliver(&self, _: &Bytes, _: Postmark, reply_to: Option<ReplyTo>) -> Result<(), Why> {
+        if let Some(reply_to) = reply_to {
+            reply_to(Err(Why::Stopped));
+        }
+        Ok(())
+    }
+
+    fn declare(&self, _: FaultKind, _: String) {
+        // As for those who read them.
+    }
+}
+
+impl Doorway for Slot {
+    fn deliver(
+        &self,
+        message: &Bytes,
+        postmark: Postmark,
+        reply_to: Option<ReplyTo>,
+    ) -> Result<(), Why> {
+        let read = codec::decode::<Letter>(message)
+            .map_err(|error| Why::Undecodable { reason: error.to_string() });
+        let delivered = read.and_then(|letter| {
+            let Some(from) = postmark.from else {
+                return Err(Why::Unknown { name: "the node that writes".to_owned() });
+            };
+            if self.unread.fetch_add(1, Relaxed) >= UNREAD_MAX {
+                self.unread.fetch_sub(1, Relaxed);
+                return Err(Why::Full);
+            }
+            self.reader.do_send(LetterArrived { from, bytes: letter.bytes.into() });
+            Ok(())
+        });
+        if delivered.is_err() {
+            self.dropped.fetch_add(1, Relaxed);
+        }
+        if let (Err(why), Some(reply_to)) = (&delivered, reply_to) {
+            reply_to(Err(why.clone()));
+        }
+        delivered
+    }
+
+    fn declare(&self, _: FaultKind, _: String) {
+        // The contract differs only between nodes of different versions, which sessions tell.
+    }
+}

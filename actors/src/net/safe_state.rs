@@ -1,0 +1,134 @@
+//! Who of the nodes is at safe rest: this one tells all others, and hears it of them.
+//!
+//! A node at rest stays on the network: it forwards packets, answers who it is, and votes. Without this its
+//! peers would find out only by what does not come.
+
+use super::peer_messages::{LetterArrived, Letters};
+use crate::guardian::{Guardian, answers_the_monitor};
+use crate::registry::Registry;
+use actix::prelude::*;
+use blastema_contract::monitor::NodeReported;
+use blastema_contract::recoverer::NodeRests;
+use blastema_contract::reports::AreYouAlive;
+use blastema_contract::session::PeerSeen;
+use blastema_core::contract::codec;
+use blastema_core::detection::NodeCondition;
+use blastema_core::net::NodeId;
+use blastema_core::{Incarnation, NodeName};
+use std::collections::BTreeMap;
+use tracing::warn;
+
+/// The longest reason that is told, in bytes: a panic's text, shortened.
+const REASON_MAX: usize = 1024;
+/// The most bytes of one letter.
+const LETTER_MAX: usize = REASON_MAX + 16;
+
+/// What the body is made of.
+pub(crate) struct RestSetup {
+    pub(crate) registry: Registry,
+    /// Is told of other nodes.
+    pub(crate) nodes: Recipient<NodeReported>,
+}
+
+/// Where the body is told and asked.
+pub(crate) struct RestPorts {
+    /// How this node is.
+    pub(crate) own: Recipient<NodeRests>,
+    /// Who can be talked to.
+    pub(crate) peers: Recipient<PeerSeen>,
+    pub(crate) inquiries: Recipient<AreYouAlive>,
+}
+
+/// Tells, and hears.
+pub(crate) struct RestBody {
+    letters: Letters,
+    /// Why this node is at rest, as all peers were told; nothing where it was never at rest.
+    said: Option<Option<String>>,
+    /// Nodes that a session is open with.
+    peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
+    nodes: Recipient<NodeReported>,
+}
+
+impl RestBody {
+    /// Starts it under the guardian.
+    pub(crate) fn start(
+        setup: RestSetup,
+        guardian: &Guardian,
+        arbiter: Option<&ArbiterHandle>,
+    ) -> RestPorts {
+        let RestSetup { registry, nodes } = setup;
+        let make = move |context: &mut Context<Self>| {
+            let reader = context.address().recipient();
+            let letters = Letters::at(super::named("rest"), &registry, reader);
+            RestBody { letters, said: None, peers: BTreeMap::new(), nodes }
+        };
+        let body = guardian.start(super::named("rest"), arbiter, make);
+        RestPorts {
+            own: body.clone().recipient(),
+            peers: body.clone().recipient(),
+            inquiries: body.recipient(),
+        }
+    }
+
+    fn tell(&mut self, node: &NodeName) {
+        let Some(said) = &self.said else { return };
+        // Four bytes a letter at most.
+        let shortened = said.as_ref();
+        let shortened = shortened.map(|text| text.chars().take(REASON_MAX / 4).collect::<String>());
+        let mut bytes = Vec::new();
+        if codec::encode_bounded(&shortened, LETTER_MAX, &mut bytes).is_ok() {
+            self.letters.send(node, &bytes.into());
+        }
+    }
+}
+
+answers_the_monitor!(RestBody);
+
+impl Actor for RestBody {
+    type Context = Context<Self>;
+}
+
+impl Supervised for RestBody {
+    // What it has said, and to whom it can talk, are plain facts.
+}
+
+impl Handler<NodeRests> for RestBody {
+    type Result = ();
+
+    fn handle(&mut self, NodeRests { reason }: NodeRests, _: &mut Context<Self>) {
+        self.said = Some(reason);
+        let peers: Vec<_> = self.peers.values().map(|(node, _)| node.clone()).collect();
+        peers.iter().for_each(|node| self.tell(node));
+    }
+}
+
+impl Handler<PeerSeen> for RestBody {
+    type Result = ();
+
+    fn handle(&mut self, seen: PeerSeen, _: &mut Context<Self>) {
+        match seen {
+            PeerSeen::Opened { node, incarnation } => {
+                self.peers.insert(NodeId::of(&node), (node.clone(), incarnation));
+                self.tell(&node);
+            }
+            PeerSeen::Ended { node } | PeerSeen::Left { node } => {
+                self.peers.remove(&NodeId::of(&node));
+            }
+        }
+    }
+}
+
+impl Handler<LetterArrived> for RestBody {
+    type Result = ();
+
+    fn handle(&mut self, letter: LetterArrived, _: &mut Context<Self>) {
+        self.letters.read_one();
+        let Some((node, incarnation)) = self.peers.get(&letter.from).cloned() else { return };
+        let condition = match codec::decode_bounded::<_, LETTER_MAX>(&letter.bytes) {
+            Ok(Some(reason)) => NodeCondition::AtRest { reason },
+            Ok(None) => NodeCondition::AtWork,
+            Err(error) => return warn!(%node, %error, "what it says of its rest cannot be read"),
+        };
+        self.nodes.do_send(NodeReported { node, incarnation, condition });
+    }
+}

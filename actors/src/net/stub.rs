@@ -1,0 +1,513 @@
+//! The ways out of this node: what stands behind a `Sender` of a remote object.
+
+use super::credit::{Freight, Ways};
+use super::gateway::Ship;
+use super::outcast::Outcast;
+use crate::platform;
+use crate::registry::{Asked, RemoteDoor, RemoteDoors};
+use actix::Recipient;
+use blastema_contract::session::Credit;
+use blastema_core::delivery::dead_letters::DeadReason;
+use blastema_core::net::Load;
+use blastema_core::net::session::PAYLOAD_MAX;
+use blastema_core::net::wire::segment::Stream;
+use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, ObjectName, Parcel, Why};
+use std::collections::{BTreeMap, BTreeSet};
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU8};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use tokio::sync::Notify;
+
+/// Makes doors, and tells those behind them how their peer is.
+pub(super) struct Doors {
+    gateway: OnceLock<Recipient<Ship>>,
+    gates: Mutex<BTreeMap<NodeName, Arc<Gate>>>,
+    outcast: Outcast,
+    ended: Ended,
+}
+
+/// Whether this node takes nothing for others any more, since it ends. All gates have the same.
+type Ended = Arc<AtomicBool>;
+
+/// What all doors to one peer share.
+pub(super) struct Gate {
+    node: NodeName,
+    outcast: Outcast,
+    ended: Ended,
+    condition: AtomicU8,
+    /// A path leads there, or perhaps the session waits for one.
+    path: AtomicBool,
+    /// There was a session, or a path, at some time.
+    met: AtomicBool,
+    isolated: AtomicBool,
+    /// Of what the session holds all that it should: a bit for each stream and load.
+    full_streams: AtomicU8,
+    /// Of what as much waits for bindings there as should, a bit for each load. It has nothing to do with what
+    /// the session holds.
+    full_hall: AtomicU8,
+    ways: Ways,
+    /// Its objects that have no room: as many as this node sends to at most.
+    full: Mutex<BTreeSet<ObjectName>>,
+    /// There are some; to be looked at without the lock.
+    any_full: AtomicBool,
+    changed: Arc<Notify>,
+}
+
+/// The bit of what a stream carries of this load.
+fn bit(stream: Stream, load: Load) -> u8 {
+    1 << (2 * stream as u8 + load as u8)
+}
+
+/// How sending to a peer stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(super) enum Condition {
+    /// No path leads there.
+    Unreachable,
+    /// There is a path; the session is about to begin.
+    Opening,
+    /// There is a session.
+    Open,
+    /// Its node has ended in order.
+    Left,
+}
+
+impl Gate {
+    fn condition(&self) -> Condition {
+        match self.condition.load(Relaxed) {
+            0 => Condition::Unreachable,
+            1 => Condition::Opening,
+            2 => Condition::Open,
+            _ => Condition::Left,
+        }
+    }
+
+    pub(super) fn set(&self, condition: Condition) {
+        self.condition.store(condition as u8, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    /// A session has begun: it takes messages, and knows of no binding.
+    pub(super) fn begin(&self) {
+        self.outcast.let_in();
+        self.met.store(true, Relaxed);
+        self.full_hall.store(0, Relaxed);
+        self.full_streams.store(0, Relaxed);
+        self.set(Condition::Open);
+    }
+
+    /// The session holds all that it should of this stream and load.
+    pub(super) fn stream_is_full(&self, stream: Stream, load: Load) {
+        self.full_streams.fetch_or(bit(stream, load), Relaxed);
+    }
+
+    pub(super) fn stream_has_room(&self, stream: Stream, load: Load) {
+        self.full_streams.fetch_and(!bit(stream, load), Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    /// Whether this has to wait. Nothing goes where the words that keep the session together do not; of the
+    /// other streams, one does not hold up the other. Where there is no room for what is small, bulk waits too:
+    /// what is bulk here may be small to the session.
+    fn is_held(&self, Freight { delivery, load }: Freight) -> bool {
+        // Of which only the newest counts, nothing waits behind what does.
+        if delivery == Delivery::Newest {
+            return false;
+        }
+        let stream = Freight { delivery, load }.stream();
+        let all = bit(Stream::Control, Load::Small) | bit(Stream::Control, Load::Bulk);
+        let full = self.full_streams.load(Relaxed);
+        let mine = bit(stream, Load::Small) | bit(stream, load);
+        let waits = 1 << Load::Small as u8 | 1 << load as u8;
+        full & (all | mine) != 0 || self.full_hall.load(Relaxed) & waits != 0
+    }
+
+    /// What waits for bindings is as much as should, of this load.
+    pub(super) fn hall_is_full(&self, load: Load) {
+        self.full_hall.fetch_or(1 << load as u8, Relaxed);
+    }
+
+    pub(super) fn hall_has_room(&self, load: Load) {
+        self.full_hall.fetch_and(!(1 << load as u8), Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    pub(super) fn path_found(&self) {
+        self.path.store(true, Relaxed);
+        self.met.store(true, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    pub(super) fn path_lost(&self) {
+        self.path.store(false, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    pub(super) fn is_open(&self, freight: Freight) -> bool {
+        self.has_session() && !self.is_held(freight) && !self.is_isolated()
+    }
+
+    /// Nothing is sent there and nothing taken from there.
+    pub(super) fn isolate(&self) {
+        self.isolated.store(true, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    /// All is well again.
+    pub(super) fn admit(&self) {
+        self.isolated.store(false, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    pub(super) fn is_isolated(&self) -> bool {
+        self.isolated.load(Relaxed)
+    }
+
+    /// A session is open, whether it has room or not.
+    pub(super) fn has_session(&self) -> bool {
+        self.condition() == Condition::Open
+    }
+
+    fn lock_full(&self) -> MutexGuard<'_, BTreeSet<ObjectName>> {
+        self.full.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// This object there has no room.
+    pub(super) fn object_is_full(&self, object: ObjectName) {
+        let mut full = self.lock_full();
+        full.insert(object);
+        self.any_full.store(true, Relaxed);
+    }
+
+    /// This object there has room again.
+    pub(super) fn object_has_room(&self, object: &ObjectName) {
+        let mut full = self.lock_full();
+        full.remove(object);
+        self.any_full.store(!full.is_empty(), Relaxed);
+        drop(full);
+        self.changed.notify_waiters();
+    }
+
+    /// What was said of objects there does not count any more.
+    pub(super) fn forget_rooms(&self) {
+        self.lock_full().clear();
+        self.any_full.store(false, Relaxed);
+        self.changed.notify_waiters();
+    }
+
+    fn is_full(&self, object: &ObjectName) -> bool {
+        self.any_full.load(Relaxed) && self.lock_full().contains(object)
+    }
+
+    /// Takes room for an event, which never waits.
+    pub(super) fn lend_to_event(&self, bytes: usize, freight: Freight) -> Option<Credit> {
+        self.ways.lend_to_event(bytes, freight)
+    }
+
+    fn check(&self, object: &ObjectName, freight: Freight) -> Result<(), Why> {
+        if self.ended.load(Relaxed) {
+            return Err(Why::Stopped);
+        }
+        if self.is_isolated() {
+            return Err(Why::Isolated);
+        }
+        match self.condition() {
+            Condition::Unreachable => Err(Why::Unreachable { node: self.node.to_string() }),
+            Condition::Opening => Err(self.outcast.why()),
+            Condition::Left => Err(Why::Left { node: self.node.to_string() }),
+            Condition::Open if self.is_full(object) => Err(Why::Full),
+            Condition::Open if self.is_held(freight) || !self.ways.have_room(freight) => {
+                Err(self.way_full(freight))
+            }
+            Condition::Open => Ok(()),
+        }
+    }
+
+    /// Why an event is not sent there now.
+    pub(super) fn why_not(&self) -> DeadReason {
+        match self.condition() {
+            _ if self.is_isolated() => DeadReason::Isolated,
+            Condition::Open => DeadReason::WayFull,
+            Condition::Opening => DeadReason::Restarting,
+            Condition::Unreachable => DeadReason::Unreachable,
+            Condition::Left => DeadReason::Left,
+        }
+    }
+
+    fn way_full(&self, Freight { load, .. }: Freight) -> Why {
+        Why::WayFull { node: self.node.to_string(), bulk: load == Load::Bulk }
+    }
+
+    /// Completes when a session is open, and a path leads there.
+    async fn opened(&self) {
+        loop {
+            let changed = self.changed.notified();
+            if self.has_session() && self.path.load(Relaxed) {
+                return;
+            }
+            changed.await;
+        }
+    }
+
+    async fn room(&self, object: &ObjectName, freight: Freight) {
+        loop {
+            let changed = self.changed.notified();
+            match self.check(object, freight) {
+                Err(Why::Full | Why::WayFull { .. } | Why::Restarting) => changed.await,
+                // Whatever else stands in the way is told by the next attempt.
+                _ => return,
+            }
+        }
+    }
+}
+
+impl Doors {
+    pub(super) fn new(outcast: Outcast) -> Self {
+        Doors {
+            gateway: OnceLock::new(),
+            gates: Mutex::default(),
+            outcast,
+            ended: Ended::default(),
+        }
+    }
+
+    /// This node ends: nothing more is taken, and whoever waits for room is told so.
+    pub(super) fn end(&self) {
+        self.ended.store(true, Relaxed);
+        self.lock().values().for_each(|gate| gate.changed.notify_waiters());
+    }
+
+    pub(super) fn lead_to(&self, gateway: Recipient<Ship>) {
+        // Called once, when the network starts.
+        let _ = self.gateway.set(gateway);
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<NodeName, Arc<Gate>>> {
+        self.gates.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Completes when a session with this node is open, and a path leads there.
+    pub(super) async fn opened(&self, node: &NodeName) {
+        self.gate(node).opened().await;
+    }
+
+    /// Whether a path has led there, now or before.
+    pub(super) fn has_met(&self, node: &NodeName) -> bool {
+        self.lock().get(node).is_some_and(|gate| gate.met.load(Relaxed))
+    }
+
+    /// Those that a path leads to now, or did before, in the order of their names.
+    pub(super) fn met(&self) -> Vec<NodeName> {
+        let gates = self.lock();
+        let met = gates.iter().filter(|(_, gate)| gate.met.load(Relaxed));
+        met.map(|(node, _)| node.clone()).collect()
+    }
+
+    /// As many as nodes that this program has named, or met.
+    pub(super) fn gate(&self, node: &NodeName) -> Arc<Gate> {
+        let mut gates = self.lock();
+        let gate = gates.entry(node.clone()).or_insert_with(|| {
+            let changed = Arc::new(Notify::new());
+            Arc::new(Gate {
+                node: node.clone(),
+                outcast: self.outcast.clone(),
+                ended: self.ended.clone(),
+                condition: AtomicU8::new(Condition::Unreachable as u8),
+                path: AtomicBool::new(false),
+                met: AtomicBool::new(false),
+                isolated: AtomicBool::new(false),
+                full_streams: AtomicU8::new(0),
+                full_hall: AtomicU8::new(0),
+                ways: Ways::new(&changed),
+                full: Mutex::default(),
+                any_full: AtomicBool::new(false),
+                changed,
+            })
+        });
+        gate.clone()
+    }
+}
+
+impl RemoteDoors for Doors {
+    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteDoor> {
+        let gate = self.gate(&to.node);
+        let gateway = self.gateway.get().cloned();
+        Arc::new(Door { to, contract, gate, gateway })
+    }
+}
+
+/// The way to one object for one contract.
+struct Door {
+    to: ObjectAddress,
+    contract: ContractIdentity,
+    gate: Arc<Gate>,
+    gateway: Option<Recipient<Ship>>,
+}
+
+impl RemoteDoor for Door {
+    fn send(&self, message: Parcel, asked: Option<Asked>) -> Result<(), Why> {
+        if message.len() > PAYLOAD_MAX {
+            return Err(Why::TooLargeForSession { limit: PAYLOAD_MAX });
+        }
+        let freight = Freight::of(self.contract.delivery, message.len());
+        self.gate.check(&self.to.object, freight)?;
+        let gateway = self.gateway.as_ref().ok_or(Why::Stopped)?;
+        let lent = self.gate.ways.lend(message.len(), freight);
+        let credit = lent.ok_or_else(|| self.gate.way_full(freight))?;
+        let sent = platform::now();
+        let (id, within, reply_to) = match asked {
+            None => (None, None, None),
+            Some(Asked { id, within, reply_to }) => (id, within, Some(reply_to)),
+        };
+        gateway.do_send(Ship {
+            to: self.to.clone(),
+            contract: self.contract.clone(),
+            id,
+            sent,
+            until: within.map(|within| sent + within),
+            payload: message,
+            reply_to,
+            credit,
+        });
+        Ok(())
+    }
+
+    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+        let load = match refused {
+            Why::WayFull { bulk: true, .. } => Load::Bulk,
+            _ => Load::Small,
+        };
+        let freight = Freight { delivery: self.contract.delivery, load };
+        Box::pin(self.gate.room(&self.to.object, freight))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_doubles::{paused, settle};
+
+    const SMALL: Freight = Freight { delivery: Delivery::Reliable, load: Load::Small };
+    const BULK: Freight = Freight { load: Load::Bulk, ..SMALL };
+    const STOP: Freight = Freight { delivery: Delivery::Redundant, ..SMALL };
+    const NEWEST: Freight = Freight { delivery: Delivery::Newest, ..SMALL };
+
+    fn gate() -> (Arc<Gate>, ObjectName) {
+        let name = |name| NodeName::new(name).unwrap();
+        let gate = Doors::new(Outcast::new(name("module1"))).gate(&name("module2"));
+        gate.begin();
+        (gate, ObjectName::new("arm").unwrap())
+    }
+
+    /// What finds room, of a small message, bulk, a stop, and a reading of which the newest counts.
+    fn room(gate: &Gate) -> [bool; 4] {
+        let object = ObjectName::new("arm").unwrap();
+        [SMALL, BULK, STOP, NEWEST].map(|freight| {
+            let checked = gate.check(&object, freight);
+            assert!(matches!(checked, Ok(()) | Err(Why::WayFull { .. })), "{checked:?}");
+            checked.is_ok()
+        })
+    }
+
+    #[test]
+    fn a_gate_is_open_when_neither_the_session_nor_what_waits_for_bindings_is_full() {
+        let (gate, _) = gate();
+        assert_eq!(room(&gate), [true; 4]);
+
+        gate.stream_is_full(Stream::Data, Load::Small);
+        gate.hall_is_full(Load::Small);
+        gate.hall_has_room(Load::Small);
+        assert_eq!(room(&gate), [false, false, true, true], "the session is full");
+
+        gate.hall_is_full(Load::Small);
+        gate.stream_has_room(Stream::Data, Load::Small);
+        assert_eq!(room(&gate), [false, false, false, true], "what waits is as much as should");
+        assert!(!gate.is_open(SMALL));
+
+        gate.begin();
+        assert_eq!(room(&gate), [true; 4]);
+    }
+
+    #[test]
+    fn what_fills_the_way_to_a_node_leaves_redundant_messages_theirs_and_the_other_way_round() {
+        let (gate, _) = gate();
+        gate.stream_is_full(Stream::Data, Load::Small);
+        assert_eq!(room(&gate), [false, false, true, true], "a stop goes");
+        gate.stream_is_full(Stream::Redundant, Load::Small);
+        gate.stream_has_room(Stream::Data, Load::Small);
+        assert_eq!(room(&gate), [true, true, false, true]);
+        gate.stream_is_full(Stream::Control, Load::Small);
+        assert_eq!(room(&gate), [false, false, false, true], "nothing could be bound");
+    }
+
+    #[test]
+    fn bulk_that_fills_its_room_leaves_what_is_small_its_own() {
+        let (gate, _) = gate();
+        let lent = gate.ways.lend(1 << 20, BULK);
+        assert_eq!(room(&gate), [true, false, true, true], "it is on its way to the session");
+        drop(lent);
+        assert_eq!(room(&gate), [true; 4]);
+
+        gate.stream_is_full(Stream::Data, Load::Bulk);
+        assert_eq!(room(&gate), [true, false, true, true], "the session holds it");
+        gate.stream_has_room(Stream::Data, Load::Bulk);
+        gate.hall_is_full(Load::Bulk);
+        assert_eq!(room(&gate), [true, false, true, true], "it waits for bindings");
+        gate.hall_has_room(Load::Bulk);
+        assert_eq!(room(&gate), [true; 4]);
+    }
+
+    #[test]
+    fn a_full_object_and_a_full_way_are_told_apart() {
+        let (gate, object) = gate();
+        gate.stream_is_full(Stream::Data, Load::Bulk);
+        let node = || "module2".to_owned();
+        let full = Why::WayFull { node: node(), bulk: true };
+        assert_eq!(gate.check(&object, BULK), Err(full));
+        gate.object_is_full(object.clone());
+        assert_eq!(gate.check(&object, BULK), Err(Why::Full));
+        gate.object_has_room(&object);
+        gate.stream_is_full(Stream::Data, Load::Small);
+        let full = Why::WayFull { node: node(), bulk: false };
+        assert_eq!(gate.check(&object, SMALL), Err(full));
+    }
+
+    #[test]
+    fn an_event_that_is_not_sent_is_counted_under_what_hinders_it() {
+        let (gate, _) = gate();
+        for (condition, reason) in [
+            (Condition::Open, DeadReason::WayFull),
+            (Condition::Opening, DeadReason::Restarting),
+            (Condition::Unreachable, DeadReason::Unreachable),
+            (Condition::Left, DeadReason::Left),
+        ] {
+            gate.set(condition);
+            assert_eq!(gate.why_not(), reason);
+        }
+        gate.isolate();
+        assert_eq!(gate.why_not(), DeadReason::Isolated);
+    }
+
+    #[test]
+    fn whoever_waits_with_bulk_is_not_woken_by_room_for_what_is_small() {
+        paused(async {
+            let (gate, object) = gate();
+            gate.stream_is_full(Stream::Data, Load::Small);
+            gate.stream_is_full(Stream::Data, Load::Bulk);
+            let [small, bulk] = [SMALL, BULK].map(|freight| {
+                let (gate, object) = (gate.clone(), object.clone());
+                actix_rt::spawn(async move { gate.room(&object, freight).await })
+            });
+            settle().await;
+
+            gate.stream_has_room(Stream::Data, Load::Small);
+            settle().await;
+            assert!(small.is_finished() && !bulk.is_finished());
+            gate.stream_has_room(Stream::Data, Load::Bulk);
+            settle().await;
+            assert!(bulk.is_finished());
+        });
+    }
+}

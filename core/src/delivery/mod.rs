@@ -1,0 +1,298 @@
+//! How a message travels, and what can become of it.
+
+pub mod dead_letters;
+pub mod quarantine;
+pub mod retry;
+
+use crate::Incarnation;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// How messages of a contract travel between nodes. Declared with
+/// `#[contract(delivery = "..")]`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Delivery {
+    /// Each once and in order; what is lost on the way is repeated.
+    #[default]
+    Reliable,
+    /// Each at most once, and none after a newer one; what is lost on the way is not repeated. For
+    /// readings of which only the newest counts.
+    Newest,
+    /// Each once and in order, and copies over ways that share as little as can be: while one of them
+    /// carries, nothing is late. For what must not wait until a failed cable has been noticed.
+    Redundant,
+}
+
+impl fmt::Display for Delivery {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Delivery::Reliable => "reliable",
+            Delivery::Newest => "newest",
+            Delivery::Redundant => "redundant",
+        })
+    }
+}
+
+/// Why a message was not delivered, or a request not answered.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[non_exhaustive]
+pub enum Why {
+    /// The receiver's queue is full. Slow down, raise its capacity, or choose another policy.
+    #[error("the receiver's queue is full")]
+    Full,
+    /// The receiver is between two lives. Try again shortly.
+    #[error("the receiver is restarting")]
+    Restarting,
+    /// The receiver was stopped, or has ended for good. Where its whole node is at safe rest, the fault list
+    /// says so. Or the sender's own node ends, or has ended: it takes nothing for other nodes any more.
+    #[error("the receiver is stopped")]
+    Stopped,
+    /// The answer did not come in time. Whether the request took effect is not known.
+    #[error("the deadline passed")]
+    DeadlinePassed,
+    /// The receiver died while it served this message.
+    #[error("the receiver died in its life {incarnation} while it served this message")]
+    PeerDied {
+        /// The life that ended.
+        incarnation: Incarnation,
+    },
+    /// The two parties hold different contracts; the text shows what differs, field by field.
+    #[error("the contract differs: {difference}")]
+    ContractDiffers {
+        /// One line for each difference.
+        difference: String,
+    },
+    /// This message killed several lives of the receiver and is not let in again.
+    #[error("this message is quarantined: it killed {kills} lives of the receiver")]
+    Quarantined {
+        /// How many lives it ended.
+        kills: u32,
+    },
+    /// The sender itself was given up and replaced; nothing it says gets out any more.
+    #[error("the sender has been fenced off")]
+    Fenced,
+    /// The receiver may neither send nor receive, or the sender may not.
+    #[error("the receiver, or the sender, is isolated")]
+    Isolated,
+    /// The message was older than its contract allows.
+    #[error("the message is older than its contract allows")]
+    Expired,
+    /// No object of this name is known.
+    #[error("no object is called `{name}`")]
+    Unknown {
+        /// The name that was looked for.
+        name: String,
+    },
+    /// No path leads to the receiver's node, or it has fallen silent. See its links, and those of the nodes
+    /// in between.
+    #[error("node {node} cannot be reached: no path leads there, or it has fallen silent")]
+    Unreachable {
+        /// The node that was to be reached.
+        node: String,
+    },
+    /// The message is larger than its contract allows.
+    #[error("the message is larger than the {limit} bytes that its contract allows")]
+    TooLarge {
+        /// The contract's limit in bytes.
+        limit: usize,
+    },
+    /// The bytes are not a message of this contract.
+    #[error("the message could not be decoded: {reason}")]
+    Undecodable {
+        /// What the codec said.
+        reason: String,
+    },
+    /// The receiver's node has ended in order; what is sent to it arrives nowhere until it is back.
+    #[error("node {node} has left in order")]
+    Left {
+        /// The node that was to be reached.
+        node: String,
+    },
+    /// The request was sent, and the way to its answer was lost. Whether it took effect is not known:
+    /// ask the receiver, or send it again under the same identity, or declare its contract
+    /// idempotent.
+    #[error("it is not known whether the request took effect: {reason}")]
+    OutcomeUnknown {
+        /// What became of the way.
+        reason: String,
+    },
+    /// What became of the variable's value when its owner's life ended awaits a decision. Decide by
+    /// `VariableRef::decide`.
+    #[error("{variable} awaits a decision: restore it, take its default, or give it a value")]
+    Undecided {
+        /// Which.
+        variable: String,
+    },
+    /// The variable is not what the writer took it for. Read it again.
+    #[error("{variable} has changed: its revision is {revision}")]
+    Changed {
+        /// Which.
+        variable: String,
+        /// Of which change its value is now.
+        revision: u64,
+    },
+    /// A check of the receiver's refused the value.
+    #[error("refused by a check: {reason}")]
+    CheckFailed {
+        /// What the check said.
+        reason: String,
+    },
+    /// Somebody else commands the actuator. Claim it when that lease has ended.
+    #[error("the actuator is commanded by {by}")]
+    Held {
+        /// Who does, and in which life.
+        by: String,
+    },
+    /// The lease under which this was sent has ended. Claim anew.
+    #[error("the lease has ended: claim anew")]
+    LeaseEnded,
+    /// Somebody else has taken over since; what is sent under an older epoch is refused.
+    #[error("superseded: epoch {epoch} holds now")]
+    Superseded {
+        /// The epoch that holds.
+        epoch: u64,
+    },
+    /// The value is set, and could not be kept for the node's next process. Make room on the disk, and write
+    /// again.
+    #[error("the value is set, but not kept over a restart of its node: {reason}")]
+    NotKept {
+        /// What the file system said.
+        reason: String,
+    },
+    /// What was sent to the receiver's node came back from a node on the way, and no answer came by any other.
+    #[error("node {node} cannot be reached: what is sent there comes back, since {reason}")]
+    Undelivered {
+        /// The node that was to be reached.
+        node: String,
+        /// Why it came back, and what helps.
+        reason: String,
+    },
+    /// Nobody holds this name of the whole robot now. Try again when it is claimed.
+    #[error("nobody holds the name {name}")]
+    Unclaimed {
+        /// The name.
+        name: String,
+    },
+    /// Another node had this node's name before: this one is kept out by all. Give it another name, or end the
+    /// other.
+    #[error(
+        "the name {name} of this node is taken: another node has it, in its life {by}, and this one is \
+         kept out by all; give it another name, or end the other"
+    )]
+    NameTaken {
+        /// The name of both.
+        name: String,
+        /// The life of the one that has it.
+        by: String,
+    },
+    /// The message is larger than what a session carries to another node, whatever its contract
+    /// allows. It was not sent: send it in parts.
+    #[error(
+        "the message is larger than the {limit} bytes that go to another node at once, whatever its \
+         contract allows: send it in parts"
+    )]
+    TooLargeForSession {
+        /// The session's limit in bytes.
+        limit: usize,
+    },
+    /// The request took effect, and its reply is larger than its contract allows, or than a session
+    /// carries to another node. Asking again changes nothing: answer in parts, or raise `max_size`.
+    #[error(
+        "the request took effect, but its reply is larger than the {limit} bytes that its contract, \
+         or the way to another node, allows"
+    )]
+    ReplyTooLarge {
+        /// The limit in bytes.
+        limit: usize,
+    },
+    /// As much is on its way to the receiver's node as may be, whoever there it is for: `deliver` waits. Bulk,
+    /// messages of more than 16 KiB, has room of its own.
+    #[error("the way to node {node} is full{}", of_what(.bulk))]
+    WayFull {
+        /// The node that the message is for.
+        node: String,
+        /// The message is bulk: what is small may find room.
+        bulk: bool,
+    },
+    /// The object is there, and does not serve this contract. Declare it in the object's `ports`, or
+    /// send to another object.
+    #[error("{object} does not serve `{contract}`: {}", listed(.served))]
+    NotServed {
+        /// The object.
+        object: String,
+        /// The contract that it does not serve.
+        contract: String,
+        /// The contracts that it serves.
+        served: Vec<String>,
+    },
+    /// No object of this name is known, and one of a similar name is.
+    #[error("no object is called `{name}`: did you mean `{nearest}`?")]
+    Misspelt {
+        /// The name that was looked for.
+        name: String,
+        /// The known name that is spelt most like it.
+        nearest: String,
+    },
+}
+
+fn listed(served: &[String]) -> String {
+    match served {
+        [] => "it serves no contract".to_owned(),
+        served => format!("it serves `{}`", served.join("`, `")),
+    }
+}
+
+fn of_what(bulk: &bool) -> &'static str {
+    if *bulk { " of messages that are as large as this one" } else { "" }
+}
+
+/// What is known of a request that got no reply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// It did not take effect, and never will: it may be asked again.
+    NotTaken,
+    /// It may have taken effect, or be about to: ask again only what may be done twice.
+    Unknown,
+    /// It took effect; only its reply is missing.
+    TookEffect,
+}
+
+impl Why {
+    /// What is known of a request that failed for this reason, and did not come back.
+    pub fn outcome(&self) -> Outcome {
+        match self {
+            Why::Full
+            | Why::WayFull { .. }
+            | Why::Restarting
+            | Why::ContractDiffers { .. }
+            | Why::Quarantined { .. }
+            | Why::Expired
+            | Why::Unknown { .. }
+            | Why::Misspelt { .. }
+            | Why::NotServed { .. }
+            | Why::Unreachable { .. }
+            | Why::Undelivered { .. }
+            | Why::TooLarge { .. }
+            | Why::TooLargeForSession { .. }
+            | Why::Left { .. }
+            | Why::Undecided { .. }
+            | Why::Changed { .. }
+            | Why::CheckFailed { .. }
+            | Why::Held { .. }
+            | Why::LeaseEnded
+            | Why::Superseded { .. }
+            | Why::Unclaimed { .. }
+            | Why::NameTaken { .. } => Outcome::NotTaken,
+            // The callee may have been stopped, or shut out, while it served; and what cannot be decoded
+            // may be the reply.
+            Why::Stopped
+            | Why::Fenced
+            | Why::Isolated
+            | Why::Undecodable { .. }
+            | Why::DeadlinePassed
+            | Why::PeerDied { .. }
+            | Why::OutcomeUnknown { .. } => Outcome::Unknown,
+            Why::ReplyTooLarge { .. } | Why::NotKept { .. } => Outcome::TookEffect,
+        }
+    }
+}

@@ -1,0 +1,263 @@
+//! Which objects of a node cannot do without which others.
+//!
+//! What an object suffers while something that it needs is down is taken for a symptom. Of two objects
+//! that need each other each would be the symptom of the other, and neither the root: such a circle is
+//! refused before anything starts.
+
+use crate::suggestion::nearest;
+use crate::{NodeName, ObjectName};
+use std::collections::BTreeMap;
+
+/// Why the dependencies of a node cannot be.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DependencyError {
+    /// An object depends on what this node does not have.
+    #[error(
+        "{name} depends on {needed:?}, which is no object of this node ({}): mend the name, or add it before",
+        hint(nearest.as_deref(), known)
+    )]
+    Unknown {
+        /// The object.
+        name: ObjectName,
+        /// What it is said to depend on.
+        needed: String,
+        /// What may have been meant.
+        nearest: Option<String>,
+        /// The node's other objects, in order of their names; at most ten, and how many more there are.
+        known: (Vec<ObjectName>, usize),
+    },
+    /// Objects depend on each other, or one on itself.
+    #[error("{}: each waits for the next, so leave out one of these dependencies", shown(way))]
+    Circle {
+        /// The way from one of them to itself: the first is also the last.
+        way: Vec<ObjectName>,
+    },
+}
+
+/// So many objects are named to somebody who named none of them.
+const KNOWN_MAX: usize = 10;
+
+fn hint(nearest: Option<&str>, (known, more): &(Vec<ObjectName>, usize)) -> String {
+    let known = known.iter().map(ObjectName::as_str).collect::<Vec<_>>().join(", ");
+    match (nearest, known.is_empty(), more) {
+        (Some(word), ..) => format!("did you mean {word:?}?"),
+        (None, true, _) => "which has no other".to_owned(),
+        (None, false, 0) => format!("which has {known}"),
+        (None, false, more) => format!("which has {known}, and {more} more"),
+    }
+}
+
+fn shown(way: &[ObjectName]) -> String {
+    let names: Vec<&str> = way.iter().map(ObjectName::as_str).collect();
+    format!("{} depends on itself, {}", names.first().unwrap_or(&"it"), names.join(" -> "))
+}
+
+/// The dependencies of a node's objects.
+///
+/// ```
+/// use blastema_core::dependencies::Dependencies;
+///
+/// let mut objects = Dependencies::of("module1".parse()?);
+/// objects.enter("laser".parse()?, &[]);
+/// objects.enter("planner".parse()?, &["laser".to_owned(), "module2:map".to_owned()]);
+/// assert_eq!(objects.check(), Ok(()));
+///
+/// objects.enter("laser".parse()?, &["planner".to_owned()]);
+/// let error = objects.check().unwrap_err().to_string();
+/// assert!(error.starts_with("laser depends on itself, laser -> planner -> laser"));
+/// # Ok::<(), blastema_core::NameError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Dependencies {
+    node: NodeName,
+    /// As many as the node has objects. What lives on other nodes is left out.
+    needs: BTreeMap<ObjectName, Vec<String>>,
+}
+
+impl Dependencies {
+    /// Those of a node that has no object yet.
+    pub fn of(node: NodeName) -> Self {
+        Dependencies { node, needs: BTreeMap::new() }
+    }
+
+    /// The node has an object that needs these, here (`laser`, `module1:laser`) or elsewhere
+    /// (`module2:laser`), of which nothing can be known here.
+    pub fn enter(&mut self, object: ObjectName, needs: &[String]) {
+        let own = |needed: &String| match needed.split_once(':') {
+            Some((node, own)) => (node == self.node.as_str()).then(|| own.to_owned()),
+            None => Some(needed.clone()),
+        };
+        let needs = needs.iter().filter_map(own).collect();
+        self.needs.insert(object, needs);
+    }
+
+    /// Enters an object while the node runs, unless its dependencies cannot be.
+    ///
+    /// # Errors
+    /// What is wrong; the object is not entered then.
+    pub fn add(&mut self, object: ObjectName, needs: &[String]) -> Result<(), DependencyError> {
+        let mut with = self.clone();
+        with.enter(object.clone(), needs);
+        with.check_known(&object)?;
+        with.check_circles()?;
+        *self = with;
+        Ok(())
+    }
+
+    /// The node has the object no more. Others may still need it.
+    pub fn remove(&mut self, object: &ObjectName) {
+        self.needs.remove(object);
+    }
+
+    /// Everything that is needed is there, and nothing needs itself.
+    ///
+    /// # Errors
+    /// The first thing that is wrong.
+    pub fn check(&self) -> Result<(), DependencyError> {
+        self.needs.keys().try_for_each(|object| self.check_known(object))?;
+        self.check_circles()
+    }
+
+    fn check_known(&self, object: &ObjectName) -> Result<(), DependencyError> {
+        let missing = |needed: &&String| !self.needs.contains_key(needed.as_str());
+        let Some(needed) = self.needs[object].iter().find(missing) else { return Ok(()) };
+        let others = self.needs.keys().filter(|other| *other != object);
+        let nearest = nearest(needed, others.clone().map(ObjectName::as_str)).map(str::to_owned);
+        let first: Vec<ObjectName> = others.clone().take(KNOWN_MAX).cloned().collect();
+        let known = (first, others.count().saturating_sub(KNOWN_MAX));
+        let (name, needed) = (object.clone(), needed.clone());
+        Err(DependencyError::Unknown { name, needed, nearest, known })
+    }
+
+    fn check_circles(&self) -> Result<(), DependencyError> {
+        let known = |needed: &String| Some(self.needs.get_key_value(needed.as_str())?.0);
+        let needs = self.needs.iter();
+        let needs = needs.map(|(object, needs)| (object, needs.iter().filter_map(known).collect()));
+        match circle(&needs.collect()) {
+            Some(way) => Err(DependencyError::Circle { way }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// A way that leads from somebody back to itself, where there is one: the first is also the last.
+/// Whoever is needed and needs nobody may be left out of the map.
+///
+/// ```
+/// use blastema_core::ObjectName;
+/// use blastema_core::dependencies::circle;
+///
+/// let [a, b] = [ObjectName::new("a")?, ObjectName::new("b")?];
+/// assert_eq!(circle(&[(&a, vec![&b])].into()), None);
+/// assert_eq!(circle(&[(&a, vec![&b]), (&b, vec![&a])].into()), Some(vec![a.clone(), b.clone(), a]));
+/// # Ok::<(), blastema_core::NameError>(())
+/// ```
+pub fn circle(needs: &BTreeMap<&ObjectName, Vec<&ObjectName>>) -> Option<Vec<ObjectName>> {
+    let needs_of = |name: &ObjectName| needs.get(name).map_or(&[][..], Vec::as_slice).iter();
+    // Everybody who was met, and whether it is still on the way.
+    let mut met = BTreeMap::new();
+    for start in needs.keys().copied() {
+        // The way so far, each with what is still to be looked at. No recursion: a chain may be long.
+        let mut way = Vec::new();
+        let mut next = Some(start);
+        while next.is_some() || !way.is_empty() {
+            if let Some(name) = next {
+                match met.get(name) {
+                    Some(true) => {
+                        let way = way.iter().map(|(name, _)| *name).skip_while(|met| *met != name);
+                        return Some(way.chain([name]).cloned().collect());
+                    }
+                    Some(false) => {}
+                    None => {
+                        met.insert(name, true);
+                        way.push((name, needs_of(name)));
+                    }
+                }
+            }
+            next = way.last_mut().and_then(|(_, open)| open.next().copied());
+            if next.is_none() {
+                met.extend(way.pop().map(|(settled, _)| (settled, false)));
+            }
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn name(text: &str) -> ObjectName {
+        ObjectName::new(text).expect("a good name")
+    }
+
+    fn objects(needs: &[(&str, &[&str])]) -> Dependencies {
+        let mut objects = Dependencies::of(NodeName::new("m").expect("a good name"));
+        for (object, needs) in needs {
+            let needs: Vec<String> = needs.iter().map(|need| (*need).to_owned()).collect();
+            objects.enter(name(object), &needs);
+        }
+        objects
+    }
+
+    fn check(needs: &[(&str, &[&str])], told: &str) {
+        let text =
+            objects(needs).check().map_or_else(|error| error.to_string(), |()| "fine".into());
+        assert!(text.contains(told), "{text}");
+    }
+
+    #[test]
+    fn a_circle_is_shown_from_one_of_its_members_back_to_it() {
+        check(&[("a", &["b"]), ("b", &["c"]), ("c", &["a"])], "a -> b -> c -> a: ");
+        check(&[("a", &["b"]), ("b", &["c"]), ("c", &["b"])], "b depends on itself, b -> c -> b: ");
+        check(&[("a", &["a"])], "a -> a: ");
+        check(&[("a", &["m:b"]), ("b", &["m:a"])], "a -> b -> a: ");
+    }
+
+    #[test]
+    fn whatever_is_no_circle_is_fine() {
+        check(&[], "fine");
+        check(&[("a", &["b", "c", "b"]), ("b", &["d"]), ("c", &["d"]), ("d", &[])], "fine");
+        check(&[("a", &["other:a"]), ("b", &["other:whatever"])], "fine");
+    }
+
+    #[test]
+    fn a_name_that_nobody_has_is_told_with_the_nearest() {
+        check(&[("laser", &[]), ("planner", &["lasr"])], "(did you mean \"laser\"?)");
+        check(&[("laser", &[]), ("planner", &["m:lasr"])], "(did you mean \"laser\"?)");
+    }
+
+    #[test]
+    fn a_name_that_is_like_none_is_told_with_those_that_there_are() {
+        check(&[("lasr", &["laser"])], "no object of this node (which has no other): mend");
+        check(&[("laser", &[]), ("map", &[]), ("planner", &["b"])], "(which has laser, map): mend");
+        let lamps: Vec<String> = (0..30).map(|n| format!("lamp/{n:02}")).collect();
+        let lamps = lamps.iter().map(|lamp| (lamp.as_str(), &[][..]));
+        let all: Vec<_> = lamps.chain([("planner", &["b"][..])]).collect();
+        check(&all, "lamp/08, lamp/09, and 20 more)");
+    }
+
+    #[test]
+    fn a_chain_of_any_length_is_walked() {
+        let names: Vec<ObjectName> = (0..20_000).map(|at| name(&at.to_string())).collect();
+        let mut needs: BTreeMap<_, _> =
+            names.windows(2).map(|pair| (&pair[0], vec![&pair[1]])).collect();
+        assert_eq!(circle(&needs), None);
+
+        needs.insert(&names[19_999], vec![&names[0]]);
+        assert_eq!(circle(&needs).map(|way| way.len()), Some(20_001));
+    }
+
+    #[test]
+    fn what_is_added_later_closes_no_circle_and_leaves_no_trace_where_it_would() {
+        let mut running = objects(&[("a", &["b"]), ("b", &[])]);
+        running.remove(&name("b"));
+
+        let refused = running.add(name("b"), &["a".into()]).expect_err("each needs the other");
+        assert!(matches!(refused, DependencyError::Circle { .. }), "{refused}");
+        assert!(running.add(name("c"), &["b".into()]).is_err(), "b was not entered");
+        assert_eq!(running.add(name("b"), &[]), Ok(()));
+        assert_eq!(running.add(name("c"), &["b".into()]), Ok(()));
+    }
+}

@@ -1,0 +1,376 @@
+//! What each finding means: the detector's opinion of objects, links and nodes.
+
+use super::{Cause, Detector, Scene, Seen};
+use crate::detection::correlation::is_down;
+use crate::detection::hang::OverloadFigures;
+use crate::detection::{Exit, Finding, LinkCondition, NodeCondition};
+use crate::{
+    Fault, FaultId, FaultKind, Incarnation, Instant, Lifecycle, NodeName, ObjectName, Place,
+};
+use std::time::Duration;
+
+impl Detector {
+    pub(super) fn judge_object(&mut self, object: &ObjectName, scene: Scene, finding: Finding) {
+        if let Finding::Dismissed = finding {
+            self.objects.remove(object);
+            self.needs.forget(object);
+            self.may_end.remove(object);
+            self.behind.remove(object);
+            return self.end_all_at(&scene, |_| true, false);
+        }
+        let fresh = Seen::new(scene.incarnation);
+        let seen = self.objects.entry(object.clone()).or_insert(fresh);
+        if scene.incarnation < seen.incarnation {
+            self.stale += 1;
+            return;
+        }
+        if scene.incarnation > seen.incarnation {
+            *seen = fresh;
+            self.behind.remove(object);
+        }
+        match finding {
+            Finding::Enrolled { may_end, depends_on } => {
+                self.needs.declare(object, depends_on);
+                if may_end {
+                    self.may_end.insert(object.clone());
+                } else {
+                    self.may_end.remove(object);
+                }
+            }
+            Finding::Exited { exit, restarted_as } => {
+                self.judge_exit(object, &scene, exit, restarted_as);
+            }
+            Finding::State { state, reason } => self.judge_state(object, &scene, state, reason),
+            Finding::Declared { kind, detail } => {
+                self.find(&scene, kind, detail, Cause::Above);
+            }
+            Finding::Mended { kind } => self.end_kind(&scene, &kind),
+            Finding::Silent { age } => {
+                let detail = format!("no sign of life for {} ms", age.as_millis());
+                let cause = self.cause_of_standstill(object, &scene);
+                self.find(&scene, FaultKind::Silence, detail, cause);
+            }
+            Finding::Spoke => self.end_kind(&scene, &FaultKind::Silence),
+            Finding::Hangs { during, age, victims } => {
+                self.judge_hang(object, &scene, during, age, &victims);
+            }
+            Finding::Waits { during, age } => {
+                let detail = format!("{during} has been waiting for {} ms", age.as_millis());
+                self.find(&scene, FaultKind::Hang, detail, Cause::Above);
+            }
+            Finding::Stuck { oldest, queued } => {
+                let detail = format!(
+                    "it answers, but has taken none of {}; the oldest is {} ms old",
+                    messages(queued),
+                    oldest.as_millis()
+                );
+                self.find(&scene, FaultKind::Hang, detail, Cause::Above);
+            }
+            Finding::Overloaded { figures, victims } => {
+                self.judge_overload(object, &scene, &figures, &victims);
+            }
+            Finding::Flows => {
+                if let Some(id) = self.chronicle.standing(&scene.place, &FaultKind::Overload) {
+                    self.behind.retain(|_, root| *root != id);
+                }
+                self.end_kind(&scene, &FaultKind::Hang);
+                self.end_kind(&scene, &FaultKind::Overload);
+            }
+            Finding::Resumed => {
+                self.behind.remove(object);
+                self.end_kind(&scene, &FaultKind::Hang);
+            }
+            Finding::Lost { culprit } => {
+                let cause = self.behind.get(object).map_or(Cause::Above, |&id| Cause::Known(id));
+                let detail = format!("it stands still behind {culprit}, which does not return");
+                self.find(&scene, FaultKind::Hang, detail, cause);
+            }
+            Finding::Dismissed | Finding::Link(_) | Finding::Node(_) => {}
+        }
+    }
+
+    /// Whoever stands still behind a hang is remembered, so that its silence is known for a symptom.
+    fn judge_hang(
+        &mut self,
+        object: &ObjectName,
+        scene: &Scene,
+        during: &str,
+        age: Duration,
+        victims: &[ObjectName],
+    ) {
+        let others = victims.iter().filter(|&victim| victim != object);
+        let behind = match others.clone().count() {
+            0 => String::new(),
+            1 => "; 1 other stands still behind it".to_owned(),
+            count => format!("; {count} others stand still behind it"),
+        };
+        let age = age.as_millis();
+        let detail = format!("{during} has kept its arbiter for {age} ms{behind}");
+        let id = self.find(scene, FaultKind::Hang, detail, Cause::Itself);
+        for victim in others.filter(|&victim| self.objects.contains_key(victim)) {
+            self.behind.insert(victim.clone(), id);
+        }
+        self.explain_by(id, scene.at);
+    }
+
+    /// Whoever is late behind an overload is remembered, as behind a hang.
+    fn judge_overload(
+        &mut self,
+        object: &ObjectName,
+        scene: &Scene,
+        figures: &OverloadFigures,
+        victims: &[ObjectName],
+    ) {
+        let detail = describe(figures, victims.len());
+        let id = self.find(scene, FaultKind::Overload, detail, Cause::Above);
+        for victim in victims {
+            let hangs = self.behind.get(victim).is_some_and(|&root| self.is_hang(root));
+            if victim != object && self.objects.contains_key(victim) && !hangs {
+                self.behind.insert(victim.clone(), id);
+            }
+        }
+    }
+
+    fn is_hang(&self, id: FaultId) -> bool {
+        self.chronicle.entry(id).is_some_and(|entry| entry.fault.kind == FaultKind::Hang)
+    }
+
+    fn judge_exit(
+        &mut self,
+        object: &ObjectName,
+        scene: &Scene,
+        exit: Exit,
+        restarted_as: Option<Incarnation>,
+    ) {
+        let seen = self.objects.get_mut(object).expect("the caller has put it there");
+        let before = seen.state;
+        // A life that was already over ends in some way or other; that is no second fault.
+        let over = std::mem::replace(&mut seen.doomed, exit != Exit::Stopped);
+        seen.state = match exit {
+            Exit::Stopped => Lifecycle::Finalized,
+            _ => Lifecycle::Fatal,
+        };
+        let (kind, detail) = match exit {
+            Exit::Panicked { text, at, during } => {
+                (FaultKind::Panic, format!("{text}, at {at}, in {during}"))
+            }
+            Exit::Returned if !over && !self.may_end.contains(object) => {
+                // A life that ends itself in order is finalized before its guard says how it ended.
+                (FaultKind::UnexpectedExit, "it ended itself, and nobody had told it to".into())
+            }
+            Exit::Fatal if !over => {
+                (FaultKind::UnexpectedExit, "it could not go on, and did not say why".into())
+            }
+            Exit::Aborted if !over && before != Lifecycle::Finalized => {
+                (FaultKind::UnexpectedExit, format!("its arbiter went away while it was {before}"))
+            }
+            Exit::Returned | Exit::Fatal | Exit::Aborted | Exit::Stopped => return,
+        };
+        let Some(next) = restarted_as else {
+            self.find(scene, kind, detail, Cause::Itself);
+            return;
+        };
+        *seen = Seen::new(next);
+        let id = self.record(scene, kind, detail, Cause::Itself);
+        self.recover(id, scene.at);
+    }
+
+    fn judge_state(
+        &mut self,
+        object: &ObjectName,
+        scene: &Scene,
+        state: Lifecycle,
+        reason: Option<String>,
+    ) {
+        let seen = self.objects.get_mut(object).expect("the caller has put it there");
+        let before = std::mem::replace(&mut seen.state, state);
+        seen.doomed |= state == Lifecycle::Fatal;
+        if before == state {
+            return;
+        }
+        // A guard tells where a turn ended, not what was passed on the way.
+        if !before.may_reach(state) {
+            let detail = format!("it went from {before} to {state}, and no way leads there");
+            self.find(scene, FaultKind::CheckFailed, detail, Cause::Itself);
+        }
+        let reason = reason.unwrap_or_else(|| "it gave no reason".into());
+        match state {
+            Lifecycle::Error => {
+                self.find(scene, FaultKind::ErrorState, reason, Cause::Above);
+            }
+            Lifecycle::Fatal if before == Lifecycle::Created => {
+                self.find(scene, FaultKind::InitializationFailed, reason, Cause::Above);
+            }
+            Lifecycle::Fatal => {
+                self.find(scene, FaultKind::Fatal, reason, Cause::Above);
+            }
+            Lifecycle::Active => {
+                let life = scene.incarnation;
+                let is_over = |fault: &Fault| {
+                    let ended =
+                        matches!(fault.kind, FaultKind::ErrorState | FaultKind::Unavailable);
+                    fault.incarnation < life || ended
+                };
+                self.end_all_at(scene, is_over, true);
+            }
+            Lifecycle::Created | Lifecycle::Initialized | Lifecycle::Finalized => {}
+        }
+    }
+
+    pub(super) fn judge_link(&mut self, scene: Scene, finding: Finding) {
+        let Finding::Link(condition) = finding else { return };
+        match condition {
+            LinkCondition::Up | LinkCondition::Forgotten => {
+                self.end_kind(&scene, &FaultKind::LinkDown);
+                self.end_kind(&scene, &FaultKind::LinkDegraded);
+            }
+            LinkCondition::Degraded { reason } => {
+                self.end_kind(&scene, &FaultKind::LinkDown);
+                self.find(&scene, FaultKind::LinkDegraded, reason, Cause::Above);
+            }
+            LinkCondition::Down { reason } => {
+                self.end_kind(&scene, &FaultKind::LinkDegraded);
+                self.find(&scene, FaultKind::LinkDown, reason, Cause::Above);
+            }
+        }
+    }
+
+    pub(super) fn judge_node(&mut self, scene: Scene, finding: Finding) {
+        let (Finding::Node(condition), Place::Node(node)) = (finding, scene.place.clone()) else {
+            return;
+        };
+        match condition {
+            NodeCondition::Reachable => {
+                self.crash_loops.handle_reachable(&node, scene.at);
+                self.end_kind(&scene, &FaultKind::NodeLost);
+            }
+            NodeCondition::Left => {
+                self.crash_loops.forget(&node);
+                self.end_kind(&scene, &FaultKind::CrashLoop);
+                self.end_kind(&scene, &FaultKind::NodeLost);
+                self.end_kind(&scene, &FaultKind::NodeAtRest);
+                self.end_links_to(&node, scene.at);
+            }
+            NodeCondition::AtRest { reason } => {
+                let detail = format!("nothing of it serves until it is restarted: {reason}");
+                self.find(&scene, FaultKind::NodeAtRest, detail, Cause::Itself);
+            }
+            NodeCondition::AtWork => self.end_kind(&scene, &FaultKind::NodeAtRest),
+            NodeCondition::Lost { reason } => {
+                self.crash_loops.handle_lost(&node);
+                let cause = self.crash_loop_of(&scene);
+                self.find(&scene, FaultKind::NodeLost, reason, cause);
+            }
+            NodeCondition::Offends { what } => {
+                if let Some(detail) = self.conduct.handle_offence(&node, what, scene.at) {
+                    self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
+                }
+            }
+            NodeCondition::Isolated { reason } => {
+                let detail = format!("it is isolated {reason}");
+                self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
+            }
+            NodeCondition::Admitted => {
+                self.conduct.forget(&node);
+                self.end_kind(&scene, &FaultKind::NodeFaulty);
+            }
+            NodeCondition::Restarted => {
+                self.end_kind(&scene, &FaultKind::NodeAtRest);
+                if let Some(count) = self.crash_loops.handle_restarted(&node, scene.at) {
+                    let period = self.limits.crash_loop_period;
+                    let detail = format!(
+                        "its process died and was started again {count} times, and never stayed \
+                         up for {period:?}"
+                    );
+                    self.find(&scene, FaultKind::CrashLoop, detail, Cause::Itself);
+                }
+                let known = self.chronicle.standing(&scene.place, &FaultKind::NodeLost);
+                let id = known.unwrap_or_else(|| {
+                    let detail = "its process died and began again".into();
+                    let cause = self.crash_loop_of(&scene);
+                    self.record(&scene, FaultKind::NodeLost, detail, cause)
+                });
+                self.recover(id, scene.at);
+                self.repair(id, scene.at);
+                self.withdraw(id, scene.at);
+            }
+        }
+    }
+
+    /// A node that has stayed up for long enough is in a crash loop no more.
+    pub(super) fn end_crash_loop(&mut self, node: NodeName, at: Instant) {
+        let scene = Scene { place: Place::Node(node), incarnation: Incarnation::default(), at };
+        self.end_kind(&scene, &FaultKind::CrashLoop);
+    }
+
+    /// A death in a crash loop is a symptom of that.
+    fn crash_loop_of(&self, scene: &Scene) -> Cause {
+        let known = self.chronicle.standing(&scene.place, &FaultKind::CrashLoop);
+        known.map_or(Cause::Itself, Cause::Known)
+    }
+
+    /// A node that leaves in order takes its ends of the cables along.
+    fn end_links_to(&mut self, node: &NodeName, at: Instant) {
+        let leads_there = |fault: &&Fault| match &fault.place {
+            Place::Link { neighbour, .. } => neighbour.as_ref() == Some(node),
+            Place::Object(_) | Place::Node(_) => false,
+        };
+        let places = self.chronicle.all_standing().filter(leads_there);
+        let places: Vec<Place> = places.map(|fault| fault.place.clone()).collect();
+        for place in places {
+            let scene = Scene { place, incarnation: Incarnation::default(), at };
+            self.end_all_at(&scene, |_| true, false);
+        }
+    }
+
+    /// Somebody who stands still does so behind a hang, or because of what else is wrong with itself,
+    /// or because of what it depends on.
+    fn cause_of_standstill(&self, object: &ObjectName, scene: &Scene) -> Cause {
+        // Also where the culprit has been replaced elsewhere: its victims stand until they are freed.
+        let behind = self.behind.get(object).copied();
+        let behind = behind.filter(|&id| self.is_hang(id) || self.chronicle.stands(id));
+        let own = || {
+            let here = self.chronicle.standing_at(&scene.place);
+            here.filter(|fault| is_down(fault) && fault.kind != FaultKind::Silence)
+                .map(|fault| fault.id)
+                .min()
+        };
+        behind.map(Cause::Behind).unwrap_or_else(|| own().map_or(Cause::Above, Cause::Known))
+    }
+}
+
+fn describe(figures: &OverloadFigures, victims: usize) -> String {
+    let mut parts = Vec::new();
+    if figures.utilisation_percent > 0 {
+        parts
+            .push(format!("it keeps its thread for {} % of the time", figures.utilisation_percent));
+    }
+    let oldest = figures.oldest.as_millis();
+    match figures.queued {
+        0 => {}
+        1 => parts.push(format!("1 message waits; it is {oldest} ms old")),
+        many => parts.push(format!("{many} messages wait; the oldest is {oldest} ms old")),
+    }
+    if figures.missed_rounds > 0 {
+        parts.push(format!("{} rounds were missed", figures.missed_rounds));
+    }
+    if figures.expired > 0 {
+        parts.push(format!("{} came too late for those who waited", messages(figures.expired)));
+    }
+    if !figures.silent_for.is_zero() {
+        parts.push(format!("no sign of life came for {} ms", figures.silent_for.as_millis()));
+    }
+    match victims {
+        0 => {}
+        1 => parts.push("1 other waits behind it".into()),
+        many => parts.push(format!("{many} others wait behind it")),
+    }
+    if parts.is_empty() { "it is late".into() } else { parts.join("; ") }
+}
+
+fn messages(count: impl TryInto<u64>) -> String {
+    match count.try_into().unwrap_or(u64::MAX) {
+        1 => "1 message".to_owned(),
+        many => format!("{many} messages"),
+    }
+}

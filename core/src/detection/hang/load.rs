@@ -1,0 +1,246 @@
+//! Who is late, and who keeps the thread meanwhile.
+
+use super::lateness::Counts;
+use super::{
+    Arbiter, Around, Component, Episode, Late, Looked, OverloadFigures, QueueReading, Scanner,
+    Sighting, Silence, SlotId, StampReading,
+};
+use crate::Instant;
+use crate::detection::hang::occupancy::Occupancy;
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+/// A thread that is free less often than in one of five looks makes its components wait for each other.
+const SATURATED: f32 = 0.8;
+/// The interval of the usual looks, by which a span is turned into a number of them.
+const LOOK: Duration = Duration::from_millis(10);
+
+fn looks_in(span: Duration) -> usize {
+    let looks = usize::try_from(span.as_nanos() / LOOK.as_nanos()).unwrap_or(usize::MAX);
+    looks.clamp(1, Occupancy::<SlotId>::LOOKS)
+}
+
+impl Arbiter {
+    /// Who has kept this component from the thread for so long: the one that was on it most often, or
+    /// the one that was so when an overload began and still is for half as often.
+    pub(super) fn kept_by(&self, slot: SlotId, span: Duration) -> Option<SlotId> {
+        let looks = looks_in(span);
+        if self.occupancy.busy(looks) < SATURATED {
+            return None;
+        }
+        let (largest, share) = self.occupancy.largest(looks)?;
+        let known =
+            self.overloaded.filter(|root| self.occupancy.share_of(*root, looks) >= share / 2.0);
+        let root = known.unwrap_or(largest);
+        (root != slot).then_some(root)
+    }
+}
+
+impl Component {
+    /// Says so if it is silent. One that works meanwhile, or is kept from its thread, is late.
+    pub(super) fn judge_silence(
+        &mut self,
+        around: &Around<'_>,
+        looked: &impl Looked,
+        now: Instant,
+        late: &mut Vec<Late>,
+    ) -> Option<Sighting> {
+        let reading = self.reading?;
+        let pushed = self.judged.max_silence.filter(|_| reading.speaks);
+        let pushed = pushed.map(|limit| if self.heard { limit.between } else { limit.first });
+        let limit = pushed.or(self.judged.max_unanswered)?.max(reading.allowance);
+        let silent_for = now - self.alive_since;
+        if silent_for < limit {
+            return None;
+        }
+        let root = around.kept_by(silent_for);
+        if around.hangs() {
+            // A hang is the root of what happens behind it. What was given up is not judged any more.
+            around.arbiter.filter(|arbiter| arbiter.fenced_since.is_none())?;
+        } else if root.is_some() || self.is_flooded(around, looked, silent_for) {
+            let slot = around.slot;
+            let root = root.unwrap_or(slot);
+            let queue = QueueReading::default();
+            late.push(Late { slot, root, queue, missed: 0, expired: 0, silent_for });
+            if root == slot {
+                return None;
+            }
+        } else if around.stands(now) && silent_for < limit.max(self.judged.max_block) {
+            return None; // The operating system does not run the thread.
+        }
+        if self.silence == Silence::Told {
+            return None;
+        }
+        self.silence = Silence::Told;
+        Some(self.says(reading, |object, incarnation| Sighting::Silent {
+            object,
+            incarnation,
+            silent_for,
+        }))
+    }
+
+    /// It has so much else to do that it gives no sign of life.
+    fn is_flooded(&self, around: &Around<'_>, looked: &impl Looked, span: Duration) -> bool {
+        let keeps_its_thread = |arbiter: &Arbiter| {
+            arbiter.occupancy.share_of(around.slot, looks_in(span)) >= SATURATED
+        };
+        self.worked
+            && (around.arbiter.is_some_and(keeps_its_thread)
+                || looked.queue(around.slot).oldest > self.judged.max_delay)
+    }
+
+    /// Looks at its queue and its rounds.
+    pub(super) fn judge_flow(
+        &mut self,
+        around: &Around<'_>,
+        looked: &impl Looked,
+        turned: bool,
+        now: Instant,
+        (outputs, late): (&mut VecDeque<Sighting>, &mut Vec<Late>),
+    ) {
+        let Some(reading) = self.reading else { return };
+        let slot = around.slot;
+        let max_delay = self.judged.max_delay;
+        let window = around.config.window;
+        let root = around.kept_by(window);
+        let counts = self.lateness.handle_counts(&self.judged, &reading, (window, root), now);
+        let is_busy = around
+            .arbiter
+            .is_some_and(|arbiter| arbiter.occupancy.busy(looks_in(window)) >= SATURATED);
+        let looks = turned || reading.turn % 2 == 1 || is_busy;
+        let queue = if looks { looked.queue(slot) } else { QueueReading::default() };
+        let waits = queue.queued > 0 && queue.oldest > max_delay && reading.allowance.is_zero();
+        let moves = now - self.turn_since < max_delay;
+        let delayed = waits && (root.is_some() || moves);
+        let is_free = !delayed && !around.stands(now);
+        if waits && is_free && self.judged.max_unanswered.is_some() {
+            self.get_stuck(reading, queue, outputs);
+        } else if self.stuck && !waits {
+            self.flow(reading, outputs);
+        }
+        let delayed = self.lateness.handle_delay(delayed, around.config.dwell, now);
+        let root = if delayed { root } else { counts.and_then(|counts| counts.root) };
+        if delayed || counts.is_some() {
+            let Counts { missed, expired, .. } = counts.unwrap_or_default();
+            let (root, silent_for) = (root.unwrap_or(slot), Duration::ZERO);
+            late.push(Late { slot, root, queue, missed, expired, silent_for });
+        }
+    }
+
+    fn get_stuck(
+        &mut self,
+        reading: StampReading,
+        queue: QueueReading,
+        outputs: &mut VecDeque<Sighting>,
+    ) {
+        if self.stuck {
+            return;
+        }
+        if self.overload.is_some() {
+            self.flow(reading, outputs);
+        }
+        self.stuck = true;
+        outputs.push_back(self.says(reading, |object, incarnation| Sighting::Stuck {
+            object,
+            incarnation,
+            queue,
+        }));
+    }
+
+    /// It is neither stuck nor overloaded any more.
+    fn flow(&mut self, reading: StampReading, outputs: &mut VecDeque<Sighting>) {
+        (self.stuck, self.overload) = (false, None);
+        outputs.push_back(
+            self.says(reading, |object, incarnation| Sighting::Flows { object, incarnation }),
+        );
+    }
+}
+
+impl Scanner {
+    /// Finds the roots of those who are late, and tells each when it is new, or its victims are more.
+    pub(super) fn blame(&mut self, late: Vec<Late>, looked: &impl Looked, now: Instant) {
+        let mut roots: BTreeMap<SlotId, Vec<Late>> = BTreeMap::new();
+        let home = |slot| Some(self.component(slot)?.judged.arbiter);
+        // Who kept the thread may have left it, and another may have its slot.
+        let late = late.into_iter().filter(|late| home(late.root) == home(late.slot));
+        late.for_each(|late| roots.entry(late.root).or_default().push(late));
+        for (slot, late) in roots {
+            let Some(Some(root)) = self.components.get_mut(slot as usize) else { continue };
+            let Some(reading) = root.reading else { continue };
+            if root.stuck {
+                root.flow(reading, &mut self.outputs);
+            }
+            let is_new = root.overload.is_none();
+            let fresh = Episode { latest: now, victims: Default::default() };
+            let episode = root.overload.get_or_insert(fresh);
+            episode.latest = now;
+            let known = episode.victims.len();
+            episode.victims.extend(late.iter().map(|late| late.slot).filter(|one| *one != slot));
+            if !is_new && episode.victims.len() == known {
+                continue;
+            }
+            let victims = episode.victims.clone();
+            let (object, home) = (root.judged.object.clone(), root.judged.arbiter);
+            let incarnation = reading.incarnation;
+            let mut figures = figures(&late, looked.queue(slot));
+            if let Some(arbiter) = self.arbiters.get_mut(&home) {
+                let share = arbiter.occupancy.share_of(slot, usize::MAX);
+                figures.utilisation_percent = percent(share);
+                if share > 0.0 {
+                    arbiter.overloaded = Some(slot);
+                }
+            }
+            let name = |slot| Some(self.component(slot)?.judged.object.clone());
+            let victims = victims.into_iter().filter_map(name).collect();
+            let seen = Sighting::Overloaded { object, incarnation, figures, victims };
+            self.outputs.push_back(seen);
+        }
+    }
+
+    /// Overloads are over when nothing has been late because of them for long enough.
+    pub(super) fn relieve(&mut self, now: Instant) {
+        let mut free = Vec::new();
+        for (slot, place) in (0..).zip(&mut self.components) {
+            let Some(component) = place else { continue };
+            let relief = self.config.relief;
+            let is_over = |episode: &mut Episode| now - episode.latest >= relief;
+            let Some(episode) = component.overload.take_if(is_over) else { continue };
+            let Some(reading) = component.reading else { continue };
+            if let Some(arbiter) = self.arbiters.get_mut(&component.judged.arbiter) {
+                arbiter.overloaded.take_if(|root| *root == slot);
+            }
+            component.flow(reading, &mut self.outputs);
+            free.extend(episode.victims);
+        }
+        for victim in free {
+            if let Some(Some(component)) = self.components.get_mut(victim as usize)
+                && component.silence == Silence::Told
+            {
+                (component.silence, component.alive_since) = (Silence::Void, now);
+            }
+        }
+    }
+}
+
+/// The worst of those who are late.
+fn figures(late: &[Late], own: QueueReading) -> OverloadFigures {
+    let queues = late.iter().map(|late| late.queue).chain([own]);
+    let worst = queues.max_by_key(|queue| queue.oldest).unwrap_or_default();
+    OverloadFigures {
+        utilisation_percent: 0,
+        queued: worst.queued,
+        oldest: worst.oldest,
+        missed_rounds: late.iter().map(|late| late.missed).sum(),
+        expired: late.iter().map(|late| late.expired).sum(),
+        silent_for: late.iter().map(|late| late.silent_for).max().unwrap_or_default(),
+    }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a share lies between 0 and 1"
+)]
+fn percent(share: f32) -> u8 {
+    (share * 100.0) as u8
+}

@@ -1,0 +1,466 @@
+//! Who hangs, who waits too long, who is silent, who is overloaded: judged from what workers write in
+//! passing.
+//!
+//! Workers count; they read no clock. The scanner is shown the counters at even intervals and keeps
+//! for each the time at which it first saw it stand. An arbiter whose beat stands while a component is
+//! on its thread *hangs*, and that component is the culprit. Where the beat goes on, a handler whose turn
+//! stands *waits*.
+//!
+//! A component that works and is late, by its rounds, its signs of life or its messages, is *overloaded*;
+//! where another one keeps their thread, that one is, and the late ones are its victims. What a victim
+//! suffers is told after its root was.
+//!
+//! A culprit is not condemned by what the scanner itself missed: when it was not scheduled for a
+//! while, everything seen before is void.
+
+mod lateness;
+mod load;
+mod types;
+
+pub mod occupancy;
+
+pub use self::types::{
+    ArbiterId, ArbiterSeen, Judged, Looked, MaxSilence, OverloadFigures, PulseReading,
+    QueueReading, ScannerConfig, Sighting, SlotId, StampReading,
+};
+
+use self::lateness::{Episode, Late, Lateness};
+use crate::{Instant, Machine, ObjectName};
+use occupancy::Occupancy;
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+#[derive(Debug)]
+struct Arbiter {
+    beat: u64,
+    running: Option<SlotId>,
+    turn: Option<u64>,
+    allowance: Duration,
+    /// When these were first seen.
+    since: Instant,
+    /// When this beat was first seen.
+    beat_since: Instant,
+    occupancy: Occupancy<SlotId>,
+    hang: Option<Hang>,
+    /// Who was given up while it was on the thread.
+    left: Option<ObjectName>,
+    /// The root of an overload that stands.
+    overloaded: Option<SlotId>,
+    fenced_since: Option<Instant>,
+    lost: bool,
+}
+
+#[derive(Debug)]
+struct Hang {
+    culprit: ObjectName,
+    slot: SlotId,
+}
+
+#[derive(Debug)]
+struct Component {
+    judged: Judged,
+    reading: Option<StampReading>,
+    /// Its arbiter's beat at the last look.
+    beat: u64,
+    turn_since: Instant,
+    alive_since: Instant,
+    /// When it was last seen to have given a sign of life, in this incarnation.
+    last_sign: Option<Instant>,
+    /// Its turn has moved since its last sign of life.
+    worked: bool,
+    /// This turn has been reported.
+    waits: bool,
+    /// This life has given a sign.
+    heard: bool,
+    silence: Silence,
+    /// It takes no messages, which has been reported.
+    stuck: bool,
+    lateness: Lateness,
+    /// An overload whose root it is.
+    overload: Option<Episode>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Silence {
+    No,
+    Told,
+    /// It was told, and what had kept the component from speaking is away: it is measured anew.
+    Void,
+}
+
+/// The judge. Shown pulses often and stamps less often, each time between
+/// [`handle_look`](Scanner::handle_look) and draining the outputs.
+#[derive(Debug)]
+pub struct Scanner {
+    config: ScannerConfig,
+    looked_at: Option<Instant>,
+    arbiters: BTreeMap<ArbiterId, Arbiter>,
+    /// By slot; slots are dense.
+    components: Vec<Option<Component>>,
+    outputs: VecDeque<Sighting>,
+}
+
+impl Scanner {
+    /// A scanner that has seen nothing yet.
+    pub fn new(config: ScannerConfig) -> Self {
+        Scanner {
+            config,
+            looked_at: None,
+            arbiters: BTreeMap::new(),
+            components: Vec::new(),
+            outputs: VecDeque::new(),
+        }
+    }
+
+    /// This component is judged from now on.
+    pub fn handle_enter(&mut self, slot: SlotId, judged: Judged, now: Instant) {
+        let at = slot as usize;
+        if self.components.len() <= at {
+            self.components.resize_with(at + 1, || None);
+        }
+        self.components[at] = Some(Component::new(judged, now));
+    }
+
+    /// It is no longer.
+    pub fn handle_leave(&mut self, slot: SlotId) {
+        let place = self.components.get_mut(slot as usize);
+        let Some(component) = place.and_then(Option::take) else { return };
+        if let Some(arbiter) = self.arbiters.get_mut(&component.judged.arbiter) {
+            if arbiter.running == Some(slot) {
+                arbiter.left = Some(component.judged.object);
+            }
+            arbiter.overloaded.take_if(|root| *root == slot);
+        }
+    }
+
+    /// An arbiter is no more.
+    pub fn handle_gone(&mut self, arbiter: ArbiterId) {
+        self.arbiters.remove(&arbiter);
+    }
+
+    /// A look begins.
+    pub fn handle_look(&mut self, now: Instant) {
+        let gap = self.looked_at.map_or(Duration::ZERO, |before| now - before);
+        self.looked_at = Some(now);
+        if gap <= self.config.gap {
+            return;
+        }
+        for arbiter in self.arbiters.values_mut() {
+            (arbiter.since, arbiter.beat_since) = (now, now);
+            arbiter.fenced_since = arbiter.fenced_since.map(|_| now);
+        }
+        for component in self.components.iter_mut().flatten() {
+            component.void(now);
+        }
+        self.outputs.push_back(Sighting::Stalled { gap });
+    }
+
+    /// What an arbiter says.
+    pub fn handle_pulse(&mut self, id: ArbiterId, reading: PulseReading, now: Instant) {
+        let turn = reading.stamp.map(|stamp| stamp.turn);
+        let allowance = reading.stamp.map_or(Duration::ZERO, |stamp| stamp.allowance);
+        let arbiter = self.arbiters.entry(id).or_insert(Arbiter {
+            beat: reading.beat,
+            running: reading.running,
+            turn,
+            allowance,
+            since: now,
+            beat_since: now,
+            occupancy: Occupancy::default(),
+            hang: None,
+            left: None,
+            overloaded: None,
+            fenced_since: None,
+            lost: false,
+        });
+        arbiter.occupancy.note(reading.running);
+        let beats = arbiter.beat != reading.beat;
+        if beats {
+            arbiter.beat_since = now;
+        }
+        // A culprit that was given up meanwhile has not thereby moved on.
+        let turned = turn.is_some() && arbiter.turn != turn;
+        let changed = beats || arbiter.running != reading.running || turned;
+        if changed {
+            (arbiter.beat, arbiter.running) = (reading.beat, reading.running);
+            (arbiter.turn, arbiter.since) = (turn, now);
+            arbiter.left = None;
+        } else if arbiter.allowance != allowance && arbiter.hang.is_none() {
+            // A declared operation begins or ends within the turn: each part has its own time.
+            arbiter.since = now;
+        }
+        arbiter.allowance = allowance;
+        arbiter.fenced_since = reading.fenced.then(|| arbiter.fenced_since.unwrap_or(now));
+        let age = now - arbiter.since;
+        let resumed = if changed { arbiter.hang.take() } else { None };
+        let lost = !arbiter.lost
+            && arbiter.fenced_since.is_some_and(|since| now - since >= self.config.grace);
+        if let Some(hang) = resumed {
+            self.resume(id, &hang, now);
+        }
+        self.judge_arbiter(id, age);
+        if lost {
+            self.lose(id, reading.running);
+        }
+    }
+
+    fn judge_arbiter(&mut self, id: ArbiterId, age: Duration) {
+        let Some(arbiter) = self.arbiters.get(&id) else { return };
+        let (Some(slot), None) = (arbiter.running, &arbiter.hang) else { return };
+        let Some(culprit) = self.component(slot) else { return };
+        let limit = culprit.judged.max_block.max(arbiter.allowance);
+        if age < limit || culprit.judged.arbiter != id {
+            return;
+        }
+        let object = culprit.judged.object.clone();
+        let victims = self.others_on(id, slot);
+        if let Some(arbiter) = self.arbiters.get_mut(&id) {
+            arbiter.hang = Some(Hang { culprit: object.clone(), slot });
+        }
+        self.outputs.push_back(Sighting::Hangs { slot, object, age, victims });
+    }
+
+    fn resume(&mut self, id: ArbiterId, hang: &Hang, now: Instant) {
+        let mut objects = self.others_on(id, hang.slot);
+        let culprit = self.component(hang.slot);
+        objects.extend(culprit.map(|culprit| culprit.judged.object.clone()));
+        // Who stood still had no chance to speak.
+        for component in self.components.iter_mut().flatten() {
+            if component.judged.arbiter == id {
+                component.void(now);
+            }
+        }
+        let lost = self.arbiters.get(&id).is_some_and(|arbiter| arbiter.lost);
+        if !lost {
+            self.outputs.push_back(Sighting::Resumed { objects });
+        }
+    }
+
+    fn lose(&mut self, id: ArbiterId, running: Option<SlotId>) {
+        let Some(arbiter) = self.arbiters.get_mut(&id) else { return };
+        arbiter.lost = true;
+        let hang = arbiter.hang.as_ref().map(|hang| (hang.culprit.clone(), hang.slot));
+        let left = arbiter.left.clone();
+        let known = hang.or_else(|| {
+            let slot = running?;
+            let runs = || Some(self.component(slot)?.judged.object.clone());
+            Some((left.or_else(runs)?, slot))
+        });
+        let Some((culprit, slot)) = known else { return };
+        let victims = self.others_on(id, slot);
+        self.outputs.push_back(Sighting::Lost { arbiter: id, culprit, victims });
+    }
+
+    fn component(&self, slot: SlotId) -> Option<&Component> {
+        self.components.get(slot as usize)?.as_ref()
+    }
+
+    fn others_on(&self, arbiter: ArbiterId, but: SlotId) -> Vec<ObjectName> {
+        let others = self.components.iter().enumerate().filter(|(at, _)| *at != but as usize);
+        let others = others.filter_map(|(_, component)| component.as_ref());
+        let here = others.filter(|component| component.judged.arbiter == arbiter);
+        here.map(|component| component.judged.object.clone()).collect()
+    }
+
+    /// What is known of every arbiter.
+    pub fn arbiters(&self) -> impl Iterator<Item = (ArbiterId, ArbiterSeen)> + '_ {
+        self.arbiters.iter().map(|(id, arbiter)| {
+            let hangs = arbiter.hang.as_ref().map(|hang| (hang.culprit.clone(), arbiter.since));
+            (*id, ArbiterSeen { busy: arbiter.occupancy.share(), hangs })
+        })
+    }
+
+    /// Which components have something in service, which turn it is, and since when at least; by slot.
+    pub fn busy(&self) -> impl Iterator<Item = (SlotId, u64, Instant)> + '_ {
+        let known = (0..).zip(&self.components);
+        known.filter_map(|(slot, component)| {
+            let component = component.as_ref()?;
+            let turn = component.reading?.turn;
+            (turn % 2 == 1).then_some((slot, turn, component.turn_since))
+        })
+    }
+
+    /// When each component that should give signs of life was last seen to have given one; by slot.
+    pub fn last_signs(&self) -> impl Iterator<Item = (SlotId, Option<Instant>)> + '_ {
+        let known = (0..).zip(&self.components);
+        known.filter_map(|(slot, component)| {
+            let component = component.as_ref()?;
+            let expected = component.reading.is_some_and(|reading| reading.speaks);
+            let judged = expected && component.judged.max_silence.is_some();
+            judged.then_some((slot, component.last_sign))
+        })
+    }
+
+    /// Which components have missed rounds in their present life, and how many; by slot.
+    pub fn missed_rounds(&self) -> impl Iterator<Item = (SlotId, u64)> + '_ {
+        let known = (0..).zip(&self.components);
+        known.filter_map(|(slot, component)| {
+            let missed = component.as_ref()?.lateness.missed_rounds();
+            (missed > 0).then_some((slot, missed))
+        })
+    }
+
+    /// Looks at all components.
+    pub fn handle_stamps(&mut self, now: Instant, looked: &impl Looked) {
+        let Scanner { config, arbiters, components, outputs, .. } = self;
+        let (mut late, mut silent) = (Vec::new(), Vec::new());
+        for (slot, place) in (0..).zip(components) {
+            let Some(component) = place else { continue };
+            let around = Around { slot, arbiter: arbiters.get(&component.judged.arbiter), config };
+            component.handle(&around, looked, now, (outputs, &mut late, &mut silent));
+        }
+        self.blame(late, looked, now);
+        self.relieve(now);
+        // What a victim suffers is told after its root.
+        self.outputs.extend(silent);
+    }
+}
+
+/// Where a component is looked at.
+struct Around<'a> {
+    slot: SlotId,
+    arbiter: Option<&'a Arbiter>,
+    config: &'a ScannerConfig,
+}
+
+impl Around<'_> {
+    /// The arbiter's beat stands.
+    fn stands(&self, now: Instant) -> bool {
+        self.arbiter.is_some_and(|arbiter| now - arbiter.beat_since > self.config.standstill)
+    }
+
+    /// The component is on the thread.
+    fn runs(&self) -> bool {
+        self.arbiter.is_some_and(|arbiter| arbiter.running == Some(self.slot))
+    }
+
+    /// The arbiter hangs, or has been given up: what happens to those on it is decided with it.
+    fn hangs(&self) -> bool {
+        self.arbiter.is_some_and(|arbiter| arbiter.hang.is_some() || arbiter.fenced_since.is_some())
+    }
+
+    /// Who has kept the component from its thread for so long.
+    fn kept_by(&self, span: Duration) -> Option<SlotId> {
+        self.arbiter?.kept_by(self.slot, span)
+    }
+}
+
+impl Component {
+    fn new(judged: Judged, now: Instant) -> Self {
+        Component {
+            judged,
+            reading: None,
+            beat: 0,
+            turn_since: now,
+            alive_since: now,
+            last_sign: None,
+            worked: false,
+            waits: false,
+            heard: false,
+            silence: Silence::No,
+            stuck: false,
+            lateness: Lateness::new(now),
+            overload: None,
+        }
+    }
+
+    /// It had no chance to work, or was not looked at: all is measured from now on.
+    fn void(&mut self, now: Instant) {
+        (self.turn_since, self.alive_since) = (now, now);
+        self.lateness.void(now);
+        if self.silence == Silence::Told {
+            self.silence = Silence::Void;
+        }
+    }
+
+    fn handle(
+        &mut self,
+        around: &Around<'_>,
+        looked: &impl Looked,
+        now: Instant,
+        (outputs, late, silent): (&mut VecDeque<Sighting>, &mut Vec<Late>, &mut Vec<Sighting>),
+    ) {
+        let reading = looked.stamp(around.slot);
+        let before = self.reading.replace(reading);
+        let beat = around.arbiter.map_or(0, |arbiter| arbiter.beat);
+        let beats = std::mem::replace(&mut self.beat, beat) != beat;
+        let Some(before) = before.filter(|before| before.incarnation == reading.incarnation) else {
+            let fresh = Component::new(self.judged.clone(), now);
+            *self = Component { reading: Some(reading), beat, ..fresh };
+            return;
+        };
+        let turned = before.turn != reading.turn;
+        if turned {
+            (self.turn_since, self.waits, self.worked) = (now, false, true);
+        }
+        if before.allowance != reading.allowance {
+            (self.turn_since, self.alive_since) = (now, now);
+        }
+        let signs = before.alive != reading.alive;
+        // Where it is asked, any movement is an answer.
+        let answers = self.judged.max_unanswered.is_some() && (turned || beats);
+        if signs || answers || (!reading.speaks && self.judged.max_unanswered.is_none()) {
+            (self.alive_since, self.worked) = (now, false);
+            self.heard |= signs;
+            if signs {
+                self.last_sign = Some(now);
+            }
+            if self.silence != Silence::No && (signs || answers) {
+                self.silence = Silence::No;
+                outputs.push_back(
+                    self.says(reading, |object, incarnation| Sighting::Spoke {
+                        object,
+                        incarnation,
+                    }),
+                );
+            }
+        }
+        if around.runs() && !turned && around.stands(now) {
+            return; // Judged as a culprit, not for itself.
+        }
+        if let Some(sighting) = self.judge_silence(around, looked, now, late) {
+            silent.push(sighting);
+        }
+        let age = now - self.turn_since;
+        let limit = self.judged.max_wait.max(reading.allowance);
+        if reading.turn % 2 == 1 && !self.waits && age >= limit && !around.stands(now) {
+            self.waits = true;
+            let slot = around.slot;
+            outputs.push_back(self.says(reading, |object, incarnation| Sighting::Waits {
+                slot,
+                object,
+                incarnation,
+                age,
+            }));
+        }
+        if !around.hangs() {
+            self.judge_flow(around, looked, turned, now, (outputs, late));
+        }
+    }
+
+    fn says(
+        &self,
+        reading: StampReading,
+        what: impl FnOnce(ObjectName, crate::Incarnation) -> Sighting,
+    ) -> Sighting {
+        what(self.judged.object.clone(), reading.incarnation)
+    }
+}
+
+impl Machine for Scanner {
+    type Output = Sighting;
+
+    fn poll_output(&mut self) -> Option<Sighting> {
+        self.outputs.pop_front()
+    }
+
+    /// The scanner is shown things at even intervals and wants nothing in between.
+    fn poll_timeout(&self) -> Option<Instant> {
+        None
+    }
+
+    fn handle_timeout(&mut self, _now: Instant) {}
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,161 @@
+//! What the watch thread has seen: handlers that take too long, overload, silence, and a process that
+//! stood still.
+
+use super::Monitor;
+use crate::detection::Finding;
+use crate::detection::hang::{OverloadFigures, QueueReading};
+use crate::{Incarnation, Instant, ObjectName};
+use std::sync::Arc;
+use std::time::Duration;
+
+impl Monitor {
+    /// The watch thread saw this object's handler keep its arbiter from turning.
+    pub fn handle_hangs(
+        &mut self,
+        object: &ObjectName,
+        incarnation: Incarnation,
+        during: &'static str,
+        age: Duration,
+        victims: Arc<[ObjectName]>,
+        now: Instant,
+    ) {
+        for victim in victims.iter().filter(|&victim| victim != object) {
+            if let Some(entry) = self.objects.get_mut(victim)
+                && !entry.suspect
+            {
+                entry.suspect = true;
+                entry.suspicions = entry.suspicions.saturating_add(1);
+            }
+        }
+        let finding = Finding::Hangs { during, age, victims };
+        self.handle_slow(object, incarnation, during, finding, now);
+    }
+
+    /// The watch thread saw this object's handler await something for too long.
+    pub fn handle_waits(
+        &mut self,
+        object: &ObjectName,
+        incarnation: Incarnation,
+        during: &'static str,
+        age: Duration,
+        now: Instant,
+    ) {
+        self.handle_slow(object, incarnation, during, Finding::Waits { during, age }, now);
+    }
+
+    /// The watch thread saw these move again.
+    pub fn handle_resumed(&mut self, objects: &[ObjectName], now: Instant) {
+        for object in objects {
+            let Some(entry) = self.objects.get_mut(object) else { continue };
+            entry.current = None;
+            entry.suspect = false;
+            entry.last_sign = Some(now);
+            let incarnation = entry.incarnation;
+            self.observe_object(object, incarnation, Finding::Resumed, now);
+        }
+        self.settle(now);
+    }
+
+    /// The watch thread gives up hope that these will move again behind `culprit`.
+    pub fn handle_lost(&mut self, culprit: &ObjectName, victims: &[ObjectName], now: Instant) {
+        for victim in victims.iter().filter(|&victim| victim != culprit) {
+            let Some(entry) = self.objects.get_mut(victim) else { continue };
+            entry.current = Some(("nothing: another object hangs", now));
+            let incarnation = entry.incarnation;
+            let culprit = culprit.clone();
+            self.observe_object(victim, incarnation, Finding::Lost { culprit }, now);
+        }
+        self.settle(now);
+    }
+
+    /// The watch thread found this object silent for `age`.
+    pub fn handle_silent(
+        &mut self,
+        object: &ObjectName,
+        incarnation: Incarnation,
+        age: Duration,
+        now: Instant,
+    ) {
+        let Some(entry) = self.alive(object, incarnation, now) else { return };
+        entry.silent = true;
+        self.observe_object(object, incarnation, Finding::Silent { age }, now);
+        self.settle(now);
+    }
+
+    /// The watch thread found this object working and late, and those behind it.
+    pub fn handle_overloaded(
+        &mut self,
+        object: &ObjectName,
+        incarnation: Incarnation,
+        figures: OverloadFigures,
+        victims: Arc<[ObjectName]>,
+        now: Instant,
+    ) {
+        if self.alive(object, incarnation, now).is_some() {
+            let finding = Finding::Overloaded { figures, victims };
+            self.observe_object(object, incarnation, finding, now);
+        }
+        self.settle(now);
+    }
+
+    /// The watch thread found that this object takes no messages.
+    pub fn handle_stuck(
+        &mut self,
+        object: &ObjectName,
+        incarnation: Incarnation,
+        queue: QueueReading,
+        now: Instant,
+    ) {
+        if self.alive(object, incarnation, now).is_some() {
+            let QueueReading { queued, oldest } = queue;
+            self.observe_object(object, incarnation, Finding::Stuck { oldest, queued }, now);
+        }
+        self.settle(now);
+    }
+
+    /// The watch thread found that this object, and those behind it, have caught up.
+    pub fn handle_flows(&mut self, object: &ObjectName, incarnation: Incarnation, now: Instant) {
+        if self.alive(object, incarnation, now).is_some() {
+            self.observe_object(object, incarnation, Finding::Flows, now);
+        }
+        self.settle(now);
+    }
+
+    /// The watch thread heard this object.
+    pub fn handle_spoke(&mut self, object: &ObjectName, incarnation: Incarnation, now: Instant) {
+        let Some(entry) = self.alive(object, incarnation, now) else { return };
+        entry.last_sign = Some(now);
+        entry.suspect = false;
+        if std::mem::replace(&mut entry.silent, false) {
+            self.observe_object(object, incarnation, Finding::Spoke, now);
+        }
+        self.settle(now);
+    }
+
+    /// The watch, or the whole process, was not scheduled for `gap`: every silence up to now is void.
+    pub fn handle_stall(&mut self, gap: Duration, now: Instant) {
+        self.stalls += 1;
+        self.inquiry.handle_stall(gap, now);
+        self.settle(now);
+    }
+
+    /// A handler that takes too long. It is news once for each handler.
+    fn handle_slow(
+        &mut self,
+        object: &ObjectName,
+        incarnation: Incarnation,
+        during: &'static str,
+        finding: Finding,
+        now: Instant,
+    ) {
+        let (Finding::Hangs { age, .. } | Finding::Waits { age, .. }) = finding else { return };
+        let Some(entry) = self.alive(object, incarnation, now) else { return };
+        let since = Instant::ORIGIN + (now - (Instant::ORIGIN + age));
+        let known = entry.current.is_some_and(|(known, _)| known == during);
+        if !known {
+            entry.current = Some((during, since));
+            self.observe_object(object, incarnation, finding, now);
+        }
+        self.settle(now);
+    }
+}

@@ -1,0 +1,437 @@
+//! The pull model: objects are asked "are you alive?", and must answer in time.
+
+use super::{Opinion, Progress, Pull};
+use crate::{Incarnation, Instant, Machine, ObjectName};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+
+/// Asks objects whether they are alive.
+///
+/// It is for the middleware's own objects, which have no [stamps](crate::detection::hang): whether a component is
+/// alive, and how far its work has come, is seen without asking it.
+///
+/// ```text
+/// ask ──── answer within T ────► Trusted       alive?
+///  ├── T over ─► Suspect ── tolerance × T over ─► Failed
+/// ```
+/// There is one open question per object, so that a stuck one is not buried under questions.
+#[derive(Clone, Debug, Default)]
+pub struct Inquiry {
+    asked: BTreeMap<ObjectName, Asked>,
+    /// When to look at whom: exactly one look for each object from which something is due.
+    looks: BTreeSet<(Instant, ObjectName)>,
+    outputs: VecDeque<InquiryOutput>,
+}
+
+/// What an [`Inquiry`] wants done, or has found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum InquiryOutput {
+    /// Ask this object.
+    Ask {
+        /// Whom.
+        object: ObjectName,
+    },
+    /// The opinion about its being alive has changed.
+    Verdict(Verdict),
+}
+
+/// A change of opinion.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Verdict {
+    /// About whom.
+    pub object: ObjectName,
+    /// In which life.
+    pub incarnation: Incarnation,
+    /// The new opinion.
+    pub opinion: Opinion,
+    /// For how long it was silent.
+    pub silence: Duration,
+}
+
+#[derive(Clone, Debug)]
+struct Asked {
+    pull: Pull,
+    incarnation: Incarnation,
+    opinion: Opinion,
+    /// When the last question was asked that is not answered yet.
+    unanswered: Option<Instant>,
+    /// A question stands; no other is asked meanwhile.
+    open: bool,
+    next: Instant,
+    look: Option<Instant>,
+    reprieves: u32,
+}
+
+/// A machine that was woken this many times too late for one silence judges all the same: otherwise a
+/// monitor that is always late would never find anything.
+const REPRIEVES: u32 = 2;
+
+impl Asked {
+    fn new(pull: Pull, incarnation: Incarnation, now: Instant) -> Self {
+        Asked {
+            pull,
+            incarnation,
+            opinion: Opinion::Unheard,
+            unanswered: None,
+            open: false,
+            next: now,
+            look: None,
+            reprieves: 0,
+        }
+    }
+
+    /// When the opinion changes unless an answer comes.
+    fn verdict_due(&self) -> Option<Instant> {
+        let asked = self.unanswered?;
+        match self.opinion {
+            Opinion::Unheard | Opinion::Trusted => Some(asked + self.pull.within),
+            Opinion::Suspect => {
+                Some(asked + self.pull.within.saturating_mul(self.pull.tolerance.max(1)))
+            }
+            Opinion::Failed | Opinion::AtRest => None,
+        }
+    }
+
+    fn due(&self) -> Option<Instant> {
+        let question = (!self.open && self.opinion != Opinion::AtRest).then_some(self.next);
+        [question, self.verdict_due()].into_iter().flatten().min()
+    }
+}
+
+impl Inquiry {
+    /// An inquiry that asks nobody yet.
+    pub fn new() -> Self {
+        Inquiry::default()
+    }
+
+    /// Asks an object from now on, whose life `incarnation` begins or goes on.
+    pub fn enrol(
+        &mut self,
+        object: &ObjectName,
+        pull: Pull,
+        incarnation: Incarnation,
+        now: Instant,
+    ) {
+        let least = Duration::from_millis(1);
+        let pull =
+            Pull { interval: pull.interval.max(least), within: pull.within.max(least), ..pull };
+        let asked =
+            self.asked.entry(object.clone()).or_insert_with(|| Asked::new(pull, incarnation, now));
+        asked.pull = pull;
+        if asked.incarnation < incarnation {
+            *asked = Asked { look: asked.look, ..Asked::new(pull, incarnation, now) };
+        }
+        schedule(&mut self.looks, object, asked);
+    }
+
+    /// Forgets an object.
+    pub fn dismiss(&mut self, object: &ObjectName) {
+        if let Some(Asked { look: Some(look), .. }) = self.asked.remove(object) {
+            self.looks.remove(&(look, object.clone()));
+        }
+    }
+
+    /// An object has answered. Answers of older lives do not count.
+    pub fn handle_answer(&mut self, object: &ObjectName, progress: Progress, now: Instant) {
+        let Some(asked) = self.asked.get_mut(object) else { return };
+        if progress.incarnation < asked.incarnation || asked.opinion == Opinion::AtRest {
+            return self.handle_unanswered(object, now);
+        }
+        if progress.incarnation > asked.incarnation {
+            let next = asked.next;
+            let fresh = Asked::new(asked.pull, progress.incarnation, now);
+            *asked = Asked { look: asked.look, next, ..fresh };
+        }
+        let silence = asked.unanswered.map_or(Duration::ZERO, |since| now - since);
+        asked.unanswered = None;
+        asked.open = false;
+        asked.reprieves = 0;
+        // The rhythm is kept; what a late answer made us miss is skipped.
+        asked.next = asked.next.max(now);
+        let (incarnation, opinion) = (asked.incarnation, Opinion::Trusted);
+        if std::mem::replace(&mut asked.opinion, opinion) != opinion {
+            let verdict = Verdict { object: object.clone(), incarnation, opinion, silence };
+            self.outputs.push_back(InquiryOutput::Verdict(verdict));
+        }
+        schedule(&mut self.looks, object, asked);
+    }
+
+    /// The open question will never be answered: the mailbox is closed, or whoever asked has begun
+    /// anew. It is asked again at the next turn; the silence goes on.
+    pub fn handle_unanswered(&mut self, object: &ObjectName, now: Instant) {
+        if let Some(asked) = self.asked.get_mut(object)
+            && asked.open
+        {
+            asked.open = false;
+            asked.next = asked.next.max(now);
+            schedule(&mut self.looks, object, asked);
+        }
+    }
+
+    /// A new life has begun: its history is empty, and the old life's question is void.
+    pub fn handle_start(&mut self, object: &ObjectName, incarnation: Incarnation, now: Instant) {
+        if let Some(asked) = self.asked.get_mut(object)
+            && incarnation > asked.incarnation
+        {
+            *asked = Asked { look: asked.look, ..Asked::new(asked.pull, incarnation, now) };
+            schedule(&mut self.looks, object, asked);
+        }
+    }
+
+    /// A life has ended: nobody is asked until a newer one begins.
+    pub fn handle_end(&mut self, object: &ObjectName, incarnation: Incarnation, now: Instant) {
+        if let Some(asked) = self.asked.get_mut(object)
+            && incarnation >= asked.incarnation
+        {
+            let fresh = Asked::new(asked.pull, incarnation, now);
+            *asked = Asked { look: asked.look, opinion: Opinion::AtRest, ..fresh };
+            schedule(&mut self.looks, object, asked);
+        }
+    }
+
+    /// The monitor was not scheduled for `gap`: all deadlines move by as much.
+    pub fn handle_stall(&mut self, gap: Duration, now: Instant) {
+        for (object, asked) in &mut self.asked {
+            asked.unanswered = asked.unanswered.map(|since| (since + gap).min(now).max(since));
+            schedule(&mut self.looks, object, asked);
+        }
+    }
+
+    fn look_at(&mut self, object: ObjectName, lateness: Duration, now: Instant) {
+        let asked = self.asked.get_mut(&object).expect("a look stands for an object that is asked");
+        asked.look = None;
+        let overdue = asked.verdict_due().is_some_and(|due| due <= now);
+        if overdue && lateness > asked.pull.within / 2 && asked.reprieves < REPRIEVES {
+            asked.reprieves += 1;
+            let spared = lateness + asked.pull.within;
+            asked.unanswered = asked.unanswered.map(|since| since + spared);
+        }
+        while let Some(due) = asked.verdict_due()
+            && due <= now
+        {
+            asked.opinion = match asked.opinion {
+                Opinion::Suspect => Opinion::Failed,
+                _ => Opinion::Suspect,
+            };
+            self.outputs.push_back(InquiryOutput::Verdict(Verdict {
+                object: object.clone(),
+                incarnation: asked.incarnation,
+                opinion: asked.opinion,
+                silence: asked.unanswered.map_or(Duration::ZERO, |since| now - since),
+            }));
+        }
+        if !asked.open && asked.opinion != Opinion::AtRest && asked.next <= now {
+            asked.open = true;
+            asked.unanswered = asked.unanswered.or(Some(now));
+            asked.next = now + asked.pull.interval;
+            self.outputs.push_back(InquiryOutput::Ask { object: object.clone() });
+        }
+        schedule(&mut self.looks, &object, asked);
+    }
+}
+
+/// Puts an object's look where it is due.
+fn schedule(looks: &mut BTreeSet<(Instant, ObjectName)>, object: &ObjectName, asked: &mut Asked) {
+    let due = asked.due();
+    if asked.look == due {
+        return;
+    }
+    if let Some(look) = asked.look.take() {
+        looks.remove(&(look, object.clone()));
+    }
+    if let Some(due) = due {
+        looks.insert((due, object.clone()));
+        asked.look = Some(due);
+    }
+}
+
+impl Machine for Inquiry {
+    type Output = InquiryOutput;
+
+    fn poll_output(&mut self) -> Option<InquiryOutput> {
+        self.outputs.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.looks.first().map(|&(look, _)| look)
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        while let Some(&(look, _)) = self.looks.first()
+            && look <= now
+        {
+            let (look, object) = self.looks.pop_first().expect("it was just looked at");
+            self.look_at(object, now - look, now);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Lifecycle;
+
+    const ONE: Incarnation = Incarnation(1);
+    const TWO: Incarnation = Incarnation(2);
+
+    fn at(millis: u64) -> Instant {
+        Instant::from_millis(millis)
+    }
+
+    fn map() -> ObjectName {
+        ObjectName::new("map").expect("a name")
+    }
+
+    fn pull() -> Pull {
+        Pull {
+            interval: Duration::from_millis(100),
+            within: Duration::from_millis(40),
+            tolerance: 3,
+        }
+    }
+
+    fn inquiry() -> Inquiry {
+        let mut inquiry = Inquiry::new();
+        inquiry.enrol(&map(), pull(), ONE, at(0));
+        inquiry
+    }
+
+    fn progress(incarnation: Incarnation) -> Progress {
+        Progress { incarnation, state: Lifecycle::Active }
+    }
+
+    /// Wakes the machine exactly when it wants, up to `until`; an ask reads "ask".
+    fn run(inquiry: &mut Inquiry, until: u64) -> Vec<(u64, String)> {
+        let mut told = Vec::new();
+        loop {
+            let now = inquiry.poll_timeout().unwrap_or(at(until)).min(at(until));
+            inquiry.handle_timeout(now);
+            let millis = now.as_nanos() / 1_000_000;
+            while let Some(output) = inquiry.poll_output() {
+                let text = match output {
+                    InquiryOutput::Ask { .. } => "ask".into(),
+                    InquiryOutput::Verdict(verdict) => verdict.opinion.to_string(),
+                };
+                told.push((millis, text));
+            }
+            if now == at(until) {
+                return told;
+            }
+        }
+    }
+
+    fn texts<const N: usize>(told: [(u64, &str); N]) -> Vec<(u64, String)> {
+        told.map(|(at, text)| (at, text.to_string())).into()
+    }
+
+    #[test]
+    fn whoever_answers_is_trusted_and_asked_again_at_the_next_turn() {
+        let mut inquiry = inquiry();
+        assert_eq!(run(&mut inquiry, 0), texts([(0, "ask")]));
+
+        inquiry.handle_answer(&map(), progress(ONE), at(5));
+
+        assert_eq!(run(&mut inquiry, 99), texts([(99, "trusted")]));
+        assert_eq!(run(&mut inquiry, 100), texts([(100, "ask")]));
+    }
+
+    #[test]
+    fn whoever_does_not_answer_is_suspect_and_then_failed_and_never_asked_twice() {
+        let mut inquiry = inquiry();
+
+        let told = run(&mut inquiry, 10_000);
+
+        assert_eq!(told, texts([(0, "ask"), (40, "suspect"), (120, "failed")]));
+        inquiry.handle_answer(&map(), progress(ONE), at(10_000));
+        assert_eq!(run(&mut inquiry, 10_000), texts([(10_000, "trusted"), (10_000, "ask")]));
+    }
+
+    #[test]
+    fn a_question_that_cannot_be_answered_is_asked_again_while_the_silence_goes_on() {
+        let mut inquiry = inquiry();
+        run(&mut inquiry, 0);
+
+        inquiry.handle_unanswered(&map(), at(1));
+
+        let told = run(&mut inquiry, 150);
+        assert_eq!(told, texts([(40, "suspect"), (100, "ask"), (120, "failed")]));
+    }
+
+    #[test]
+    fn an_answer_of_an_older_life_does_not_count() {
+        let mut inquiry = inquiry();
+        run(&mut inquiry, 0);
+        inquiry.handle_start(&map(), TWO, at(10));
+        run(&mut inquiry, 10);
+
+        inquiry.handle_answer(&map(), progress(ONE), at(20));
+
+        assert_eq!(run(&mut inquiry, 60), texts([(50, "suspect")]));
+    }
+
+    #[test]
+    fn an_answer_of_a_newer_life_begins_a_new_history() {
+        let mut inquiry = inquiry();
+        run(&mut inquiry, 50);
+
+        inquiry.handle_answer(&map(), progress(TWO), at(60));
+
+        assert_eq!(run(&mut inquiry, 60), texts([(60, "trusted")]));
+    }
+
+    #[test]
+    fn nobody_is_asked_after_its_end_until_a_newer_life_begins() {
+        let mut inquiry = inquiry();
+        run(&mut inquiry, 0);
+        inquiry.handle_end(&map(), ONE, at(10));
+        inquiry.handle_answer(&map(), progress(ONE), at(11));
+        assert_eq!(run(&mut inquiry, 5000), []);
+
+        inquiry.handle_start(&map(), TWO, at(5000));
+
+        assert_eq!(run(&mut inquiry, 5000), texts([(5000, "ask")]));
+    }
+
+    #[test]
+    fn a_stall_moves_the_deadlines_and_condemns_nobody() {
+        let mut inquiry = inquiry();
+        run(&mut inquiry, 30);
+
+        inquiry.handle_stall(Duration::from_secs(60), at(60_030));
+
+        assert_eq!(run(&mut inquiry, 60_039), []);
+        assert_eq!(run(&mut inquiry, 60_040), texts([(60_040, "suspect")]));
+    }
+
+    #[test]
+    fn a_monitor_that_is_woken_late_gives_another_time_to_answer_but_not_for_ever() {
+        let mut inquiry = inquiry();
+        run(&mut inquiry, 0);
+
+        let mut opinions = Vec::new();
+        while let Some(due) = inquiry.poll_timeout() {
+            inquiry.handle_timeout(due + Duration::from_secs(1));
+            while let Some(output) = inquiry.poll_output() {
+                let InquiryOutput::Verdict(verdict) = output else { panic!("{output:?}") };
+                opinions.push((verdict.opinion, verdict.silence > Duration::from_secs(1)));
+            }
+        }
+
+        assert_eq!(opinions, [(Opinion::Suspect, true), (Opinion::Failed, true)]);
+    }
+
+    #[test]
+    fn strangers_and_the_dismissed_are_ignored() {
+        let mut inquiry = inquiry();
+        inquiry.dismiss(&map());
+
+        inquiry.handle_answer(&map(), progress(ONE), at(0));
+        inquiry.handle_unanswered(&map(), at(0));
+        inquiry.handle_start(&map(), TWO, at(0));
+        inquiry.handle_end(&map(), TWO, at(0));
+        inquiry.handle_stall(Duration::from_secs(1), at(0));
+        inquiry.handle_timeout(at(1000));
+
+        assert_eq!((inquiry.poll_output(), inquiry.poll_timeout()), (None, None));
+    }
+}

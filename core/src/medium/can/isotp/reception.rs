@@ -1,0 +1,298 @@
+//! One message on its way in.
+//!
+//! ```text
+//!        first                   "go on" taken               last frame
+//! Idle ─────────► Answering ───────────────────► Receiving ─────────────► Idle
+//!                  ▲     │ "wait" taken              │ end of block
+//!         time over│     ▼                           ▼
+//!                  └── Holding                   Answering
+//! ```
+
+use super::config::IsoTpConfig;
+use super::pdu::{FlowControl, FlowStatus, Writer};
+use super::transmission::Audience;
+use crate::Instant;
+use crate::medium::can::CanFrame;
+use bytes::{Bytes, BytesMut};
+
+/// Why a message did not come in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReceiveError {
+    /// The sender began another message before this one was whole.
+    #[error("the sender began anew before the message was whole")]
+    Interrupted,
+    /// A frame is missing, or came twice.
+    #[error("frame {expected} of the message is due, {found} came")]
+    Sequence {
+        /// Counted in 16s.
+        expected: u8,
+        /// Counted in 16s.
+        found: u8,
+    },
+    /// The next frame did not come.
+    #[error("the sender fell silent before the message was whole")]
+    Silent,
+    /// More is announced than the limit allows.
+    #[error("a message of {length} bytes is too long")]
+    TooLong {
+        /// As announced.
+        length: u32,
+    },
+    /// Too many messages are under way to us.
+    #[error("too many messages arrive at one time")]
+    TooMany,
+    /// There was no room for it for too long.
+    #[error("there was no room for the message")]
+    NoRoom,
+    /// The bus did not take our word on how to go on.
+    #[error("the bus takes no frames")]
+    BusStuck,
+    /// A frame that is not the first, of a message that did not begin, or out of turn.
+    #[error("a frame of no message")]
+    Unexpected,
+    /// A frame that is shorter than those before it, and not the last.
+    #[error("a frame that is too short")]
+    ShortFrame,
+}
+
+/// What a frame led to.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(super) struct Heard {
+    /// A message that will not come in any more, or a frame that belongs to none.
+    pub(super) failed: Option<ReceiveError>,
+    /// A message that is whole.
+    pub(super) message: Option<Bytes>,
+}
+
+impl Heard {
+    fn failure(error: ReceiveError) -> Self {
+        Heard { failed: Some(error), message: None }
+    }
+}
+
+/// What bears on a reception.
+#[derive(Clone, Copy)]
+pub(super) struct Terms<'a> {
+    pub(super) config: &'a IsoTpConfig,
+    /// Whether whoever is to get the message could take one.
+    pub(super) room: bool,
+    pub(super) now: Instant,
+}
+
+/// What comes from one source.
+#[derive(Debug)]
+pub(super) struct Reception {
+    audience: Audience,
+    state: State,
+}
+
+#[derive(Debug)]
+enum State {
+    Idle,
+    /// Our word is to go out.
+    Answering {
+        partial: Partial,
+        status: FlowStatus,
+        waits: u8,
+        until: Instant,
+    },
+    /// A refusal is to go out.
+    Refusing {
+        until: Instant,
+    },
+    /// The sender was told to wait.
+    Holding {
+        partial: Partial,
+        waits: u8,
+        at: Instant,
+    },
+    /// Frames come.
+    Receiving {
+        partial: Partial,
+        left_in_block: Option<u8>,
+        until: Instant,
+    },
+}
+
+/// What is there of a message.
+#[derive(Debug)]
+struct Partial {
+    bytes: BytesMut,
+    length: usize,
+    /// How long its frames are.
+    frame: usize,
+    sequence: u8,
+}
+
+impl Reception {
+    pub(super) fn new(audience: Audience) -> Self {
+        Reception { audience, state: State::Idle }
+    }
+
+    /// Whether nothing is under way.
+    pub(super) fn is_idle(&self) -> bool {
+        matches!(self.state, State::Idle)
+    }
+
+    /// A whole message.
+    pub(super) fn handle_single(&mut self, data: &[u8]) -> Heard {
+        let failed = self.interrupt();
+        Heard { failed, message: Some(Bytes::copy_from_slice(data)) }
+    }
+
+    /// The beginning of a message. `admitted` is whether there is a place for it.
+    pub(super) fn handle_first(
+        &mut self,
+        length: u32,
+        data: &[u8],
+        admitted: bool,
+        terms: Terms<'_>,
+    ) -> Heard {
+        let Terms { config, now, .. } = terms;
+        let interrupted = self.interrupt();
+        let whole = length as usize;
+        if whole > config.message_max || !admitted {
+            if self.audience == Audience::One {
+                self.state = State::Refusing { until: now + config.bus_timeout };
+            }
+            let long = whole > config.message_max;
+            let error = if long { ReceiveError::TooLong { length } } else { ReceiveError::TooMany };
+            return Heard::failure(error);
+        }
+        let mut bytes = BytesMut::with_capacity(whole);
+        bytes.extend_from_slice(data);
+        // The header of a first frame is two bytes, or six where the length needs them.
+        let header = if whole > super::pdu::SHORT_LENGTH_MAX { 6 } else { 2 };
+        let partial = Partial { bytes, length: whole, frame: data.len() + header, sequence: 1 };
+        self.state = match self.audience {
+            Audience::One => answer(partial, 0, terms),
+            Audience::All => {
+                let until = now + config.frame_timeout;
+                State::Receiving { partial, left_in_block: None, until }
+            }
+        };
+        Heard { failed: interrupted, message: None }
+    }
+
+    /// More of a message.
+    pub(super) fn handle_consecutive(
+        &mut self,
+        sequence: u8,
+        data: &[u8],
+        terms: Terms<'_>,
+    ) -> Heard {
+        let Terms { config, now, .. } = terms;
+        let (mut partial, left_in_block) = match std::mem::replace(&mut self.state, State::Idle) {
+            State::Receiving { partial, left_in_block, .. } => (partial, left_in_block),
+            // Nobody was told to go on. What is under way goes on when he is.
+            other => {
+                self.state = other;
+                return Heard::failure(ReceiveError::Unexpected);
+            }
+        };
+        let expected = partial.sequence;
+        if sequence != expected {
+            return Heard::failure(ReceiveError::Sequence { expected, found: sequence });
+        }
+        let missing = partial.length - partial.bytes.len();
+        if data.len() < missing && data.len() + 1 < partial.frame {
+            return Heard::failure(ReceiveError::ShortFrame);
+        }
+        partial.bytes.extend_from_slice(&data[..data.len().min(missing)]);
+        partial.sequence = (expected + 1) & 0x0f;
+        if partial.bytes.len() == partial.length {
+            return Heard { failed: None, message: Some(partial.bytes.freeze()) };
+        }
+        let left_in_block = left_in_block.map(|left| left - 1);
+        self.state = if left_in_block == Some(0) {
+            answer(partial, 0, terms)
+        } else {
+            State::Receiving { partial, left_in_block, until: now + config.frame_timeout }
+        };
+        Heard::default()
+    }
+
+    /// There is room again: a sender that waits need not wait any longer.
+    pub(super) fn handle_room(&mut self, terms: Terms<'_>) {
+        self.state = match std::mem::replace(&mut self.state, State::Idle) {
+            State::Holding { partial, waits, .. } => answer(partial, waits, terms),
+            other => other,
+        };
+    }
+
+    /// Whether a frame is to go out.
+    pub(super) fn is_ready(&self) -> bool {
+        matches!(self.state, State::Answering { .. } | State::Refusing { .. })
+    }
+
+    /// Our word to the sender, if one is to go out now. It counts as sent.
+    pub(super) fn poll_frame(&mut self, writer: &Writer, terms: Terms<'_>) -> Option<CanFrame> {
+        let Terms { config, now, .. } = terms;
+        let (status, next) = match std::mem::replace(&mut self.state, State::Idle) {
+            State::Refusing { .. } => (FlowStatus::Overflow, State::Idle),
+            State::Answering { partial, status: FlowStatus::Continue, .. } => {
+                let left_in_block = (config.block_size != 0).then_some(config.block_size);
+                let until = now + config.frame_timeout;
+                (FlowStatus::Continue, State::Receiving { partial, left_in_block, until })
+            }
+            State::Answering { partial, status, waits, .. } => {
+                let at = now + config.wait_interval;
+                (status, State::Holding { partial, waits: waits + 1, at })
+            }
+            other => {
+                self.state = other;
+                return None;
+            }
+        };
+        self.state = next;
+        Some(writer.flow(FlowControl::ours(status, config)))
+    }
+
+    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+        match &self.state {
+            State::Idle => None,
+            State::Answering { until, .. }
+            | State::Refusing { until }
+            | State::Receiving { until, .. } => Some(*until),
+            State::Holding { at, .. } => Some(*at),
+        }
+    }
+
+    /// Gives up what takes too long.
+    pub(super) fn handle_timeout(&mut self, terms: Terms<'_>) -> Option<ReceiveError> {
+        let Terms { config, now, .. } = terms;
+        if self.poll_timeout().is_none_or(|due| due > now) {
+            return None;
+        }
+        match std::mem::replace(&mut self.state, State::Idle) {
+            State::Idle => None,
+            State::Answering { .. } | State::Refusing { .. } => Some(ReceiveError::BusStuck),
+            State::Receiving { .. } => Some(ReceiveError::Silent),
+            State::Holding { waits, .. } if !terms.room && waits >= config.waits_max => {
+                Some(ReceiveError::NoRoom)
+            }
+            State::Holding { partial, waits, .. } => {
+                self.state = answer(partial, waits, terms);
+                None
+            }
+        }
+    }
+
+    fn interrupt(&mut self) -> Option<ReceiveError> {
+        match std::mem::replace(&mut self.state, State::Idle) {
+            State::Idle | State::Refusing { .. } => None,
+            State::Answering { .. } | State::Holding { .. } | State::Receiving { .. } => {
+                Some(ReceiveError::Interrupted)
+            }
+        }
+    }
+}
+
+fn answer(partial: Partial, waits: u8, terms: Terms<'_>) -> State {
+    let status = if terms.room { FlowStatus::Continue } else { FlowStatus::Wait };
+    State::Answering { partial, status, waits, until: terms.now + terms.config.bus_timeout }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,249 @@
+use super::super::pdu::Pdu;
+use super::*;
+use crate::medium::can::{CanId, Format};
+
+fn config() -> IsoTpConfig {
+    IsoTpConfig { message_max: 100, waits_max: 2, block_size: 2, ..IsoTpConfig::default() }
+}
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+fn with(room: bool, millis: u64, test: impl FnOnce(Terms<'_>)) {
+    test(Terms { config: &config(), room, now: at(millis) });
+}
+
+fn poll(reception: &mut Reception, room: bool, millis: u64) -> Option<FlowStatus> {
+    let id = CanId::standard(1).unwrap();
+    let writer = Writer { id, format: Format::Classic, padding: None };
+    let mut said = None;
+    with(room, millis, |terms| {
+        said = reception.poll_frame(&writer, terms).map(|frame| match Pdu::decode(frame.data()) {
+            Ok(Pdu::Flow(flow)) => flow.status,
+            other => panic!("{other:?} is no word on how to go on"),
+        });
+    });
+    said
+}
+
+fn first(reception: &mut Reception, length: u32, room: bool) -> Heard {
+    let mut heard = Heard::default();
+    with(room, 0, |terms| heard = reception.handle_first(length, b"abcdef", true, terms));
+    heard
+}
+
+fn next(reception: &mut Reception, sequence: u8, data: &[u8]) -> Heard {
+    let mut heard = Heard::default();
+    with(true, 0, |terms| heard = reception.handle_consecutive(sequence, data, terms));
+    heard
+}
+
+fn time_out(reception: &mut Reception, room: bool, millis: u64) -> Option<ReceiveError> {
+    let mut failed = None;
+    with(room, millis, |terms| failed = reception.handle_timeout(terms));
+    failed
+}
+
+fn kind(reception: &Reception) -> &'static str {
+    match reception.state {
+        State::Idle => "idle",
+        State::Answering { .. } => "answering",
+        State::Refusing { .. } => "refusing",
+        State::Holding { .. } => "holding",
+        State::Receiving { .. } => "receiving",
+    }
+}
+
+/// One in each of its states, 30 bytes under way where any are.
+fn idle() -> Reception {
+    Reception::new(Audience::One)
+}
+
+fn answering() -> Reception {
+    let mut reception = idle();
+    first(&mut reception, 30, true);
+    reception
+}
+
+fn refusing() -> Reception {
+    let mut reception = idle();
+    first(&mut reception, 101, true);
+    reception
+}
+
+fn holding() -> Reception {
+    let mut reception = idle();
+    first(&mut reception, 30, false);
+    assert_eq!(poll(&mut reception, false, 0), Some(FlowStatus::Wait));
+    reception
+}
+
+fn receiving() -> Reception {
+    let mut reception = answering();
+    assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Continue));
+    reception
+}
+
+const ALL: [fn() -> Reception; 5] = [idle, answering, refusing, holding, receiving];
+
+#[test]
+fn a_message_comes_in_blocks_each_of_which_is_asked_for() {
+    let mut reception = receiving();
+
+    assert_eq!(next(&mut reception, 1, b"ghijklm"), Heard::default());
+    assert_eq!(next(&mut reception, 2, b"nopqrst"), Heard::default());
+    assert_eq!(kind(&reception), "answering");
+    assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Continue));
+    assert_eq!(next(&mut reception, 3, b"uvwxyzA"), Heard::default());
+    let heard = next(&mut reception, 4, b"BCD\xcc\xcc\xcc\xcc");
+
+    let message = Some(Bytes::from("abcdefghijklmnopqrstuvwxyzABCD"));
+    assert_eq!(heard, Heard { failed: None, message });
+    assert!(reception.is_idle());
+}
+
+#[test]
+fn a_whole_message_is_taken_in_every_state_and_ends_what_was_under_way() {
+    for (state, interrupts) in ALL.into_iter().zip([false, true, false, true, true]) {
+        let mut reception = state();
+        let failed = interrupts.then_some(ReceiveError::Interrupted);
+
+        let heard = reception.handle_single(b"hi");
+
+        assert_eq!(heard, Heard { failed, message: Some(Bytes::from("hi")) });
+        assert!(reception.is_idle());
+    }
+}
+
+#[test]
+fn a_beginning_is_taken_in_every_state_and_ends_what_was_under_way() {
+    for (state, interrupts) in ALL.into_iter().zip([false, true, false, true, true]) {
+        let mut reception = state();
+        let failed = interrupts.then_some(ReceiveError::Interrupted);
+
+        let heard = first(&mut reception, 40, true);
+
+        assert_eq!(heard, Heard { failed, message: None });
+        assert_eq!(kind(&reception), "answering");
+    }
+}
+
+#[test]
+fn more_is_taken_only_where_it_was_asked_for() {
+    for state in [idle, answering, refusing, holding] {
+        let mut reception = state();
+        let before = kind(&reception);
+
+        let heard = next(&mut reception, 1, b"ghijklm");
+
+        assert_eq!(heard, Heard::failure(ReceiveError::Unexpected));
+        assert_eq!(kind(&reception), before);
+    }
+}
+
+#[test]
+fn a_number_out_of_turn_ends_the_message() {
+    for found in [0, 2, 15] {
+        let mut reception = receiving();
+
+        let heard = next(&mut reception, found, b"ghijklm");
+
+        assert_eq!(heard, Heard::failure(ReceiveError::Sequence { expected: 1, found }));
+        assert!(reception.is_idle());
+    }
+}
+
+#[test]
+fn a_frame_that_is_too_short_and_not_the_last_ends_the_message() {
+    let mut reception = receiving();
+
+    assert_eq!(next(&mut reception, 1, b"ghi"), Heard::failure(ReceiveError::ShortFrame));
+    assert!(reception.is_idle());
+}
+
+#[test]
+fn what_is_too_long_or_one_too_many_is_refused_by_a_word() {
+    let mut reception = idle();
+    let heard = first(&mut reception, 101, true);
+    assert_eq!(heard, Heard::failure(ReceiveError::TooLong { length: 101 }));
+    assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Overflow));
+    assert!(reception.is_idle());
+
+    with(true, 0, |terms| {
+        let heard = reception.handle_first(50, b"abcdef", false, terms);
+        assert_eq!(heard, Heard::failure(ReceiveError::TooMany));
+    });
+    assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Overflow));
+}
+
+#[test]
+fn what_goes_to_all_is_never_answered() {
+    let mut reception = Reception::new(Audience::All);
+
+    first(&mut reception, 101, true);
+    assert!(reception.is_idle());
+    first(&mut reception, 10, true);
+    assert_eq!((kind(&reception), poll(&mut reception, true, 0)), ("receiving", None));
+    let heard = next(&mut reception, 1, b"ghij");
+    assert_eq!(heard.message, Some(Bytes::from("abcdefghij")));
+}
+
+#[test]
+fn every_timeout_in_every_state() {
+    let check = |state: fn() -> Reception, due: Option<u64>, failed, expected| {
+        let mut reception = state();
+        let before = kind(&reception);
+        assert_eq!(reception.poll_timeout(), due.map(at), "{before}");
+        // Early is harmless.
+        assert_eq!((time_out(&mut reception, false, 1), kind(&reception)), (None, before));
+        assert_eq!(time_out(&mut reception, false, 9_000), failed, "{before}");
+        assert_eq!(kind(&reception), expected, "{before}");
+    };
+    check(idle, None, None, "idle");
+    check(answering, Some(1000), Some(ReceiveError::BusStuck), "idle");
+    check(refusing, Some(1000), Some(ReceiveError::BusStuck), "idle");
+    check(holding, Some(100), None, "answering");
+    check(receiving, Some(1000), Some(ReceiveError::Silent), "idle");
+}
+
+#[test]
+fn only_what_has_a_word_to_say_gives_a_frame() {
+    for (state, gives) in ALL.into_iter().zip([false, true, true, false, false]) {
+        let mut reception = state();
+        assert_eq!(reception.is_ready(), gives);
+        assert_eq!(poll(&mut reception, true, 0).is_some(), gives);
+    }
+}
+
+#[test]
+fn room_lets_only_the_one_who_waits_go_on() {
+    for (state, expected) in
+        ALL.into_iter().zip(["idle", "answering", "refusing", "answering", "receiving"])
+    {
+        let mut reception = state();
+        with(true, 0, |terms| reception.handle_room(terms));
+        assert_eq!(kind(&reception), expected);
+    }
+    let mut reception = holding();
+    with(true, 0, |terms| reception.handle_room(terms));
+    assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Continue));
+}
+
+#[test]
+fn nobody_is_told_to_wait_for_ever() {
+    let mut reception = holding();
+    let mut told = 1;
+
+    let failed = loop {
+        let failed = time_out(&mut reception, false, 100 * told);
+        if failed.is_some() {
+            break failed;
+        }
+        assert_eq!(poll(&mut reception, false, 100 * told), Some(FlowStatus::Wait));
+        told += 1;
+    };
+
+    assert_eq!((failed, told), (Some(ReceiveError::NoRoom), u64::from(config().waits_max)));
+    assert!(reception.is_idle());
+}

@@ -1,0 +1,205 @@
+//! One message on its way out.
+//!
+//! ```text
+//!                    frame taken, more to come        pause over
+//!          ┌────────────────────────────────► Paced ──────────────┐
+//!          │                                                      ▼
+//!  new ► Ready ── first frame or end of block taken ──► Asking ─► Ready … Ended
+//!                                                  │ "go on"
+//!                                     "wait" ◄─────┘
+//! ```
+
+use super::config::IsoTpConfig;
+use super::pdu::{FlowControl, FlowStatus, Separation, Writer};
+use crate::Instant;
+use crate::medium::can::CanFrame;
+use bytes::Bytes;
+use std::time::Duration;
+
+/// Why a message did not go out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SendError {
+    /// The receiver did not say how to go on: it is not there, or hangs.
+    #[error("the receiver does not answer")]
+    Unanswered,
+    /// The receiver has no room for so long a message. Send less, or raise its limit.
+    #[error("the receiver takes no message of this length")]
+    Overflow,
+    /// The receiver has told us to wait too often.
+    #[error("the receiver tells us to wait for ever")]
+    WaitedTooLong,
+    /// The receiver says what the standard does not know.
+    #[error("the receiver answers with a flow status that does not exist")]
+    UnknownStatus,
+    /// The bus took no frame for too long: nobody else is on it, or it is off.
+    #[error("the bus takes no frames")]
+    BusStuck,
+}
+
+/// Whether anybody says how to go on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Audience {
+    /// One receiver, who does.
+    One,
+    /// All nodes, of whom none may.
+    All,
+}
+
+/// A message that is being sent.
+#[derive(Debug)]
+pub(super) struct Transmission {
+    message: Bytes,
+    sent: usize,
+    sequence: u8,
+    audience: Audience,
+    /// How many frames may go out until the next word; `None` for any number.
+    left_in_block: Option<u8>,
+    separation: Duration,
+    state: State,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    /// A frame is to go out, as soon as the bus takes it.
+    Ready { until: Instant },
+    /// The next frame is not due yet.
+    Paced { at: Instant },
+    /// The receiver is to say how to go on.
+    Asking { until: Instant, waits: u8 },
+    /// It is over.
+    Ended(Result<(), SendError>),
+}
+
+impl Transmission {
+    pub(super) fn new(
+        message: Bytes,
+        audience: Audience,
+        config: &IsoTpConfig,
+        now: Instant,
+    ) -> Self {
+        Transmission {
+            message,
+            sent: 0,
+            sequence: 0,
+            audience,
+            left_in_block: None,
+            separation: config.separation_to_all,
+            state: State::Ready { until: now + config.bus_timeout },
+        }
+    }
+
+    /// How it ended, once it has.
+    pub(super) fn ended(&self) -> Option<Result<(), SendError>> {
+        match self.state {
+            State::Ended(result) => Some(result),
+            _ => None,
+        }
+    }
+
+    /// The receiver says how to go on. The answer is whether it was asked.
+    pub(super) fn handle_flow(
+        &mut self,
+        flow: FlowControl,
+        config: &IsoTpConfig,
+        now: Instant,
+    ) -> bool {
+        let State::Asking { waits, .. } = self.state else { return false };
+        self.state = match flow.status {
+            FlowStatus::Continue => {
+                self.left_in_block = (flow.block_size != 0).then_some(flow.block_size);
+                self.separation = flow.separation.span();
+                State::Ready { until: now + config.bus_timeout }
+            }
+            FlowStatus::Wait if waits >= config.waits_max => {
+                State::Ended(Err(SendError::WaitedTooLong))
+            }
+            FlowStatus::Wait => {
+                State::Asking { until: now + config.flow_timeout, waits: waits + 1 }
+            }
+            FlowStatus::Overflow => State::Ended(Err(SendError::Overflow)),
+            FlowStatus::Unknown(_) => State::Ended(Err(SendError::UnknownStatus)),
+        };
+        true
+    }
+
+    /// Whether a frame is to go out now.
+    pub(super) fn is_ready(&self) -> bool {
+        matches!(self.state, State::Ready { .. })
+    }
+
+    /// The next frame, if one is to go out now. It counts as sent.
+    pub(super) fn poll_frame(
+        &mut self,
+        writer: &Writer,
+        config: &IsoTpConfig,
+        now: Instant,
+    ) -> Option<CanFrame> {
+        if !self.is_ready() {
+            return None;
+        }
+        let rest = &self.message[self.sent..];
+        let begins = self.sent == 0;
+        let (frame, taken) = if !begins {
+            writer.consecutive(self.sequence, rest)
+        } else if rest.len() <= writer.single_max() {
+            (writer.single(rest), rest.len())
+        } else {
+            writer.first(rest)
+        };
+        self.sent += taken;
+        self.sequence = (self.sequence + 1) & 0x0f;
+        if let Some(left) = self.left_in_block.as_mut().filter(|_| !begins) {
+            *left -= 1;
+        }
+        let asks = begins && self.audience == Audience::One || self.left_in_block == Some(0);
+        self.state = if self.sent == self.message.len() {
+            State::Ended(Ok(()))
+        } else if asks {
+            State::Asking { until: now + config.flow_timeout, waits: 0 }
+        } else if self.separation.is_zero() {
+            State::Ready { until: now + config.bus_timeout }
+        } else {
+            State::Paced { at: now + self.separation }
+        };
+        Some(frame)
+    }
+
+    pub(super) fn poll_timeout(&self) -> Option<Instant> {
+        match self.state {
+            State::Ready { until } | State::Asking { until, .. } => Some(until),
+            State::Paced { at } => Some(at),
+            State::Ended(_) => None,
+        }
+    }
+
+    pub(super) fn handle_timeout(&mut self, config: &IsoTpConfig, now: Instant) {
+        match self.state {
+            State::Ready { until } if until <= now => {
+                self.state = State::Ended(Err(SendError::BusStuck));
+            }
+            State::Asking { until, .. } if until <= now => {
+                self.state = State::Ended(Err(SendError::Unanswered));
+            }
+            State::Paced { at } if at <= now => {
+                self.state = State::Ready { until: now + config.bus_timeout };
+            }
+            _ => {}
+        }
+    }
+}
+
+impl FlowControl {
+    /// The word of this kind, with what we ask for.
+    pub(super) fn ours(status: FlowStatus, config: &IsoTpConfig) -> Self {
+        match status {
+            FlowStatus::Continue => {
+                FlowControl { status, block_size: config.block_size, separation: config.separation }
+            }
+            _ => FlowControl { status, block_size: 0, separation: Separation(0) },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

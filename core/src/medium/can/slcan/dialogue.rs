@@ -1,0 +1,449 @@
+//! How an adapter is brought onto the bus, and how fast it is given frames.
+//!
+//! ```text
+//!           a pause               done, or no answer          done, or no answer
+//! Closing ───────────► Setting ────────────────────► Opening ─────────────────► Open
+//!                         │ refused                     │ refused                 how is the bus?
+//!                         └──────────► Failed ◄─────────┘
+//! ```
+//!
+//! Setting is of one bit rate, or of two where the bus has CAN FD.
+//!
+//! Many an adapter answers nothing at all: silence is no failure. One that is open already, by a program
+//! that died, is closed first, which an adapter that is closed refuses: whatever is heard in the pause
+//! after that says nothing.
+
+use super::{BitRate, Command, DataRate, Reply};
+use crate::Instant;
+use crate::medium::can::{CanFrame, bits_on_bus};
+use std::time::Duration;
+
+/// How long an adapter may take for an answer. Those that answer do so within a few milliseconds.
+const PATIENCE: Duration = Duration::from_millis(200);
+/// How long whatever an adapter says after it was closed counts for nothing: what a serial line of 9,600
+/// bit/s and a dozen bytes take.
+const PAUSE: Duration = Duration::from_millis(20);
+/// Frames may be so far ahead of the bus: a dozen of them at 500 kbit/s, which every adapter's memory
+/// holds. More would only wait there, before what is more urgent.
+const AHEAD: Duration = Duration::from_millis(3);
+
+/// How often an adapter is asked how its bus is: as often as a hello or two goes by, and some bytes on the
+/// serial line.
+const ASKING: Duration = Duration::from_millis(100);
+/// One that leaves so many questions unanswered is asked no more.
+const QUESTIONS: u8 = 3;
+/// What the answer has, of CAN232: too many of its frames were confirmed by nobody, and the last was not.
+const ERROR_PASSIVE: u8 = 1 << 5;
+const BUS_ERROR: u8 = 1 << 7;
+
+/// Why an adapter is of no use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum AdapterError {
+    /// It does not know the bus's bit rate, or the program that it has does not let it be set.
+    #[error("the adapter refuses {hz} bit/s: choose the bus's bit rate among those it knows")]
+    BitRate {
+        /// As configured.
+        hz: u32,
+    },
+    /// It does not know CAN FD, or not this rate.
+    #[error("the adapter refuses CAN FD at this data rate: choose another, or leave fd out")]
+    DataRate,
+    /// It does not go onto the bus.
+    #[error("the adapter refuses to open: check the bus's wires, or plug it in again")]
+    Open,
+}
+
+/// The machine of one adapter's state.
+#[derive(Debug)]
+pub struct Dialogue {
+    rate: BitRate,
+    /// Where the bus has CAN FD.
+    data_rate: Option<DataRate>,
+    state: State,
+    /// When it is asked next how the bus is, while it answers.
+    question: Option<Instant>,
+    unanswered: u8,
+    alarm: Alarm,
+    /// When all that was sent will be on the bus.
+    free: Instant,
+    refused: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    /// The command is to be written.
+    Saying(Step),
+    /// Its answer is to come.
+    Waiting {
+        step: Step,
+        until: Instant,
+    },
+    Open,
+    Failed(AdapterError),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Step {
+    Close,
+    BitRate,
+    DataRate,
+    Open,
+}
+
+/// What the adapter says of its bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Alarm {
+    Quiet,
+    /// It is to be told.
+    New,
+    Told,
+}
+
+impl Dialogue {
+    /// An adapter that was just found, on a bus of this rate, and of that rate for the data of CAN FD.
+    pub fn new(rate: BitRate, data_rate: Option<DataRate>) -> Self {
+        Dialogue {
+            rate,
+            data_rate,
+            state: State::Saying(Step::Close),
+            question: Some(Instant::ORIGIN),
+            unanswered: 0,
+            alarm: Alarm::Quiet,
+            free: Instant::ORIGIN,
+            refused: 0,
+        }
+    }
+
+    /// Whether the adapter has found that nobody confirms its frames any more; it is told once.
+    pub fn poll_trouble(&mut self) -> bool {
+        let is_new = self.alarm == Alarm::New;
+        if is_new {
+            self.alarm = Alarm::Told;
+        }
+        is_new
+    }
+
+    /// How many frames it refused.
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+
+    /// Whether it is on the bus.
+    pub fn is_open(&self) -> bool {
+        self.state == State::Open
+    }
+
+    /// Why it is of no use, if it is not.
+    pub fn failure(&self) -> Option<AdapterError> {
+        match self.state {
+            State::Failed(error) => Some(error),
+            _ => None,
+        }
+    }
+
+    /// The command that is to be written next, if any; it counts as written.
+    pub fn poll_command(&mut self, now: Instant) -> Option<Command> {
+        let step = match self.state {
+            State::Saying(step) => step,
+            State::Open => return self.ask(now),
+            State::Waiting { .. } | State::Failed(_) => return None,
+        };
+        let patience = if step == Step::Close { PAUSE } else { PATIENCE };
+        self.state = State::Waiting { step, until: now + patience };
+        Some(match step {
+            Step::Close => Command::Close,
+            Step::BitRate => Command::BitRate(self.rate),
+            // Without one there is no such step.
+            Step::DataRate => Command::DataRate(self.data_rate.unwrap_or(DataRate::TwoMegabit)),
+            Step::Open => Command::Open,
+        })
+    }
+
+    fn ask(&mut self, now: Instant) -> Option<Command> {
+        let due = self.question?;
+        if due > now {
+            return None;
+        }
+        // One that answers nothing need not be asked for ever.
+        self.question = (self.unanswered < QUESTIONS).then(|| now + ASKING);
+        self.unanswered = self.unanswered.saturating_add(1);
+        self.question.map(|_| Command::Status)
+    }
+
+    fn handle_status(&mut self, flags: &str) {
+        let Ok(flags) = u8::from_str_radix(flags, 16) else { return };
+        self.unanswered = 0;
+        let silent = flags & ERROR_PASSIVE != 0 && flags & BUS_ERROR != 0;
+        self.alarm = match (silent, self.alarm) {
+            (false, _) => Alarm::Quiet,
+            (true, Alarm::Quiet) => Alarm::New,
+            (true, known) => known,
+        };
+    }
+
+    /// The adapter has said something other than a frame.
+    pub fn handle_reply(&mut self, reply: &Reply) {
+        let refused = match reply {
+            Reply::Refused => true,
+            Reply::Done | Reply::Sent => false,
+            Reply::Answer(text) => {
+                if let (State::Open, Some(flags)) = (self.state, text.strip_prefix('F')) {
+                    self.handle_status(flags);
+                }
+                return;
+            }
+            Reply::Frame { .. } => return,
+        };
+        match self.state {
+            State::Waiting { step: Step::Close, .. } => {}
+            State::Waiting { step, .. } => {
+                self.state = match step {
+                    Step::BitRate if refused => {
+                        State::Failed(AdapterError::BitRate { hz: self.rate.hz() })
+                    }
+                    Step::DataRate if refused => State::Failed(AdapterError::DataRate),
+                    Step::Open if refused => State::Failed(AdapterError::Open),
+                    _ => self.after(step),
+                };
+            }
+            // It does not know the question, or has refused a frame meanwhile: it is asked no more.
+            State::Open if refused && self.unanswered > 0 => self.question = None,
+            State::Open => self.refused += u64::from(refused),
+            State::Saying(_) | State::Failed(_) => {}
+        }
+    }
+
+    /// Whether the adapter takes a frame now; if not, when it does, if that is a matter of time.
+    pub fn takes(&self, now: Instant) -> Result<(), Option<Instant>> {
+        match self.state {
+            State::Open if self.free - now <= AHEAD => Ok(()),
+            State::Open => Err(Some(now + (self.free - now - AHEAD))),
+            _ => Err(None),
+        }
+    }
+
+    /// A frame was written to the adapter.
+    pub fn handle_sent(&mut self, frame: &CanFrame, now: Instant) {
+        self.free = self.free.max(now) + time_on_bus(frame, self.rate);
+    }
+
+    fn after(&self, step: Step) -> State {
+        match step {
+            Step::Close => State::Saying(Step::BitRate),
+            Step::BitRate if self.data_rate.is_some() => State::Saying(Step::DataRate),
+            Step::BitRate | Step::DataRate => State::Saying(Step::Open),
+            Step::Open => State::Open,
+        }
+    }
+
+    /// When the adapter's answer is given up, or it is to be asked.
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        match self.state {
+            State::Waiting { until, .. } => Some(until),
+            State::Open => self.question,
+            State::Saying(_) | State::Failed(_) => None,
+        }
+    }
+
+    /// Goes on without an answer.
+    pub fn handle_timeout(&mut self, now: Instant) {
+        if let State::Waiting { step, until } = self.state
+            && until <= now
+        {
+            self.state = self.after(step);
+        }
+    }
+}
+
+/// How long a frame takes on the bus.
+fn time_on_bus(frame: &CanFrame, rate: BitRate) -> Duration {
+    let bits = bits_on_bus(frame.id().is_extended(), frame.length());
+    Duration::from_nanos(bits * 1_000_000_000 / u64::from(rate.hz()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::medium::can::{CanId, Format};
+
+    fn at(millis: u64) -> Instant {
+        Instant::from_millis(millis)
+    }
+
+    fn rate() -> BitRate {
+        BitRate::of(500_000).unwrap()
+    }
+
+    /// One in each of its states, entered at 0 ms.
+    fn all() -> [(&'static str, Dialogue); 8] {
+        let with = |state| Dialogue { state, ..Dialogue::new(rate(), None) };
+        let waiting = |step| with(State::Waiting { step, until: at(200) });
+        [
+            ("saying close", with(State::Saying(Step::Close))),
+            ("waiting for close", waiting(Step::Close)),
+            ("saying the rate", with(State::Saying(Step::BitRate))),
+            ("waiting for the rate", waiting(Step::BitRate)),
+            ("saying open", with(State::Saying(Step::Open))),
+            ("waiting for open", waiting(Step::Open)),
+            ("open", with(State::Open)),
+            ("failed", with(State::Failed(AdapterError::Open))),
+        ]
+    }
+
+    /// The states that each of the eight is in after an input.
+    fn check(input: impl Fn(&mut Dialogue), expected: [State; 8]) {
+        for ((name, mut dialogue), expected) in all().into_iter().zip(expected) {
+            input(&mut dialogue);
+            assert_eq!(dialogue.state, expected, "{name}");
+        }
+    }
+
+    fn before() -> [State; 8] {
+        all().map(|(_, dialogue)| dialogue.state)
+    }
+
+    #[test]
+    fn an_adapter_that_answers_is_open_after_three_commands() {
+        let mut dialogue = Dialogue::new(rate(), None);
+        let mut said = vec![];
+
+        while !dialogue.is_open() {
+            said.extend(dialogue.poll_command(at(1)));
+            assert_eq!(dialogue.poll_command(at(1)), None, "one at a time");
+            dialogue.handle_reply(&Reply::Done);
+            dialogue.handle_timeout(at(21));
+        }
+
+        assert_eq!(said, [Command::Close, Command::BitRate(rate()), Command::Open]);
+    }
+
+    #[test]
+    fn every_reply_in_every_state() {
+        let [close, pause, set, _, join, _, open, failed] = before();
+        for reply in [Reply::Done, Reply::Sent] {
+            let expected = [close, pause, set, join, join, open, open, failed];
+            check(|dialogue| dialogue.handle_reply(&reply), expected);
+        }
+        let rate_refused = State::Failed(AdapterError::BitRate { hz: 500_000 });
+        let open_refused = State::Failed(AdapterError::Open);
+        let expected = [close, pause, set, rate_refused, join, open_refused, open, failed];
+        check(|dialogue| dialogue.handle_reply(&Reply::Refused), expected);
+        let frame = CanFrame::remote(CanId::standard(1).unwrap(), 0).unwrap();
+        for reply in [Reply::Frame { frame, time_ms: None }, Reply::Answer("V1013".into())] {
+            check(|dialogue| dialogue.handle_reply(&reply), before());
+        }
+    }
+
+    #[test]
+    fn silence_is_no_failure() {
+        check(|dialogue| dialogue.handle_timeout(at(199)), before());
+        let [close, _, set, _, join, _, open, failed] = before();
+        let expected = [close, set, set, join, join, open, open, failed];
+        check(|dialogue| dialogue.handle_timeout(at(200)), expected);
+        for (name, dialogue) in all() {
+            let due = match name {
+                "open" => Some(Instant::ORIGIN),
+                _ => name.starts_with("waiting").then_some(at(200)),
+            };
+            assert_eq!(dialogue.poll_timeout(), due, "{name}");
+        }
+    }
+
+    #[test]
+    fn frames_are_taken_only_when_open_and_only_as_fast_as_the_bus() {
+        for (name, dialogue) in all() {
+            assert_eq!(dialogue.takes(at(1)).is_ok(), name == "open", "{name}");
+        }
+        let (_, mut open) = all().into_iter().nth(6).unwrap();
+        let id = CanId::extended(1).unwrap();
+        let frame = CanFrame::new(id, Format::Classic, &[0; 8]).unwrap();
+        let mut now = at(1);
+        let mut sent = 0;
+        while now < at(1001) {
+            match open.takes(now) {
+                Ok(()) => {
+                    open.handle_sent(&frame, now);
+                    sent += 1;
+                }
+                Err(then) => now = then.unwrap(),
+            }
+        }
+        // 144 bits each, and what may be ahead.
+        assert!((3_450..=3_500).contains(&sent), "{sent}");
+    }
+
+    #[test]
+    fn frames_that_are_refused_are_counted_and_commands_are_not() {
+        for (name, mut dialogue) in all() {
+            dialogue.handle_reply(&Reply::Refused);
+            dialogue.handle_reply(&Reply::Sent);
+            assert_eq!(dialogue.refused(), u64::from(name == "open"), "{name}");
+        }
+    }
+
+    #[test]
+    fn an_adapter_on_a_bus_with_can_fd_is_told_both_rates_and_may_refuse() {
+        for (refuses, expected) in
+            [(false, State::Open), (true, State::Failed(AdapterError::DataRate))]
+        {
+            let mut dialogue = Dialogue::new(rate(), Some(DataRate::FiveMegabit));
+            let mut said = vec![];
+            for round in 0..4 {
+                said.extend(dialogue.poll_command(at(round)));
+                let refused =
+                    refuses && said.last() == Some(&Command::DataRate(DataRate::FiveMegabit));
+                dialogue.handle_reply(if refused { &Reply::Refused } else { &Reply::Done });
+                dialogue.handle_timeout(at(30));
+            }
+
+            assert_eq!(said[2], Command::DataRate(DataRate::FiveMegabit));
+            assert_eq!(dialogue.state, expected);
+        }
+    }
+
+    fn open() -> Dialogue {
+        let (_, dialogue) = all().into_iter().nth(6).unwrap();
+        dialogue
+    }
+
+    fn status(dialogue: &mut Dialogue, flags: &str) {
+        dialogue.handle_reply(&Reply::Answer(format!("F{flags}")));
+    }
+
+    #[test]
+    fn a_bus_on_which_nobody_confirms_is_told_once_until_it_is_well_again() {
+        let mut dialogue = open();
+        let check = |dialogue: &mut Dialogue, flags: &str, told: bool| {
+            status(dialogue, flags);
+            assert_eq!(dialogue.poll_trouble(), told, "{flags}");
+        };
+        check(&mut dialogue, "00", false);
+        check(&mut dialogue, "20", false);
+        check(&mut dialogue, "80", false);
+        check(&mut dialogue, "A4", true);
+        check(&mut dialogue, "A0", false);
+        check(&mut dialogue, "zz", false);
+        check(&mut dialogue, "04", false);
+        check(&mut dialogue, "a0", true);
+    }
+
+    #[test]
+    fn an_adapter_is_asked_ten_times_a_second_while_it_answers() {
+        let asked = |answer: Option<&Reply>| {
+            let mut dialogue = open();
+            let mut asked = 0;
+            for millis in 0..1_000 {
+                if dialogue.poll_timeout().is_some_and(|due| due <= at(millis)) {
+                    let command = dialogue.poll_command(at(millis));
+                    asked += command.iter().filter(|command| **command == Command::Status).count();
+                    answer.into_iter().for_each(|answer| dialogue.handle_reply(answer));
+                }
+            }
+            assert_eq!(dialogue.refused(), 0);
+            asked
+        };
+        assert_eq!(asked(Some(&Reply::Answer("F00".into()))), 10);
+        assert_eq!(asked(Some(&Reply::Refused)), 1);
+        assert_eq!(asked(None), 3);
+    }
+}

@@ -1,0 +1,96 @@
+//! A link on a bus, where one greeting says hello to all.
+
+use super::{Link, LinkConfig, percent};
+use crate::Instant;
+use crate::net::wire::bus_hello::{Greeting, ShortEcho, Word};
+use crate::net::wire::frame::{Echo, Hello, Stance};
+use crate::net::wire::node_id::NodeId;
+use std::time::Duration;
+
+impl Link {
+    /// From now on hellos are said to all links of a bus at once: this one only says when one is due.
+    pub(in crate::net) fn join_bus(&mut self) {
+        self.on_bus = true;
+    }
+
+    /// The number of the greeting that is due, once.
+    pub(in crate::net) fn take_greeting(&mut self) -> Option<u32> {
+        self.greeting.take()
+    }
+
+    /// What the next greeting says to the neighbour; `None` while there is nothing to say.
+    pub(in crate::net) fn word(&self, now: Instant) -> Option<Word> {
+        let Hello { stance, loss_permille, echo, .. } = self.hello(now, 0);
+        let echo = echo.map(|Echo { incarnation, sequence, held_us }| ShortEcho {
+            life: incarnation.0 as u16,
+            sequence: sequence as u16,
+            held_us,
+        });
+        let to = NodeId::of(&self.neighbour()?.node);
+        Some(Word { to, stance, loss_permille, echo })
+    }
+
+    /// A greeting in our name.
+    pub(in crate::net) fn greeting(&self, sequence: u32, turn: u8, words: Vec<Word>) -> Greeting {
+        let LinkConfig { node, incarnation, hello_interval, .. } = &self.config;
+        let interval = (*hello_interval).max(Self::INTERVAL_MIN);
+        Greeting {
+            node: node.clone(),
+            incarnation: *incarnation,
+            sequence,
+            interval_us: u32::try_from(interval.as_micros()).unwrap_or(u32::MAX),
+            turn,
+            words,
+        }
+    }
+
+    /// Whether a hello of the neighbour is not long overdue: those who are not there need no word.
+    pub(in crate::net) fn is_heard(&self, now: Instant) -> bool {
+        self.neighbour.as_ref().is_some_and(|heard| {
+            let patience = percent(heard.arrivals.interval(), self.down_after_percent());
+            now <= heard.arrivals.expected() + patience
+        })
+    }
+
+    /// Hellos are said at least so far apart.
+    pub(in crate::net) fn slow_down(&mut self, interval: Duration) {
+        let interval = interval.min(Self::INTERVAL_MAX);
+        if interval > self.config.hello_interval {
+            self.config.hello_interval = interval;
+            // Hellos are numbered by their interval: echoes of the old numbers say nothing any more.
+            self.sent.clear();
+            self.claimant = None;
+            if let Some(heard) = &mut self.neighbour {
+                heard.echoed = None;
+            }
+        }
+    }
+
+    pub(super) fn handle_greeting(&mut self, greeting: Greeting, now: Instant) {
+        let Greeting { node, incarnation, sequence, interval_us, turn, words } = greeting;
+        let own = NodeId::of(&self.config.node);
+        let word = words.into_iter().find(|word| word.to == own);
+        let known = self.neighbour.as_ref().filter(|heard| {
+            heard.neighbour.node == node && heard.neighbour.incarnation == incarnation
+        });
+        // Where none is for us, it stands as it was said last.
+        let said = known.map_or((Stance::Unproved, 0), |heard| (heard.stance, heard.loss_there));
+        let (stance, loss_permille) = word.map_or(said, |word| (word.stance, word.loss_permille));
+        let echo = word.and_then(|word| self.echo(word.echo?));
+        let hello = Hello { node, incarnation, sequence, interval_us, stance, loss_permille, echo };
+        self.handle_hello(hello, now);
+        if let Some(heard) = &mut self.neighbour {
+            heard.turn = u32::from(turn.max(1));
+        }
+    }
+
+    /// An echo in full, if it is of this life of ours.
+    fn echo(&self, short: ShortEcho) -> Option<Echo> {
+        let ShortEcho { life, sequence, held_us } = short;
+        let incarnation = self.config.incarnation;
+        let last = self.sent.back().map(|(number, _)| *number)?;
+        let back = (last as u16).wrapping_sub(sequence);
+        let sequence = last.wrapping_sub(back.into());
+        (life == incarnation.0 as u16).then_some(Echo { incarnation, sequence, held_us })
+    }
+}

@@ -1,0 +1,73 @@
+//! Whether a link that was down, or late, is used again, and how far it is relied on.
+
+use super::{Link, LinkState};
+use crate::Instant;
+use crate::net::wire::frame::Stance;
+
+impl Link {
+    /// Whether a link that is suspect is heard again, and only for how often it was not is not trusted.
+    pub fn is_proving(&self) -> bool {
+        self.state == LinkState::Suspect && self.proving
+    }
+
+    /// Whether it has failed too often lately to be more than the last resort.
+    pub fn is_distrusted(&self) -> bool {
+        self.state == LinkState::Suspect && self.distrusted
+    }
+
+    /// A hello was heard: does it lift the state?
+    pub(super) fn rise(&mut self, now: Instant) {
+        let Some(heard) = &self.neighbour else { return };
+        match self.state {
+            LinkState::Up => {}
+            LinkState::Suspect => {
+                let late = self.due(self.config.suspect_after_percent);
+                if self.is_given_up() || late.is_some_and(|due| due <= now) {
+                    return;
+                }
+                self.distrusted &= !self.is_trusted();
+                // Twice as many for each time: traffic must not come and go with every lost hello.
+                if self.calm >= 1 << self.suspicions.saturating_sub(1) && !self.distrusted {
+                    self.change(LinkState::Up, "the neighbour is heard again");
+                } else if !std::mem::replace(&mut self.proving, true) {
+                    self.change(LinkState::Suspect, "heard again, and not yet trusted");
+                }
+            }
+            LinkState::Connecting | LinkState::Down => {
+                if now - self.last_down > Self::FLAP_MEMORY {
+                    self.flaps = 0;
+                }
+                if !self.has_proved() || heard.stance != Stance::Ready {
+                    return;
+                }
+                self.distrusted &= !self.is_trusted();
+                if self.distrusted {
+                    self.proving = true;
+                    self.change(LinkState::Suspect, "heard again, and not yet trusted");
+                } else {
+                    self.change(LinkState::Up, "the neighbour is heard and hears");
+                }
+            }
+        }
+    }
+
+    /// It carries both ways.
+    pub(super) fn has_proved(&self) -> bool {
+        self.neighbour.as_ref().is_some_and(|heard| heard.proved >= self.config.proof)
+    }
+
+    /// For as long as is asked of one that has failed so often lately.
+    fn is_trusted(&self) -> bool {
+        let needed = self.config.proof << self.flaps;
+        self.neighbour.as_ref().is_some_and(|heard| heard.proved >= needed)
+    }
+
+    pub(super) fn stance(&self) -> Stance {
+        match self.state {
+            LinkState::Up | LinkState::Suspect => Stance::Ready,
+            LinkState::Connecting | LinkState::Down if self.has_proved() => Stance::Ready,
+            LinkState::Connecting => Stance::Unproved,
+            LinkState::Down => Stance::Down,
+        }
+    }
+}

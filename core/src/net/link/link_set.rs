@@ -1,0 +1,324 @@
+//! The links over one transport, as one machine.
+//!
+//! Where each leads along a cable of its own, they have nothing to do with each other, and each says its
+//! own hello. On a bus, which all nodes hear, that would be a hello from each node to each other; there
+//! the bundle says one [greeting](crate::net::wire::bus_hello) for all of them:
+//!
+//! ```text
+//! link to b ─┐ word to b (changed: goes first)
+//! link to c ─┼─ word to c ──────────────────► greeting ──► all
+//! link to d ─┘ word to d waits its turn
+//! ```
+
+use super::{Link, LinkOutput};
+use crate::machine_set::Crowd;
+use crate::net::routing::LinkNumber;
+use crate::net::wire::bus_hello::{ShortEcho, Word};
+use crate::net::wire::frame::{Frame, Stance};
+use crate::net::wire::node_id::NodeId;
+use crate::{Instant, Machine, Parcel};
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+/// The machine of all links over one transport.
+#[derive(Debug, Default)]
+pub struct Bundle {
+    crowd: Crowd<LinkNumber, Link>,
+    bytes_per_second: Option<u64>,
+    /// The largest frame; 0 while that is not known.
+    mtu: usize,
+    /// Whom each link's word went to last; `None` where there is no bus.
+    bus: Option<BTreeMap<LinkNumber, Told>>,
+    greetings: VecDeque<Parcel>,
+}
+
+/// What was said to a neighbour last.
+#[derive(Clone, Copy, Debug)]
+struct Told {
+    stance: Stance,
+    /// In which greeting, on this machine's count of its words.
+    at: u64,
+}
+
+/// What a bundle wants done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum BundleOutput {
+    /// What one of its links wants done.
+    Of(LinkNumber, LinkOutput),
+    /// Give this frame to all nodes of the bus.
+    Greet(Parcel),
+}
+
+impl Bundle {
+    /// So many neighbours have a word in one greeting: with a name of ten letters, eight classic frames of
+    /// CAN. More makes every greeting longer; with fewer, a neighbour learns later that it is not heard.
+    pub const WORDS: usize = 2;
+    /// All greetings of a bus together may take one part in so many of it.
+    const SHARE: u64 = 10;
+
+    /// Adds a link, or replaces it.
+    pub fn insert(&mut self, number: LinkNumber, mut link: Link) {
+        if let Some(bus) = &mut self.bus {
+            link.join_bus();
+            bus.remove(&number);
+        }
+        link.handle_mtu(self.mtu);
+        self.crowd.insert(number, link);
+        self.pace();
+    }
+
+    /// Takes a link out.
+    pub fn remove(&mut self, number: LinkNumber) {
+        self.crowd.remove(number);
+        if let Some(bus) = &mut self.bus {
+            bus.remove(&number);
+        }
+    }
+
+    /// Looks at a link.
+    pub fn get(&self, number: LinkNumber) -> Option<&Link> {
+        self.crowd.get(number)
+    }
+
+    /// Speaks to a link; its outputs are polled next.
+    pub fn get_mut(&mut self, number: LinkNumber) -> Option<&mut Link> {
+        self.crowd.get_mut(number)
+    }
+
+    /// All links, in the order of their numbers.
+    pub fn iter(&self) -> impl Iterator<Item = (LinkNumber, &Link)> {
+        self.crowd.iter()
+    }
+
+    /// The medium is a bus that all its nodes hear: one greeting is said for all links.
+    pub fn handle_bus(&mut self) {
+        if self.bus.is_none() {
+            self.bus = Some(BTreeMap::new());
+            self.each(Link::join_bus);
+            self.pace();
+        }
+    }
+
+    /// The medium carries so many bytes in a second. Hellos take a twentieth of that at most on each link,
+    /// or a tenth together on a bus.
+    pub fn handle_rate(&mut self, bytes_per_second: u64) {
+        self.bytes_per_second = Some(bytes_per_second);
+        self.pace();
+    }
+
+    /// The largest frame has so many bytes. On a slow medium hellos are at least so far apart as it takes, so
+    /// that one which waits for it is not late by an interval.
+    pub fn handle_mtu(&mut self, mtu: usize) {
+        self.mtu = mtu;
+        self.each(|link| link.handle_mtu(mtu));
+        self.pace();
+    }
+
+    fn each(&mut self, mut what: impl FnMut(&mut Link)) {
+        let numbers: Vec<_> = self.crowd.iter().map(|(number, _)| number).collect();
+        for number in numbers {
+            self.crowd.get_mut(number).into_iter().for_each(&mut what);
+        }
+    }
+
+    /// Hellos as often as is wanted, and as the medium can bear.
+    fn pace(&mut self) {
+        match (self.bytes_per_second, &self.bus) {
+            (Some(rate), None) => {
+                // The rate is that of both ways together.
+                let bytes = 2 * (self.mtu as u64 + 2 * Link::FRAMING);
+                let whole = Duration::from_nanos(bytes.saturating_mul(1_000_000_000) / rate.max(1));
+                self.each(|link| {
+                    link.handle_rate(rate);
+                    link.slow_down(whole);
+                });
+            }
+            (rate, Some(_)) => {
+                let links = self.crowd.iter().count();
+                let Some((_, link)) = self.crowd.iter().next() else { return };
+                let word = Word {
+                    to: NodeId(0),
+                    stance: Stance::Ready,
+                    loss_permille: 0,
+                    echo: Some(ShortEcho { life: 0, sequence: 0, held_us: 0 }),
+                };
+                let greeting = link.greeting(0, 1, vec![word; links.min(Self::WORDS)]);
+                let length = Frame::Greeting(greeting).encode().len() as u64 + Link::FRAMING;
+                let bytes = length * (links as u64 + 1) * Self::SHARE;
+                let nanos = bytes * 1_000_000_000 / rate.unwrap_or(u64::MAX).max(1);
+                // One greeting for all: its interval is the longest that any of the links wants.
+                let wanted = self.crowd.iter().map(|(_, link)| link.hello_interval());
+                let interval = wanted.max().unwrap_or_default().max(Duration::from_nanos(nanos));
+                self.each(|link| link.slow_down(interval));
+            }
+            (None, None) => {}
+        }
+    }
+
+    /// Says the greeting that is due, if one is.
+    fn greet(&mut self, now: Instant) {
+        let mut due = None;
+        if self.bus.is_some() {
+            self.each(|link| due = due.max(link.take_greeting()));
+        }
+        let (Some(sequence), Some(told)) = (due, &mut self.bus) else { return };
+        let mut words: Vec<(LinkNumber, bool, u64, Word)> = Vec::new();
+        for (number, link) in self.crowd.iter() {
+            let Some(word) = link.word(now) else { continue };
+            let before = told.get(&number);
+            let changed = before.is_none_or(|before| before.stance != word.stance);
+            if changed || link.is_heard(now) {
+                words.push((number, changed, before.map_or(0, |before| before.at), word));
+            }
+        }
+        // What is news first, then who has waited longest.
+        words.sort_by_key(|(number, changed, at, _)| (!changed, *at, *number));
+        let turn = words.len().div_ceil(Self::WORDS).clamp(1, usize::from(u8::MAX)) as u8;
+        words.truncate(Self::WORDS);
+        let last = told.values().map(|told| told.at).max().unwrap_or(0);
+        for ((number, _, _, word), at) in words.iter().zip(last + 1..) {
+            told.insert(*number, Told { stance: word.stance, at });
+        }
+        let Some((_, link)) = self.crowd.iter().next() else { return };
+        let words = words.into_iter().map(|(_, _, _, word)| word).collect();
+        let greeting = link.greeting(sequence, turn, words);
+        self.greetings.push_back(Frame::Greeting(greeting).parcel());
+    }
+}
+
+impl Machine for Bundle {
+    type Output = BundleOutput;
+
+    fn poll_output(&mut self) -> Option<BundleOutput> {
+        if let Some(greeting) = self.greetings.pop_front() {
+            return Some(BundleOutput::Greet(greeting));
+        }
+        let (number, output) = self.crowd.poll_output()?;
+        Some(BundleOutput::Of(number, output))
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.crowd.poll_timeout()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.crowd.handle_timeout(now);
+        self.greet(now);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::net::link::LinkConfig;
+    use crate::net::wire::bus_hello::Greeting;
+    use crate::{Incarnation, NodeName};
+
+    const INTERVAL: u64 = 50;
+
+    fn name(number: u16) -> NodeName {
+        NodeName::new(&format!("m{number}")).unwrap()
+    }
+
+    fn at(millis: u64) -> Instant {
+        Instant::from_millis(millis)
+    }
+
+    /// A bundle with links to nodes 1 to `links`, on a bus.
+    fn bundle(links: u16) -> Bundle {
+        let mut bundle = Bundle::default();
+        for number in 1..=links {
+            let config = LinkConfig::new(name(0), Incarnation(1));
+            bundle.insert(LinkNumber(number), Link::new(config, at(0)));
+        }
+        bundle.handle_bus();
+        while bundle.poll_output().is_some() {}
+        bundle
+    }
+
+    /// All neighbours greet, and what the bundle says next is read.
+    fn turn(bundle: &mut Bundle, number: u32, speakers: &[u16]) -> Greeting {
+        let now = at(INTERVAL * u64::from(number));
+        for speaker in speakers {
+            let greeting = Greeting {
+                node: name(*speaker),
+                incarnation: Incarnation(7),
+                sequence: number,
+                interval_us: 50_000,
+                turn: 1,
+                words: Vec::new(),
+            };
+            let link = bundle.get_mut(LinkNumber(*speaker)).unwrap();
+            link.handle_frame(Frame::Greeting(greeting).encode(), now);
+        }
+        bundle.handle_timeout(now);
+        let mut said = Vec::new();
+        while let Some(output) = bundle.poll_output() {
+            if let BundleOutput::Greet(frame) = output {
+                said.push(frame);
+            }
+        }
+        assert_eq!(said.len(), 1, "one for all");
+        match Frame::decode(said.remove(0).into_bytes()) {
+            Ok(Frame::Greeting(greeting)) => greeting,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn addressed(greeting: &Greeting) -> Vec<NodeId> {
+        greeting.words.iter().map(|word| word.to).collect()
+    }
+
+    #[test]
+    fn those_who_are_heard_have_a_word_in_turn_and_nobody_else() {
+        let mut bundle = bundle(6);
+        let to = |number| NodeId::of(&name(number));
+
+        let first = turn(&mut bundle, 1, &[1, 2, 4, 5, 6]);
+        let second = turn(&mut bundle, 2, &[1, 2, 4, 5, 6]);
+        let third = turn(&mut bundle, 3, &[1, 2, 4, 5, 6]);
+
+        assert_eq!((first.turn, second.turn, third.turn), (3, 3, 3));
+        assert_eq!(addressed(&first), [to(1), to(2)]);
+        assert_eq!(addressed(&second), [to(4), to(5)]);
+        assert_eq!(addressed(&third), [to(6), to(1)]);
+        assert_eq!(third.words[1].echo.map(|echo| echo.sequence), Some(3));
+    }
+
+    #[test]
+    fn a_neighbour_that_has_left_has_no_word_any_more() {
+        let mut bundle = bundle(3);
+        for number in 1..5 {
+            turn(&mut bundle, number, &[1, 2, 3]);
+        }
+
+        for number in 5..10 {
+            turn(&mut bundle, number, &[1, 2]);
+        }
+
+        let greeting = turn(&mut bundle, 10, &[1, 2]);
+        assert_eq!(greeting.turn, 1);
+        assert!(!addressed(&greeting).contains(&NodeId::of(&name(3))));
+    }
+
+    #[test]
+    fn without_a_bus_each_link_says_its_own_hello() {
+        let mut bundle = Bundle::default();
+        for number in 1..=2 {
+            let config = LinkConfig::new(name(0), Incarnation(1));
+            bundle.insert(LinkNumber(number), Link::new(config, at(0)));
+        }
+
+        while bundle.poll_output().is_some() {}
+        bundle.handle_timeout(at(0));
+
+        let said: Vec<_> = std::iter::from_fn(|| bundle.poll_output()).collect();
+        assert!(matches!(
+            &said[..],
+            [
+                BundleOutput::Of(LinkNumber(1), LinkOutput::Transmit(_)),
+                BundleOutput::Of(LinkNumber(2), LinkOutput::Transmit(_)),
+            ]
+        ));
+    }
+}

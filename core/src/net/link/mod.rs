@@ -1,0 +1,558 @@
+//! One use of one transport towards one neighbour: is it alive, and how good is it?
+//!
+//! ```text
+//!              N hellos, heard both ways
+//! Connecting ───────────────────────────► Up ⇄ Suspect     a hello is late / is here again; or it has
+//!                                               ▲  │       failed lately / 2N, 4N … hellos were heard
+//!                      N hellos, heard both ways│  │ still none, no carrier, or the neighbour has
+//!                                               │  ▼ given it up
+//!                                               Down
+//! ```
+//!
+//! Each end says in its hellos whether it would use the link, and uses it only while the other would:
+//! what one end sends, the other takes.
+//!
+//! What a hello says is believed at once where it goes on from the last one. Where it contradicts that, such
+//! as a new life of the neighbour's, it is believed when it has been confirmed both ways (see
+//! `acquaintance`): a frame that was changed on its way, made up, or late by a life takes nothing down.
+//!
+//! A link does not queue, repeat or order anything: that is the session's business, end to end.
+
+mod acquaintance;
+mod arrival;
+mod bus;
+mod flap_damping;
+mod quality;
+mod reassembly;
+mod remote_down;
+mod types;
+
+pub mod link_set;
+
+pub use self::quality::Quality;
+pub use self::types::{LinkConfig, LinkOutput, LinkRefusal, LinkState, Neighbour};
+
+use self::acquaintance::Claimant;
+use self::quality::{Gauge, Limits};
+use self::reassembly::Parts;
+use self::remote_down::GivenUp;
+
+use super::wire::frame::{Echo, Frame, Hello, Stance};
+use super::wire::{Refusals, WireError};
+use crate::{Incarnation, Instant, Machine, Parcel};
+use arrival::{Arrival, Arrivals};
+use bytes::Bytes;
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// The machine of one link.
+#[derive(Debug)]
+pub struct Link {
+    config: LinkConfig,
+    state: LinkState,
+    neighbour: Option<Heard>,
+    /// Who says what contradicts that, and has not shown yet to hear us.
+    claimant: Option<Claimant>,
+    next_hello: Instant,
+    /// By when somebody should have proved to be there; `None` once that has been told.
+    expected_by: Option<Instant>,
+    /// When the last hellos went out, for the round trip: number and time.
+    sent: VecDeque<(u32, Instant)>,
+    /// How often it went down lately, and when last.
+    flaps: u32,
+    last_down: Instant,
+    /// How often it was suspect lately, when last, and how many hellos have come since.
+    suspicions: u32,
+    last_suspicion: Instant,
+    calm: u32,
+    /// It is suspect for what was, and not for what is.
+    proving: bool,
+    /// It has failed since it was trusted last: it carries what has no other way, until it has proved itself as
+    /// often as it has failed lately.
+    distrusted: bool,
+    given_up: GivenUp,
+    /// It is one of a bus: others say its hellos, of which this one is due.
+    on_bus: bool,
+    greeting: Option<u32>,
+    /// The medium's largest frame; 0 while that is not known.
+    mtu: usize,
+    parts: Parts,
+    gauge: Gauge,
+    /// Who was refused last, and who was told of last: what was heard once may be an accident.
+    doubted: Option<LinkRefusal>,
+    refused: Option<LinkRefusal>,
+    refusals: Refusals,
+    outputs: VecDeque<LinkOutput>,
+}
+
+/// What we know of whoever speaks.
+#[derive(Debug)]
+struct Heard {
+    neighbour: Neighbour,
+    arrivals: Arrivals,
+    last: Instant,
+    /// Hellos since the last silence, while it hears us, less two for each that was missing.
+    proved: u32,
+    /// What it thinks of the link.
+    stance: Stance,
+    /// How much of what we send is lost on the way there, as it says.
+    loss_there: u16,
+    /// Only one in so many of its hellos has an echo for us.
+    turn: u32,
+    /// When its echo last told something new, and which of our hellos that was.
+    echoed: Option<(u32, Instant)>,
+    /// Silence before this does not count: we ourselves stood still.
+    excused_until: Instant,
+    /// How often that was so since its last hello.
+    excuses: u32,
+}
+
+impl Link {
+    /// The shortest interval that a neighbour may announce: shorter ones are an attack or an error.
+    const INTERVAL_MIN: Duration = Duration::from_millis(1);
+    /// The longest: a link must be known to be dead within a minute.
+    const INTERVAL_MAX: Duration = Duration::from_secs(15);
+    /// What a medium adds to a frame: a UDP header, or a serial line's framing.
+    pub(super) const FRAMING: u64 = 8;
+    /// Woken so late, what has come meanwhile is still unread. Timers alone are up to 1 ms late.
+    const LATE: Duration = Duration::from_millis(2);
+    /// Four times running is no accident.
+    const EXCUSES_MAX: u32 = 4;
+    /// Remembered hellos: enough for round trips of so many intervals.
+    const SENT_MAX: usize = 64;
+    /// Nobody is missing before so many hellos were said in vain beyond the time that was set.
+    const ABSENT_HELLOS: u32 = 5;
+    /// A link that stayed up for so long has proved itself; earlier flaps are forgotten.
+    const FLAP_MEMORY: Duration = Duration::from_secs(10);
+    /// 16 times the usual proof at most, so that a repaired link comes back within seconds.
+    const FLAPS_MAX: u32 = 4;
+
+    /// A link that says its first hello at once.
+    pub fn new(config: LinkConfig, now: Instant) -> Self {
+        Link {
+            expected_by: Some(now + config.expected_within),
+            config,
+            state: LinkState::Connecting,
+            neighbour: None,
+            claimant: None,
+            next_hello: now,
+            sent: VecDeque::with_capacity(Self::SENT_MAX),
+            flaps: 0,
+            last_down: Instant::ORIGIN,
+            suspicions: 0,
+            last_suspicion: Instant::ORIGIN,
+            calm: 0,
+            proving: false,
+            distrusted: false,
+            given_up: GivenUp::default(),
+            on_bus: false,
+            greeting: None,
+            mtu: 0,
+            parts: Parts::default(),
+            gauge: Gauge::default(),
+            doubted: None,
+            refused: None,
+            refusals: Refusals::default(),
+            outputs: VecDeque::new(),
+        }
+    }
+
+    /// The present state.
+    pub fn state(&self) -> LinkState {
+        self.state
+    }
+
+    /// Who is, or was last, at the other end.
+    pub fn neighbour(&self) -> Option<&Neighbour> {
+        self.neighbour.as_ref().map(|heard| &heard.neighbour)
+    }
+
+    /// How good it is.
+    pub fn quality(&self) -> Quality {
+        self.gauge.quality()
+    }
+
+    /// What was refused so far.
+    pub fn refusals(&self) -> Refusals {
+        self.refusals
+    }
+
+    /// Sends something of the router's. Dropped and counted when the link is not up.
+    pub fn handle_routing(&mut self, bytes: Bytes) {
+        for frame in reassembly::frames_of(bytes, self.mtu) {
+            self.carry(frame);
+        }
+    }
+
+    /// Sends a packet. Dropped and counted when the link is not up.
+    pub fn handle_packet(&mut self, packet: impl Into<Parcel>) {
+        self.carry(Frame::Data(packet.into()));
+    }
+
+    fn carry(&mut self, frame: Frame) {
+        if self.carries() {
+            self.outputs.push_back(LinkOutput::Transmit(frame.parcel()));
+        } else {
+            self.refusals.unexpected += 1;
+        }
+    }
+
+    /// Whether what comes is taken. A neighbour may send packets before its hello that it uses the link is
+    /// here. Nothing but hellos brings a link up: what else comes has no number, and may be of the past.
+    fn takes(&self, frame: &Frame) -> bool {
+        match frame {
+            Frame::Hello(_) | Frame::Greeting(_) => true,
+            Frame::Data(_) => self.carries() || self.has_proved(),
+            // Routers know no link that is not up; the neighbour's repeats itself.
+            Frame::Routing(_) | Frame::RoutingPart(_) => self.carries(),
+        }
+    }
+
+    /// Whether a hello is not late at present.
+    fn relied_on(&self) -> bool {
+        self.state == LinkState::Up || self.is_proving()
+    }
+
+    fn carries(&self) -> bool {
+        matches!(self.state, LinkState::Up | LinkState::Suspect)
+    }
+
+    /// A frame came from the transport.
+    pub fn handle_frame(&mut self, frame: Bytes, now: Instant) {
+        match Frame::decode(frame) {
+            Ok(frame) if !self.takes(&frame) => self.refusals.unexpected += 1,
+            Ok(Frame::Hello(hello)) => self.handle_hello(hello, now),
+            Ok(Frame::Greeting(greeting)) => self.handle_greeting(greeting, now),
+            Ok(Frame::Routing(bytes)) => self.outputs.push_back(LinkOutput::Routing(bytes)),
+            Ok(Frame::RoutingPart(part)) => match self.parts.handle(&part) {
+                Ok(whole) => self.outputs.extend(whole.map(LinkOutput::Routing)),
+                Err(error) => self.refusals.count(&error),
+            },
+            Ok(Frame::Data(packet)) => {
+                self.outputs.push_back(LinkOutput::Packet(packet.into_bytes()))
+            }
+            Err(error) => self.refusals.count(&error),
+        }
+    }
+
+    /// The medium's largest frame has so many bytes.
+    pub(super) fn handle_mtu(&mut self, mtu: usize) {
+        self.mtu = mtu;
+    }
+
+    /// The transport knows that the medium, or the connection, is gone: no need to wait for silence.
+    pub fn handle_loss(&mut self, now: Instant) {
+        if self.carries() {
+            self.go_down("the transport lost the neighbour", now);
+        }
+    }
+
+    /// The interface has lost its carrier: the cable is pulled, or the other end is switched off. What
+    /// is heard later proves the contrary. The reason is for people.
+    pub fn handle_no_carrier(&mut self, reason: &'static str, now: Instant) {
+        if self.carries() {
+            self.go_down(reason, now);
+        } else if let Some(heard) = &mut self.neighbour {
+            heard.forget_proof();
+        }
+    }
+
+    /// The medium carries so many bytes in a second. Hellos take a twentieth of that at most.
+    pub fn handle_rate(&mut self, bytes_per_second: u64) {
+        let hello = self.hello(Instant::ORIGIN, 0);
+        let length = Frame::Hello(hello).encode().len() as u64 + Self::FRAMING;
+        let nanos = (length * 20).saturating_mul(1_000_000_000) / bytes_per_second.max(1);
+        self.slow_down(Duration::from_nanos(nanos));
+    }
+
+    /// How often hellos are said.
+    pub fn hello_interval(&self) -> Duration {
+        self.config.hello_interval
+    }
+
+    /// How surprising the neighbour's silence is by now, as φ: 1 is one in ten, 8 one in 10⁸, were
+    /// delays normally distributed. A score for people; it decides nothing.
+    pub fn phi(&self, now: Instant) -> f32 {
+        self.neighbour.as_ref().map_or(0.0, |heard| heard.arrivals.phi(now))
+    }
+
+    /// When the neighbour's last hello came, if it is known.
+    pub fn last_hello(&self) -> Option<Instant> {
+        self.neighbour.as_ref().map(|heard| heard.last)
+    }
+
+    /// We ourselves were not scheduled until `now`: every silence up to now is void.
+    pub fn handle_stall(&mut self, now: Instant) {
+        let interval = self.neighbour.as_ref().map(|heard| heard.arrivals.interval());
+        self.excuse(percent(interval.unwrap_or_default(), self.down_after_percent()), now);
+    }
+
+    /// Silence counts only from a while after `now`. Whoever stands still over and over again still
+    /// finds in the end that nobody speaks.
+    fn excuse(&mut self, a_while: Duration, now: Instant) {
+        if let Some(heard) = &mut self.neighbour
+            && heard.excuses < Self::EXCUSES_MAX
+        {
+            heard.excuses += 1;
+            heard.excused_until = heard.excused_until.max(now + a_while);
+        }
+    }
+
+    fn handle_hello(&mut self, hello: Hello, now: Instant) {
+        let interval = Duration::from_micros(hello.interval_us.into());
+        if interval < Self::INTERVAL_MIN || interval > Self::INTERVAL_MAX {
+            self.refusals.count(&WireError::Malformed { what: "a hello's interval" });
+            return;
+        }
+        if let Err(refusal) = self.check_name(&hello) {
+            self.refuse(refusal);
+            return;
+        }
+        (self.doubted, self.refused) = (None, None);
+        let Arrival::New { missed } = self.meet(&hello, interval, now) else { return };
+        self.calm = after(self.calm, missed);
+        self.listen(&hello, missed, now);
+        self.hear_out(hello.stance, now);
+        self.judge_quality(now);
+        if self.carries() && hello.stance == Stance::Down {
+            self.go_down("the neighbour has given it up", now);
+        }
+        self.rise(now);
+    }
+
+    fn listen(&mut self, hello: &Hello, missed: u32, now: Instant) {
+        let Some(heard) = &mut self.neighbour else { return };
+        heard.last = now;
+        heard.excuses = 0;
+        heard.stance = hello.stance;
+        heard.loss_there = hello.loss_permille;
+        if let Some(echo) = hello.echo.filter(|echo| echo.incarnation == self.config.incarnation) {
+            let newest = heard
+                .echoed
+                .is_none_or(|(sequence, _)| echo.sequence.wrapping_sub(sequence).cast_signed() > 0);
+            let sent = self.sent.iter().find(|(sequence, _)| *sequence == echo.sequence);
+            if let (true, Some((_, sent))) = (newest, sent) {
+                heard.echoed = Some((echo.sequence, now));
+                let held = Duration::from_micros(echo.held_us.into());
+                self.gauge.handle_round_trip((now - *sent).saturating_sub(held));
+            }
+        }
+        heard.proved = match heard.echoed {
+            // A link that loses a third of what it carries never proves itself.
+            Some(_) => after(heard.proved, missed),
+            None => 0,
+        };
+    }
+
+    fn judge_quality(&mut self, now: Instant) {
+        let Some(heard) = &self.neighbour else { return };
+        let Some(loss) = heard.arrivals.loss_permille() else { return };
+        let limits = Limits {
+            loss_permille: self.config.degraded_loss_permille,
+            // On a slow medium a round trip takes two frames and two hellos, when it is full.
+            round_trip: self.config.degraded_round_trip.max(self.interval()),
+        };
+        if self.gauge.judge(loss.max(heard.loss_there), limits, now) {
+            self.outputs.push_back(LinkOutput::Quality(self.gauge.quality()));
+        }
+    }
+
+    /// When silence, or deafness of the neighbour, will have lasted so long past the expected hello.
+    fn due(&self, after_percent: u32) -> Option<Instant> {
+        let heard = self.neighbour.as_ref()?;
+        let interval = heard.arrivals.interval();
+        let silent = heard.arrivals.expected() + percent(interval, after_percent);
+        let deaf = heard.echoed.map_or(heard.last, |(_, at)| at)
+            // An echo needs both directions: twice the patience, in the slower one's intervals.
+            + percent(
+                interval.max(self.config.hello_interval),
+                2 * (100 + after_percent) + 100 * (heard.turn - 1),
+            );
+        Some(silent.min(deaf).max(heard.excused_until))
+    }
+
+    fn down_after_percent(&self) -> u32 {
+        self.config.down_after_percent + 100 * hellos_beyond_three(self.quality().loss_permille)
+    }
+
+    fn go_down(&mut self, reason: &'static str, now: Instant) {
+        if now - self.last_down > Self::FLAP_MEMORY {
+            self.flaps = 0;
+        }
+        self.flaps = (self.flaps + 1).min(Self::FLAPS_MAX);
+        self.last_down = now;
+        self.distrusted = true;
+        if let Some(heard) = &mut self.neighbour {
+            heard.forget_proof();
+        }
+        self.change(LinkState::Down, reason);
+    }
+
+    fn change(&mut self, state: LinkState, reason: &'static str) {
+        if let (LinkState::Down | LinkState::Connecting, LinkState::Up, Some(heard)) =
+            (self.state, state, &mut self.neighbour)
+        {
+            heard.arrivals.forget_loss();
+        }
+        self.state = state;
+        if state != LinkState::Suspect {
+            self.given_up.since = None;
+        }
+        self.proving &= state == LinkState::Suspect;
+        let neighbour = self.neighbour().cloned();
+        self.outputs.push_back(LinkOutput::Changed { state, neighbour, reason });
+    }
+
+    fn say_hello(&mut self, now: Instant) {
+        // Numbered and sent by the absolute schedule, never "an interval after the last one": a late
+        // hello must not shift the later ones. Counted from the clock's origin, the number also
+        // goes on rising when this machine is built anew in a running process.
+        let nanos = self.interval().as_nanos() as u64;
+        let number = now.as_nanos() / nanos;
+        self.next_hello = Instant::from_nanos((number + 1).saturating_mul(nanos));
+        let hello = self.hello(now, number as u32);
+        if self.sent.len() == Self::SENT_MAX {
+            self.sent.pop_front();
+        }
+        self.sent.push_back((hello.sequence, now));
+        if self.on_bus {
+            self.greeting = Some(hello.sequence);
+        } else {
+            self.outputs.push_back(LinkOutput::Transmit(Frame::Hello(hello).parcel()));
+        }
+    }
+
+    fn interval(&self) -> Duration {
+        self.config.hello_interval.max(Self::INTERVAL_MIN)
+    }
+
+    fn hello(&self, now: Instant, sequence: u32) -> Hello {
+        let echo = self.claimants_turn().or(self.neighbour.as_ref().map(Heard::last_heard));
+        let echo = echo.map(|(incarnation, sequence, at)| Echo {
+            incarnation,
+            sequence,
+            held_us: u32::try_from((now - at).as_micros()).unwrap_or(u32::MAX),
+        });
+        let lost = self.neighbour.as_ref().and_then(|heard| heard.arrivals.loss_permille());
+        Hello {
+            node: self.config.node.clone(),
+            incarnation: self.config.incarnation,
+            sequence,
+            interval_us: u32::try_from(self.interval().as_micros()).unwrap_or(u32::MAX),
+            stance: self.stance(),
+            loss_permille: lost.unwrap_or(0),
+            echo,
+        }
+    }
+
+    fn judge_absence(&mut self, now: Instant) {
+        // A slow medium needs its time.
+        let patience = |by: Instant| by + self.interval().saturating_mul(Self::ABSENT_HELLOS);
+        let due = self.expected_by.filter(|by| *by <= now);
+        if self.state != LinkState::Connecting || due.is_none_or(|by| patience(by) > now) {
+            return;
+        }
+        self.expected_by = None;
+        let heard = self.neighbour.is_some();
+        self.outputs.push_back(LinkOutput::Missing { heard });
+    }
+
+    fn judge_silence(&mut self, now: Instant) {
+        let past = |due: Option<Instant>| due.is_some_and(|due| due <= now);
+        let down = past(self.due(self.down_after_percent()));
+        match self.state {
+            LinkState::Up | LinkState::Suspect if down => {
+                self.go_down("the neighbour is not heard, or does not hear", now);
+            }
+            LinkState::Up | LinkState::Suspect
+                if self.relied_on() && past(self.due(self.config.suspect_after_percent)) =>
+            {
+                self.proving = false;
+                let lately = now - self.last_suspicion <= Self::FLAP_MEMORY;
+                let before = if lately { self.suspicions } else { 0 };
+                self.suspicions = (before + 1).min(Self::FLAPS_MAX + 1);
+                (self.last_suspicion, self.calm) = (now, 0);
+                self.change(LinkState::Suspect, "a hello is late");
+            }
+            LinkState::Connecting | LinkState::Down if down => {
+                if let Some(heard) = &mut self.neighbour {
+                    heard.forget_proof();
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+impl Heard {
+    /// In which life, which hello, and when.
+    fn last_heard(&self) -> (Incarnation, u32, Instant) {
+        (self.neighbour.incarnation, self.arrivals.highest(), self.last)
+    }
+
+    fn forget_proof(&mut self) {
+        self.proved = 0;
+        self.echoed = None;
+    }
+}
+
+impl Machine for Link {
+    type Output = LinkOutput;
+
+    fn poll_output(&mut self) -> Option<LinkOutput> {
+        self.outputs.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let silence = match self.state {
+            LinkState::Up | LinkState::Suspect if self.relied_on() => {
+                self.due(self.config.suspect_after_percent)
+            }
+            LinkState::Up | LinkState::Suspect => self.due(self.down_after_percent()),
+            // Looked at with the next hello: nobody depends on a link that is not up.
+            LinkState::Connecting | LinkState::Down => None,
+        };
+        silence.into_iter().chain([self.next_hello]).min()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        let due = self.poll_timeout().unwrap_or(now);
+        // Woken so late, we are the one who stood still; the neighbour's hellos wait unread.
+        let late = now - due;
+        if late > self.config.hello_interval {
+            self.handle_stall(now);
+        } else if late > Self::LATE {
+            self.excuse(late, now);
+        }
+        if self.next_hello <= now {
+            self.say_hello(now);
+        }
+        self.judge_absence(now);
+        self.judge_silence(now);
+    }
+}
+
+/// One more good hello, and two less for each that was missing.
+fn after(good: u32, missed: u32) -> u32 {
+    good.saturating_sub(missed.saturating_mul(2)).saturating_add(1)
+}
+
+fn percent(span: Duration, percent: u32) -> Duration {
+    span * percent / 100
+}
+
+/// How many more than three hellos must be lost in a row until that is less likely than 1 in 100,000.
+fn hellos_beyond_three(loss_permille: u16) -> u32 {
+    match loss_permille {
+        0..=20 => 0,
+        21..=50 => 1,
+        51..=100 => 2,
+        101..=200 => 4,
+        201..=300 => 6,
+        // Beyond, the link is of little use, and it is not worth finding its end any later.
+        _ => 9,
+    }
+}
+
+#[cfg(test)]
+mod tests;

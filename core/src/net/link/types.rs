@@ -1,0 +1,152 @@
+//! What a link is configured with, is known for, and wants done.
+
+use super::quality::Quality;
+use crate::net::wire::node_id::NodeId;
+use crate::{Incarnation, NodeName, Parcel};
+use bytes::Bytes;
+use std::fmt;
+use std::time::Duration;
+
+/// How a link behaves.
+#[derive(Clone, Debug)]
+pub struct LinkConfig {
+    /// Our own name.
+    pub node: NodeName,
+    /// Our own life.
+    pub incarnation: Incarnation,
+    /// Who must be at the other end; `None` takes whoever speaks first.
+    pub expected: Option<NodeName>,
+    /// How long after the start, and five hellos, whoever is at the other end may take to prove that it
+    /// is there, before it is told as missing.
+    pub expected_within: Duration,
+    /// How often we say hello, unless the medium is too slow for it. Shorter finds a dead link sooner
+    /// and costs more.
+    pub hello_interval: Duration,
+    /// So many percent of an interval after its time, a missing hello makes the link suspect: traffic
+    /// avoids it where it can. Lower fails over sooner, and more often for nothing.
+    pub suspect_after_percent: u32,
+    /// So many percent of an interval after its time, a missing hello takes the link down. On a link
+    /// that loses hellos anyway, more must be missing, so that loss alone takes it down once in some
+    /// 100,000 hellos.
+    pub down_after_percent: u32,
+    /// So many hellos bring a new link up, where each that is missing takes back two; a link that was
+    /// down needs twice as many for each time that it went down lately.
+    pub proof: u32,
+    /// A link that loses more than this of a thousand hellos is degraded.
+    pub degraded_loss_permille: u16,
+    /// A link whose round trip takes longer than this, and than a hello interval, is degraded.
+    pub degraded_round_trip: Duration,
+}
+
+impl LinkConfig {
+    /// The usual behaviour for this node.
+    pub fn new(node: NodeName, incarnation: Incarnation) -> Self {
+        LinkConfig {
+            node,
+            incarnation,
+            expected: None,
+            // A process begins within a second, and a computer that is switched on with it takes longer
+            // and is found later.
+            expected_within: Duration::from_secs(5),
+            // A process that shares its cores stands still for some 100 ms when they are overloaded;
+            // with 50 ms, such a link is suspect, and not yet down.
+            hello_interval: Duration::from_millis(50),
+            // Expected at 1, suspect at 2, down at 3.5 intervals after the last hello: two lost in a
+            // row divert traffic, three take the link down (ITU-T G.8013: 3.5 intervals).
+            suspect_after_percent: 100,
+            down_after_percent: 250,
+            proof: 3,
+            degraded_loss_permille: 100,
+            degraded_round_trip: Duration::from_millis(250),
+        }
+    }
+}
+
+/// What is known of a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum LinkState {
+    /// Nobody has proved yet to be at the other end.
+    Connecting,
+    /// The neighbour is heard and hears.
+    Up,
+    /// A hello is late. Traffic goes elsewhere where it can; nothing is torn down.
+    Suspect,
+    /// The neighbour is not heard, or does not hear; it must prove itself again.
+    Down,
+}
+
+impl fmt::Display for LinkState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            LinkState::Connecting => "connecting",
+            LinkState::Up => "up",
+            LinkState::Suspect => "suspect",
+            LinkState::Down => "down",
+        })
+    }
+}
+
+/// Who is at the other end of a link.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Neighbour {
+    /// Its name.
+    pub node: NodeName,
+    /// Which of its lives.
+    pub incarnation: Incarnation,
+}
+
+/// Why a link does not take the one who speaks on it.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LinkRefusal {
+    /// Two nodes have one name. Give one of them another.
+    #[error("another node is also called {node}")]
+    NameTaken {
+        /// The name.
+        node: NodeName,
+    },
+    /// Two names give one number. Give one of the nodes another name.
+    #[error("the names {node} and {other} give the same node number {}", NodeId::of(.node))]
+    NumberTaken {
+        /// Our name.
+        node: NodeName,
+        /// The other's.
+        other: NodeName,
+    },
+    /// The cable is plugged in elsewhere, or the configured address is another node's.
+    #[error("{found} is at the other end, {expected} is expected")]
+    WrongNeighbour {
+        /// Who should be there.
+        expected: NodeName,
+        /// Who is.
+        found: NodeName,
+    },
+}
+
+/// What a link wants done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum LinkOutput {
+    /// Give this frame to the transport.
+    Transmit(Parcel),
+    /// The link is now in another state.
+    Changed {
+        /// Which.
+        state: LinkState,
+        /// Who is, or was, at the other end.
+        neighbour: Option<Neighbour>,
+        /// Why, for people.
+        reason: &'static str,
+    },
+    /// Nobody has proved to be at the other end since the start. When somebody does, `Changed` says so.
+    Missing {
+        /// Somebody speaks there, and does not hear us.
+        heard: bool,
+    },
+    /// The link became degraded, or good again, or dearer or cheaper to use.
+    Quality(Quality),
+    /// Whoever is at the other end is not taken.
+    Refused(LinkRefusal),
+    /// For the router: what the neighbour's router says.
+    Routing(Bytes),
+    /// For the router: a packet.
+    Packet(Bytes),
+}

@@ -1,0 +1,246 @@
+//! What an exchange does with what a peer says.
+
+use super::peer::{Binding, Pending, Waiting};
+use super::reply_cache::Admission;
+use super::{
+    BINDINGS_MAX, CALLS_MAX, Epoch, Exchange, ExchangeOutput, Interest, TopicContract, control,
+    refuse,
+};
+use crate::net::peer_protocol::naming::Announcement;
+use crate::net::wire::message::{Message, TICK_US};
+use crate::net::wire::node_id::NodeId;
+use crate::{Delivery, Instant, ObjectName, Parcel, PeerIdentity, Why};
+use bytes::Bytes;
+use std::time::Duration;
+
+impl Exchange {
+    /// A peer says something.
+    pub fn handle_message(&mut self, peer: NodeId, message: Bytes, now: Instant) {
+        let message = match Message::decode(message) {
+            Ok(message) => message,
+            Err(error) => return self.refusals.count(&error),
+        };
+        let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) else {
+            self.refusals.unexpected += 1;
+            return;
+        };
+        let epoch = session.epoch;
+        match message {
+            Message::Bind { binding, object, identity } => {
+                self.handle_bind(peer, binding, object, &identity);
+            }
+            Message::Bound { binding } => {
+                let sent = session.bound(peer, binding, &mut self.next_call);
+                self.refusals.unexpected += u64::from(sent.is_none());
+                self.outputs.extend(sent.into_iter().flatten());
+            }
+            Message::BindRefused { binding, why, identity } => {
+                self.handle_bind_refused(peer, binding, why, &identity);
+            }
+            Message::Request { binding, call, stamp, within, id, payload } => {
+                let age = session.age(stamp.saturating_mul(TICK_US), now);
+                let within = Duration::from_micros(within.saturating_mul(TICK_US));
+                if session.redundant.contains(&binding) && session.redundant_calls.len() < CALLS_MAX
+                {
+                    session.redundant_calls.insert(call);
+                }
+                let left = within.checked_sub(age).filter(|left| !left.is_zero());
+                let until = left.map(|left| now + left);
+                if !within.is_zero() && left.is_none() {
+                    return self.answer(peer, epoch, call, Err(Why::DeadlinePassed));
+                }
+                let key = id.map(|id| (peer, session.incarnation, id));
+                let admitted = key.map(|key| self.requests.admit(key, (peer, epoch, call), now));
+                match admitted {
+                    None | Some(Admission::Serve) => {
+                        let call = Some(call);
+                        self.outputs.push_back(ExchangeOutput::Serve {
+                            peer,
+                            epoch,
+                            binding,
+                            call,
+                            id,
+                            age,
+                            until,
+                            payload: payload.into_bytes(),
+                        });
+                    }
+                    Some(Admission::Wait) => {}
+                    Some(Admission::Answer(reply)) => {
+                        self.answer(peer, epoch, call, Ok(reply.into()));
+                    }
+                    Some(Admission::Refuse) => {
+                        self.refusals.too_large += 1;
+                        self.answer(peer, epoch, call, Err(Why::Full));
+                    }
+                }
+            }
+            Message::Tell { binding, stamp_us, id, payload } => {
+                let (call, age, until) = (None, session.age(stamp_us, now), None);
+                self.outputs.push_back(ExchangeOutput::Serve {
+                    peer,
+                    epoch,
+                    binding,
+                    call,
+                    id,
+                    age,
+                    until,
+                    payload: payload.into_bytes(),
+                });
+            }
+            Message::Reply { call, result } => match session.calls.remove(&call) {
+                Some(Pending { reply_as, .. }) => {
+                    let result = result.map(Parcel::into_bytes);
+                    self.outputs.push_back(ExchangeOutput::Resolve { reply_as, result });
+                }
+                None => self.refusals.unexpected += 1,
+            },
+            Message::Subscribe { subscription, topic, identities } => {
+                self.handle_subscribe(peer, subscription, topic, &identities);
+            }
+            Message::SubscribeRefused { why, .. } => {
+                let difference = why.to_string();
+                self.outputs.push_back(ExchangeOutput::Differs { peer, difference });
+            }
+            Message::Unsubscribe { subscription } => {
+                session.taken = session.taken.saturating_sub(1);
+                self.outputs.push_back(ExchangeOutput::Unsubscribe { peer, subscription });
+            }
+            Message::Event { subscription, stamp_us, payload } => {
+                let age = session.age(stamp_us, now);
+                self.handle_peers_event(subscription, age, payload.into_bytes());
+            }
+            Message::Notice { number, payload } => {
+                let payload = payload.into_bytes();
+                self.outputs.push_back(ExchangeOutput::Notice { peer, epoch, number, payload });
+            }
+            Message::Confirmed { number } => {
+                if session.notices.remove(&number) {
+                    self.outputs.push_back(ExchangeOutput::Noticed { number, arrived: true });
+                }
+            }
+            Message::Names { stamp_us, complete, added, removed } => {
+                session.age(stamp_us, now);
+                let announcement = Announcement { complete, added, removed };
+                self.outputs.push_back(ExchangeOutput::Names { peer, announcement });
+            }
+            Message::Bye => self.outputs.push_back(ExchangeOutput::Bye { peer }),
+            Message::Full { binding } => match session.no_room(binding) {
+                Some((object, true)) => {
+                    self.outputs.push_back(ExchangeOutput::ObjectFull { peer, object });
+                }
+                Some((_, false)) => {}
+                None => self.refusals.unexpected += 1,
+            },
+            Message::Room { binding } => match session.room_again(binding) {
+                Some((object, true)) => {
+                    self.outputs.push_back(ExchangeOutput::ObjectRoom { peer, object });
+                }
+                Some((_, false)) => {}
+                None => self.refusals.unexpected += 1,
+            },
+        }
+    }
+
+    fn handle_bind(&mut self, peer: NodeId, binding: u32, object: ObjectName, identity: &Bytes) {
+        let taken = self.take_in(peer, std::slice::from_ref(identity));
+        let taken = taken.and_then(|(epoch, mut all)| Some((epoch, Box::new(all.pop()?))));
+        let Some((epoch, identity)) = taken else {
+            let why = Why::Undecodable { reason: "the contract's identity".into() };
+            let refused = Message::BindRefused { binding, why, identity: Bytes::new() };
+            self.outputs.push_back(control(peer, &refused));
+            return;
+        };
+        if identity.delivery == Delivery::Redundant
+            && let Some(session) = self.session(peer, epoch)
+        {
+            session.redundant.insert(binding);
+        }
+        self.outputs.push_back(ExchangeOutput::Bind { peer, epoch, binding, object, identity });
+    }
+
+    fn handle_subscribe(
+        &mut self,
+        peer: NodeId,
+        subscription: u32,
+        topic: String,
+        identities: &[Bytes],
+    ) {
+        let taken = self.take_in(peer, identities).filter(|(_, all)| !all.is_empty());
+        let Some((_, identities)) = taken else {
+            let why = Why::Undecodable { reason: "the contract's identity".into() };
+            self.handle_subscribe_refused(peer, subscription, why);
+            return;
+        };
+        let topic = TopicContract { topic, contract: identities[0].name.clone() };
+        let output = ExchangeOutput::Subscribe { peer, subscription, topic, identities };
+        self.outputs.push_back(output);
+    }
+
+    /// A peer wants something new of us: within bounds, and with a contract that can be read.
+    fn take_in(
+        &mut self,
+        peer: NodeId,
+        identities: &[Bytes],
+    ) -> Option<(Epoch, Vec<PeerIdentity>)> {
+        let session = self.peers.get_mut(&peer)?.session.as_mut()?;
+        let read = identities.iter().map(|identity| PeerIdentity::decode(identity));
+        let identities = read.collect::<Result<_, _>>().ok();
+        if session.taken >= BINDINGS_MAX {
+            self.refusals.too_large += 1;
+            return None;
+        }
+        session.taken += 1;
+        Some((session.epoch, identities?))
+    }
+
+    fn handle_bind_refused(&mut self, peer: NodeId, number: u32, why: Why, identity: &[u8]) {
+        let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) else {
+            return;
+        };
+        let binding = session.numbers.remove(&number).and_then(|key| {
+            let binding = session.bindings.remove(&key)?;
+            Some((key, binding))
+        });
+        let Some(((object, name, _), Binding { contract, waiting, .. })) = binding else {
+            self.refusals.unexpected += 1;
+            return;
+        };
+        // Seen from our side, where the peer has sent its own.
+        let theirs = PeerIdentity::decode(identity).ok();
+        let why = match (theirs.map(|theirs| contract.check(&theirs)), why) {
+            (Some(Err(difference)), Why::ContractDiffers { .. }) => {
+                Why::ContractDiffers { difference: difference.to_string() }
+            }
+            (_, why) => why,
+        };
+        if let Why::ContractDiffers { difference } = &why {
+            let difference = difference.clone();
+            self.outputs.push_back(ExchangeOutput::Differs { peer, difference });
+        }
+        let waiting = waiting.unwrap_or_default();
+        let rooms = session.let_out(peer, &waiting);
+        self.outputs.extend(rooms);
+        for Waiting { pending, .. } in waiting {
+            let (to, reply_as) = ((object.clone(), name), pending.map(|pending| pending.reply_as));
+            self.outputs.push_back(refuse(peer, to, reply_as, why.clone()));
+        }
+    }
+
+    fn handle_peers_event(&mut self, subscription: u32, age: Duration, payload: Bytes) {
+        let form = |interest: &Interest| {
+            let form = usize::try_from(subscription.checked_sub(interest.subscription)?).ok()?;
+            (form < interest.identities.len()).then_some(form)
+        };
+        let mut interests = self.interests.iter();
+        // As many as the node has topics; they are few.
+        match interests.find_map(|(topic, interest)| Some((topic, form(interest)?))) {
+            Some((topic, form)) => {
+                let topic = topic.clone();
+                self.outputs.push_back(ExchangeOutput::Event { topic, form, age, payload });
+            }
+            // It crossed our unsubscribing.
+            None => self.refusals.stale += 1,
+        }
+    }
+}

@@ -1,0 +1,523 @@
+//! What this node's objects and those of other nodes want of each other: bindings, calls,
+//! subscriptions, fault notices.
+//!
+//! The first message of a contract to an object asks its node to bind: both compare the contract's
+//! name, version and fingerprint, and what follows carries only a number. Whatever was promised is
+//! resolved: with the reply, or when the session with the callee's node ends.
+//!
+//! A peer's part of it lives as long as the session with it. Each session has an epoch, so that what
+//! was begun in one is never answered in the next.
+
+mod age;
+mod budget;
+mod incoming;
+mod peer;
+mod reply_cache;
+mod types;
+
+pub mod naming;
+pub mod receive_backlog;
+
+pub use self::types::{Addressee, Call, Epoch, ExchangeOutput, Sent, TopicContract};
+
+use self::budget::Entrance;
+use self::peer::{Binding, Numbers, Pending, Session, Waiting, carry};
+use self::reply_cache::Requests;
+
+use super::session::ordering_key::Strand;
+use super::session::size_class::Load;
+use super::wire::Refusals;
+use super::wire::message::{FORMS_MAX, Message};
+use super::wire::node_id::NodeId;
+use super::wire::segment::Stream;
+use crate::{ContractIdentity, Delivery, Incarnation, Instant, ObjectName, Parcel, Why};
+use bytes::Bytes;
+use naming::Announcement;
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+
+/// The most bindings and subscriptions that a peer may have here, each.
+const BINDINGS_MAX: usize = 16 * 1024;
+
+/// The most requests to one peer that wait for its next session.
+const AGAIN_MAX: usize = 1024;
+/// The most unanswered requests of one peer whose replies go every way; beyond, they go one way.
+const CALLS_MAX: usize = 64 * 1024;
+/// For the caller to see its deadline pass by itself.
+const GRACE: Duration = Duration::from_secs(1);
+
+/// The machine of one node's dealings with all others. It waits for nothing: silence is the session's
+/// matter, and callers mind their deadlines.
+#[derive(Debug, Default)]
+pub struct Exchange {
+    peers: BTreeMap<NodeId, Peer>,
+    /// What is listened to here.
+    interests: BTreeMap<TopicContract, Interest>,
+    next_subscription: u32,
+    next_binding: u32,
+    next_call: u64,
+    epochs: u64,
+    /// Requests of other nodes that are known by an identity.
+    requests: Requests,
+    refusals: Refusals,
+    outputs: VecDeque<ExchangeOutput>,
+}
+
+#[derive(Debug)]
+struct Interest {
+    /// The number of the present version; those before it have the numbers after it.
+    subscription: u32,
+    identities: Vec<ContractIdentity>,
+}
+
+/// What is going on with a peer.
+#[derive(Debug, Default)]
+struct Peer {
+    reachable: bool,
+    session: Option<Session>,
+    /// What the bindings of the session before were, for messages that come back late.
+    past: Numbers,
+    /// Requests that are sent again in the next session.
+    again: Vec<Call>,
+}
+
+impl Exchange {
+    /// An exchange in the place of one that failed. No number of the old one's is used again; what waited in it
+    /// is lost for this reason, and what comes back of its sessions is known. Callers have been told.
+    pub fn reborn(&self, why: &Why) -> Self {
+        let mut next = Exchange {
+            next_subscription: self.next_subscription,
+            next_binding: self.next_binding,
+            next_call: self.next_call,
+            epochs: self.epochs,
+            requests: self.requests.clone(),
+            refusals: self.refusals,
+            ..Exchange::default()
+        };
+        for (peer, state) in &self.peers {
+            let past = state.session.as_ref().map_or(&state.past, |session| &session.numbers);
+            next.peers.insert(*peer, Peer { past: past.clone(), ..Peer::default() });
+            let bindings = state.session.iter().flat_map(|session| &session.bindings);
+            for ((object, contract, _), binding) in bindings {
+                let told = binding.waiting.iter().flatten().filter(|told| told.pending.is_none());
+                for _ in told {
+                    let (peer, why) = (*peer, why.clone());
+                    let to = Addressee::Object(object.clone(), contract);
+                    next.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
+                }
+            }
+        }
+        next
+    }
+
+    /// The next thing to do, in order.
+    pub fn poll_output(&mut self) -> Option<ExchangeOutput> {
+        self.outputs.pop_front()
+    }
+
+    /// What was refused so far.
+    pub fn refusals(&self) -> Refusals {
+        self.refusals
+    }
+
+    /// A path to this node is known.
+    pub fn handle_reachable(&mut self, peer: NodeId) {
+        self.peers.entry(peer).or_default().reachable = true;
+    }
+
+    /// No path to this node is known any more.
+    pub fn handle_unreachable(&mut self, peer: NodeId) {
+        self.peers.entry(peer).or_default().reachable = false;
+    }
+
+    /// Whether a path to this node is known.
+    pub fn is_reachable(&self, peer: NodeId) -> bool {
+        self.peers.get(&peer).is_some_and(|peer| peer.reachable)
+    }
+
+    /// A session with this peer has begun.
+    pub fn handle_opened(&mut self, peer: NodeId, incarnation: Incarnation, now: Instant) {
+        self.epochs += 1;
+        let session = Session::new(Epoch(self.epochs), incarnation, now);
+        let state = self.peers.entry(peer).or_default();
+        state.session = Some(session);
+        let again = std::mem::take(&mut state.again);
+        for (topic, interest) in &self.interests {
+            let message = subscribe(topic, interest);
+            self.outputs.push_back(control(peer, &message));
+        }
+        again.into_iter().for_each(|call| self.handle_call(call));
+    }
+
+    /// The session with this peer is over: everything that is under way with it is resolved.
+    pub fn handle_ended(&mut self, peer: NodeId, why: &Why) {
+        let Some(state) = self.peers.get_mut(&peer) else { return };
+        let Some(mut session) = state.session.take() else { return };
+        state.past = std::mem::take(&mut session.numbers);
+        for pending in session.calls.into_values() {
+            give_up(state, &mut self.outputs, pending, why, Sent::Perhaps);
+        }
+        for ((object, contract, _), binding) in session.bindings {
+            for waiting in binding.waiting.into_iter().flatten() {
+                match waiting.pending {
+                    Some(pending) => give_up(state, &mut self.outputs, pending, why, Sent::Nothing),
+                    None => {
+                        let to = Addressee::Object(object.clone(), contract);
+                        self.outputs.push_back(ExchangeOutput::Lost { peer, to, why: why.clone() });
+                    }
+                }
+            }
+        }
+        for number in session.notices {
+            self.outputs.push_back(ExchangeOutput::Noticed { number, arrived: false });
+        }
+        self.outputs.push_back(ExchangeOutput::Forget { peer, why: why.clone() });
+    }
+
+    /// An object here wants to send.
+    pub fn handle_call(&mut self, call: Call) {
+        let again = (call.contract.idempotent && call.id.is_some() && call.reply_as.is_some())
+            .then(|| Box::new(call.clone()));
+        let Call { node, object, contract, id, sent, until, payload, reply_as } = call;
+        let peer = NodeId::of(&node);
+        let known = self.peers.get_mut(&peer);
+        let reachable = known.as_ref().is_some_and(|peer| peer.reachable);
+        let Some(session) = known.and_then(|peer| peer.session.as_mut()) else {
+            let unreachable = Why::Unreachable { node: node.to_string() };
+            let why = if reachable { Why::Restarting } else { unreachable };
+            self.outputs.push_back(refuse(peer, (object, contract.name), reply_as, why));
+            return;
+        };
+        let key = (object, contract.name, contract.fingerprint);
+        let pending = reply_as.map(|reply_as| Pending { reply_as, until, again });
+        let waiting = Waiting { id, sent, payload, pending };
+        if let Some(binding @ Binding { waiting: None, .. }) = session.bindings.get(&key) {
+            let bound = binding.way();
+            let sent = session.send(peer, bound, waiting, &mut self.next_call);
+            return self.outputs.push_back(sent);
+        }
+        match session.hall.enter(waiting.payload.len()) {
+            Entrance::Open => {}
+            Entrance::Closing(load) => {
+                self.outputs.push_back(ExchangeOutput::Full { peer, load });
+            }
+            Entrance::Shut(load) => {
+                let why = Why::WayFull { node: node.to_string(), bulk: load == Load::Bulk };
+                let refused = refuse(peer, (key.0, key.1), reply_as, why);
+                return self.outputs.push_back(refused);
+            }
+        }
+        match session.bindings.get_mut(&key).and_then(|binding| binding.waiting.as_mut()) {
+            Some(queue) => queue.push(waiting),
+            None => {
+                self.next_binding = self.next_binding.wrapping_add(1);
+                let number = self.next_binding;
+                let identity = contract.full().encode().into();
+                let object = key.0.clone();
+                session.numbers.insert(number, key.clone());
+                let strand = Strand::to(&object);
+                let binding = Binding { number, strand, contract, waiting: Some(vec![waiting]) };
+                session.bindings.insert(key, binding);
+                let bind = Message::Bind { binding: number, object, identity };
+                self.outputs.push_back(control(peer, &bind));
+            }
+        }
+    }
+
+    /// The answer to [`ExchangeOutput::Bind`]: this is bound, or why not, and the contract as it is
+    /// known here.
+    pub fn handle_bound(
+        &mut self,
+        peer: NodeId,
+        epoch: Epoch,
+        binding: u32,
+        result: Result<(), (Why, Option<ContractIdentity>)>,
+    ) {
+        let Some(session) = self.session(peer, epoch) else { return };
+        if result.is_err() {
+            session.taken = session.taken.saturating_sub(1);
+        }
+        let answer = match result {
+            Ok(()) => Message::Bound { binding },
+            Err((why, known)) => {
+                let identity = known.map(|known| known.full().encode().into()).unwrap_or_default();
+                Message::BindRefused { binding, why, identity }
+            }
+        };
+        self.outputs.push_back(control(peer, &answer));
+    }
+
+    /// An object here has no room for what came through this binding.
+    pub fn handle_full(&mut self, peer: NodeId, binding: u32) {
+        self.tell(peer, &Message::Full { binding });
+    }
+
+    /// It has room again.
+    pub fn handle_room(&mut self, peer: NodeId, binding: u32) {
+        self.tell(peer, &Message::Room { binding });
+    }
+
+    fn tell(&mut self, peer: NodeId, message: &Message) {
+        if self.is_open(peer) {
+            self.outputs.push_back(control(peer, message));
+        }
+    }
+
+    /// An object here has answered, or will not.
+    pub fn handle_answer(
+        &mut self,
+        peer: NodeId,
+        epoch: Epoch,
+        call: u64,
+        result: Result<Parcel, Why>,
+        now: Instant,
+    ) {
+        let mut askers =
+            self.requests.resolve((peer, epoch, call), result.as_ref().ok(), now).into_iter();
+        let last = askers.next_back();
+        for (peer, epoch, call) in askers {
+            self.answer(peer, epoch, call, result.clone());
+        }
+        if let Some((peer, epoch, call)) = last {
+            self.answer(peer, epoch, call, result);
+        }
+    }
+
+    fn answer(&mut self, peer: NodeId, epoch: Epoch, call: u64, result: Result<Parcel, Why>) {
+        let Some(session) = self.session(peer, epoch) else { return };
+        let stream = match session.redundant_calls.remove(&call) {
+            true => Stream::Redundant,
+            false => Stream::Data,
+        };
+        let (strand, message) = (Strand::Call(call), Message::Reply { call, result }.encode());
+        self.outputs.push_back(ExchangeOutput::Send { peer, stream, strand, message });
+    }
+
+    /// Time passes: what was to be answered by now is given up.
+    pub fn handle_time(&mut self, now: Instant) {
+        self.requests.expire(now);
+        let late = |until: Option<Instant>| until.is_some_and(|until| until + GRACE <= now);
+        let mut over = Vec::new();
+        for state in self.peers.values_mut() {
+            let again = state.again.extract_if(.., |call| late(call.until));
+            over.extend(again.filter_map(|call| call.reply_as));
+            let Some(session) = &mut state.session else { continue };
+            session.calls.retain(|_, pending| {
+                let late = late(pending.until);
+                over.extend(late.then_some(pending.reply_as));
+                !late
+            });
+        }
+        for reply_as in over {
+            let result = Err(Why::DeadlinePassed);
+            self.outputs.push_back(ExchangeOutput::Resolve { reply_as, result });
+        }
+    }
+
+    /// This node listens to a topic from now on, by the present version of its contract and the earlier
+    /// ones that it understands; or no more, if there is none.
+    pub fn handle_interest(&mut self, topic: TopicContract, identities: Vec<ContractIdentity>) {
+        let before = self.interests.remove(&topic);
+        if let Some(Interest { subscription, .. }) = before {
+            self.tell_all(&Message::Unsubscribe { subscription });
+        }
+        if identities.is_empty() {
+            return;
+        }
+        let subscription = self.next_subscription + 1;
+        self.next_subscription += FORMS_MAX as u32;
+        let interest = Interest { subscription, identities };
+        let message = subscribe(&topic, &interest);
+        self.interests.insert(topic, interest);
+        self.tell_all(&message);
+    }
+
+    /// An event was published here, at `sent`, for a peer's subscription.
+    pub fn handle_event(
+        &mut self,
+        peer: NodeId,
+        (subscription, delivery): (u32, Delivery),
+        payload: Parcel,
+        sent: Instant,
+    ) {
+        if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
+            let stamp_us = session.stamp_us(sent);
+            let message = Message::Event { subscription, stamp_us, payload };
+            let way = (subscription << 1, delivery, Strand::Subscription(subscription));
+            self.outputs.push_back(carry(peer, way, &message));
+        }
+    }
+
+    /// What a peer wants to listen to has another contract here.
+    pub fn handle_subscribe_refused(&mut self, peer: NodeId, subscription: u32, why: Why) {
+        if self.is_open(peer) {
+            let message = Message::SubscribeRefused { subscription, why };
+            self.outputs.push_back(control(peer, &message));
+        }
+    }
+
+    /// Tells a peer's recoverer of a fault. The number is the caller's.
+    pub fn handle_notice(&mut self, peer: NodeId, number: u64, payload: Bytes) {
+        match self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) {
+            Some(session) => {
+                session.notices.insert(number);
+                let message = Message::Notice { number, payload: payload.into() };
+                self.outputs.push_back(control(peer, &message));
+            }
+            None => self.outputs.push_back(ExchangeOutput::Noticed { number, arrived: false }),
+        }
+    }
+
+    /// A peer's fault has arrived at our recoverer.
+    pub fn handle_noticed(&mut self, peer: NodeId, epoch: Epoch, number: u64) {
+        if self.session(peer, epoch).is_some() {
+            self.outputs.push_back(control(peer, &Message::Confirmed { number }));
+        }
+    }
+
+    /// Tells one peer, or all, which objects this node has.
+    pub fn handle_own_names(
+        &mut self,
+        to: Option<NodeId>,
+        announcement: &Announcement,
+        now: Instant,
+    ) {
+        for (peer, state) in &self.peers {
+            if let Some(session) = &state.session
+                && to.is_none_or(|to| to == *peer)
+            {
+                let Announcement { complete, added, removed } = announcement.clone();
+                let stamp_us = session.stamp_us(now);
+                let message = Message::Names { stamp_us, complete, added, removed };
+                self.outputs.push_back(control(*peer, &message));
+            }
+        }
+    }
+
+    /// This node ends in order.
+    pub fn handle_leave(&mut self) {
+        self.tell_all(&Message::Bye);
+    }
+
+    /// Something waits for a peer to agree to a contract.
+    pub fn is_waiting(&self) -> bool {
+        let sessions = self.peers.values().filter_map(|peer| peer.session.as_ref());
+        sessions.flat_map(|session| session.bindings.values()).any(|b| b.waiting.is_some())
+    }
+
+    fn tell_all(&mut self, message: &Message) {
+        for (peer, state) in &self.peers {
+            if state.session.is_some() {
+                self.outputs.push_back(control(*peer, message));
+            }
+        }
+    }
+
+    fn is_open(&self, peer: NodeId) -> bool {
+        self.peers.get(&peer).is_some_and(|peer| peer.session.is_some())
+    }
+
+    fn session(&mut self, peer: NodeId, epoch: Epoch) -> Option<&mut Session> {
+        let session = self.peers.get_mut(&peer)?.session.as_mut()?;
+        (session.epoch == epoch).then_some(session)
+    }
+
+    /// A message that did not arrive, or perhaps not: its session ended first, or was full.
+    pub fn handle_returned(&mut self, peer: NodeId, message: Bytes, why: Why, sent: Sent) {
+        let Ok(message) = Message::decode(message) else { return };
+        match message {
+            Message::Request { call, .. } => {
+                let Some(state) = self.peers.get_mut(&peer) else { return };
+                let session = state.session.as_mut();
+                if let Some(pending) = session.and_then(|session| session.calls.remove(&call)) {
+                    give_up(state, &mut self.outputs, pending, &why, sent);
+                }
+            }
+            Message::Tell { binding, .. } => {
+                let past = self.peers.get(&peer).and_then(|peer| {
+                    let present = peer.session.as_ref().map(|session| &session.numbers);
+                    present.and_then(|numbers| numbers.get(&binding)).or(peer.past.get(&binding))
+                });
+                let to = past.map_or(Addressee::Forgotten, |(object, contract, _)| {
+                    Addressee::Object(object.clone(), contract)
+                });
+                self.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
+            }
+            Message::Event { subscription, .. } => {
+                let to = Addressee::Subscription(subscription);
+                self.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
+            }
+            // It was made, and no session carries it: whoever waits for it is told that much.
+            Message::Reply { call, result: Ok(_) } => {
+                if let (Why::TooLargeForSession { limit }, true) = (why, self.is_open(peer)) {
+                    let message =
+                        Message::Reply { call, result: Err(Why::ReplyTooLarge { limit }) };
+                    self.outputs.push_back(ExchangeOutput::Send {
+                        peer,
+                        stream: Stream::Data,
+                        strand: Strand::Call(call),
+                        message: message.encode(),
+                    });
+                }
+            }
+            // What belongs to the session itself ends with it.
+            _ => {}
+        }
+    }
+}
+
+/// A request is not going to be answered in this session: it waits for the next one, or is resolved.
+fn give_up(
+    state: &mut Peer,
+    outputs: &mut VecDeque<ExchangeOutput>,
+    pending: Pending,
+    why: &Why,
+    sent: Sent,
+) {
+    let Pending { reply_as, again, .. } = pending;
+    // Whoever has left, or has no room, is not asked again.
+    let helps =
+        !matches!(why, Why::Left { .. } | Why::WayFull { .. } | Why::TooLargeForSession { .. });
+    match again {
+        Some(call) if helps && state.again.len() < AGAIN_MAX => state.again.push(*call),
+        _ => {
+            let result = Err(match why {
+                why if sent == Sent::Nothing => why.clone(),
+                // Its death is certain, and so is that nobody will answer.
+                Why::PeerDied { .. } => why.clone(),
+                why => Why::OutcomeUnknown { reason: why.to_string() },
+            });
+            outputs.push_back(ExchangeOutput::Resolve { reply_as, result });
+        }
+    }
+}
+
+fn control(peer: NodeId, message: &Message) -> ExchangeOutput {
+    let (stream, strand) = (Stream::Control, Strand::default());
+    ExchangeOutput::Send { peer, stream, strand, message: message.encode() }
+}
+
+fn subscribe(topic: &TopicContract, interest: &Interest) -> Message {
+    let Interest { subscription, identities } = interest;
+    // What differs is told of the present version.
+    let present = identities.first().map(ContractIdentity::full);
+    let former = identities.iter().skip(1).map(ContractIdentity::brief);
+    let all = present.into_iter().chain(former).take(FORMS_MAX);
+    let identities = all.map(|identity| identity.encode().into()).collect();
+    Message::Subscribe { subscription: *subscription, topic: topic.topic.clone(), identities }
+}
+
+fn refuse(
+    peer: NodeId,
+    to: (ObjectName, &'static str),
+    reply_as: Option<u64>,
+    why: Why,
+) -> ExchangeOutput {
+    match reply_as {
+        Some(reply_as) => ExchangeOutput::Resolve { reply_as, result: Err(why) },
+        None => ExchangeOutput::Lost { peer, to: Addressee::Object(to.0, to.1), why },
+    }
+}
+
+#[cfg(test)]
+mod tests;

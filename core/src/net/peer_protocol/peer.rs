@@ -1,0 +1,203 @@
+//! What is going on with one peer, as long as its session lasts.
+
+use super::budget::Hall;
+use super::types::{Call, Epoch, ExchangeOutput};
+use crate::net::peer_protocol::age::Ages;
+use crate::net::session::ordering_key::Strand;
+use crate::net::wire::message::{Message, TICK_US};
+use crate::net::wire::node_id::NodeId;
+use crate::net::wire::segment::Stream;
+use crate::{ContractIdentity, Delivery, Incarnation, Instant, MessageId, ObjectName, Parcel};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// A binding: the object, the contract's name and fingerprint.
+pub(super) type Bound = (ObjectName, &'static str, u64);
+/// Which binding has which number. Numbers are not used again in the next session.
+pub(super) type Numbers = BTreeMap<u32, Bound>;
+
+#[derive(Debug)]
+pub(super) struct Session {
+    pub(super) epoch: Epoch,
+    /// With which life of the peer.
+    pub(super) incarnation: Incarnation,
+    /// Our stamps count from here.
+    pub(super) began: Instant,
+    /// Known from the peer's first stamp on.
+    pub(super) ages: Option<Ages>,
+    pub(super) bindings: BTreeMap<Bound, Binding>,
+    pub(super) numbers: Numbers,
+    /// Our requests that are not answered, by their number on the wire.
+    pub(super) calls: BTreeMap<u64, Pending>,
+    pub(super) notices: BTreeSet<u64>,
+    /// How many bindings and subscriptions the peer has here.
+    pub(super) taken: usize,
+    /// The peer's bindings whose replies go every way; no more than it has bindings.
+    pub(super) redundant: BTreeSet<u32>,
+    /// The requests through them that are not answered.
+    pub(super) redundant_calls: BTreeSet<u64>,
+    /// The peer's objects that have no room, and by which of our bindings it has said so.
+    pub(super) full: BTreeMap<ObjectName, BTreeSet<u32>>,
+    /// How much waits for bindings.
+    pub(super) hall: Hall,
+}
+
+/// Its number, how it travels, and with what it stays in order.
+pub(super) type Way = (u32, Delivery, Strand);
+
+#[derive(Debug)]
+pub(super) struct Binding {
+    pub(super) number: u32,
+    /// That of its object.
+    pub(super) strand: Strand,
+    pub(super) contract: ContractIdentity,
+    /// Messages that wait until the peer has agreed; `None` once it has.
+    pub(super) waiting: Option<Vec<Waiting>>,
+}
+
+impl Binding {
+    pub(super) fn way(&self) -> Way {
+        (self.number, self.contract.delivery, self.strand)
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct Waiting {
+    pub(super) id: Option<MessageId>,
+    pub(super) sent: Instant,
+    pub(super) payload: Parcel,
+    pub(super) pending: Option<Pending>,
+}
+
+/// A request of ours.
+#[derive(Debug)]
+pub(super) struct Pending {
+    /// The caller's number.
+    pub(super) reply_as: u64,
+    pub(super) until: Option<Instant>,
+    /// It may be sent again.
+    pub(super) again: Option<Box<Call>>,
+}
+
+impl Session {
+    pub(super) fn new(epoch: Epoch, incarnation: Incarnation, began: Instant) -> Self {
+        Session {
+            epoch,
+            incarnation,
+            began,
+            ages: None,
+            bindings: BTreeMap::new(),
+            numbers: BTreeMap::new(),
+            calls: BTreeMap::new(),
+            notices: BTreeSet::new(),
+            taken: 0,
+            redundant: BTreeSet::new(),
+            redundant_calls: BTreeSet::new(),
+            full: BTreeMap::new(),
+            hall: Hall::default(),
+        }
+    }
+
+    /// The peer says that an object has no room. Answers whether that is news, and of which object; `None`
+    /// if nothing was bound that this could be about.
+    pub(super) fn no_room(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
+        let (object, ..) = self.numbers.get(&binding)?;
+        let full = self.full.entry(object.clone()).or_default();
+        let news = full.is_empty();
+        full.insert(binding).then(|| (object.clone(), news))
+    }
+
+    /// The peer says that an object has room again. Answers likewise; `None` also if the contrary was not
+    /// said.
+    pub(super) fn room_again(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
+        let (object, ..) = self.numbers.get(&binding)?;
+        let full = self.full.get_mut(object)?;
+        if !full.remove(&binding) {
+            return None;
+        }
+        let news = full.is_empty();
+        if news {
+            self.full.remove(object);
+        }
+        Some((object.clone(), news))
+    }
+
+    pub(super) fn stamp_us(&self, sent: Instant) -> u64 {
+        u64::try_from((sent - self.began).as_micros()).unwrap_or(u64::MAX)
+    }
+
+    pub(super) fn age(&mut self, stamp_us: u64, now: Instant) -> Duration {
+        self.ages.get_or_insert_with(|| Ages::new(stamp_us, now)).handle(stamp_us, now)
+    }
+
+    pub(super) fn send(
+        &mut self,
+        peer: NodeId,
+        (binding, delivery, strand): Way,
+        waiting: Waiting,
+        next_call: &mut u64,
+    ) -> ExchangeOutput {
+        let Waiting { id, sent, payload, pending } = waiting;
+        let stamp_us = self.stamp_us(sent);
+        let message = match pending {
+            None => Message::Tell { binding, stamp_us, id, payload },
+            Some(pending) => {
+                *next_call += 1;
+                let call = *next_call;
+                // A deadline of less than a tick is one all the same.
+                let within = pending.until.map_or(0, |until| ticks(until - sent).max(1));
+                self.calls.insert(call, pending);
+                let stamp = stamp_us / TICK_US;
+                Message::Request { binding, call, stamp, within, id, payload }
+            }
+        };
+        carry(peer, ((binding << 1) | 1, delivery, strand), &message)
+    }
+
+    /// These wait no longer. Answers with what is to be told to senders that were told to stop.
+    pub(super) fn let_out(
+        &mut self,
+        peer: NodeId,
+        waiting: &[Waiting],
+    ) -> impl Iterator<Item = ExchangeOutput> + use<> {
+        let again = self.hall.leave(waiting.iter().map(|waiting| waiting.payload.len()));
+        again.into_iter().map(move |load| ExchangeOutput::Room { peer, load })
+    }
+
+    /// The peer has agreed: what waited goes out. `None` if nothing was asked.
+    pub(super) fn bound(
+        &mut self,
+        peer: NodeId,
+        number: u32,
+        next_call: &mut u64,
+    ) -> Option<Vec<ExchangeOutput>> {
+        let key = self.numbers.get(&number)?;
+        let binding = self.bindings.get_mut(key)?;
+        let (waiting, way) = (binding.waiting.take()?, binding.way());
+        let rooms = self.let_out(peer, &waiting);
+        let sent = waiting.into_iter().map(|waiting| self.send(peer, way, waiting, next_call));
+        // Room first: the session may find itself full, and must have the last word.
+        Some(rooms.chain(sent).collect())
+    }
+}
+
+fn ticks(span: Duration) -> u64 {
+    u64::try_from(span.as_micros()).unwrap_or(u64::MAX) / TICK_US
+}
+
+/// Hands a message over as its contract wants it to travel. Channels of subscriptions are even, those of
+/// bindings odd.
+pub(super) fn carry(
+    peer: NodeId,
+    (channel, delivery, strand): Way,
+    message: &Message,
+) -> ExchangeOutput {
+    let message = message.encode();
+    match delivery {
+        Delivery::Reliable => ExchangeOutput::Send { peer, stream: Stream::Data, strand, message },
+        Delivery::Redundant => {
+            ExchangeOutput::Send { peer, stream: Stream::Redundant, strand, message }
+        }
+        Delivery::Newest => ExchangeOutput::SendNewest { peer, channel, message },
+    }
+}

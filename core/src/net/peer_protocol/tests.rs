@@ -1,0 +1,468 @@
+//! Two exchanges that hear each other.
+
+use super::*;
+use crate::contract::layout::{Described, Layout};
+use crate::net::peer_protocol::naming::Announcement;
+use crate::{Delivery, Incarnation, NodeName};
+
+fn layout_of_number() -> &'static Layout {
+    u64::layout()
+}
+
+fn layout_of_text() -> &'static Layout {
+    String::layout()
+}
+
+fn contract(message: crate::contract::layout::LayoutOf) -> ContractIdentity {
+    let reply = layout_of_number;
+    let fingerprint = crate::contract::fingerprint(message, reply);
+    ContractIdentity {
+        name: "count",
+        version: 1,
+        delivery: Delivery::Reliable,
+        idempotent: false,
+        fingerprint,
+        message,
+        reply,
+    }
+}
+
+fn count() -> ContractIdentity {
+    contract(layout_of_number)
+}
+
+fn node(name: &str) -> NodeName {
+    NodeName::new(name).unwrap()
+}
+
+fn arm() -> ObjectName {
+    ObjectName::new("arm").unwrap()
+}
+
+fn topic() -> TopicContract {
+    TopicContract { topic: "news".into(), contract: "count".into() }
+}
+
+fn payload() -> Bytes {
+    Bytes::from_static(b"payload")
+}
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+/// Two exchanges; what one sends, the other gets.
+struct Pair {
+    ends: [Exchange; 2],
+    ids: [NodeId; 2],
+    told: [Vec<ExchangeOutput>; 2],
+    now: u64,
+}
+
+impl Pair {
+    fn new() -> Self {
+        let ids = [NodeId::of(&node("left")), NodeId::of(&node("right"))];
+        let told = [vec![], vec![]];
+        Pair { ends: [Exchange::default(), Exchange::default()], ids, told, now: 0 }
+    }
+
+    fn open() -> Self {
+        let mut pair = Pair::new();
+        for end in 0..2 {
+            let peer = pair.ids[1 - end];
+            pair.ends[end].handle_reachable(peer);
+            pair.ends[end].handle_opened(peer, Incarnation(1), at(0));
+        }
+        pair.run();
+        pair
+    }
+
+    /// Carries out what can be carried out without the application.
+    fn run(&mut self) {
+        loop {
+            let mut busy = false;
+            for end in 0..2 {
+                while let Some(output) = self.ends[end].poll_output() {
+                    busy = true;
+                    match output {
+                        ExchangeOutput::Send { message, .. } => {
+                            self.ends[1 - end].handle_message(
+                                self.ids[end],
+                                message.into_bytes(),
+                                at(self.now),
+                            );
+                        }
+                        other => self.told[end].push(other),
+                    }
+                }
+            }
+            if !busy {
+                return;
+            }
+        }
+    }
+
+    fn take(&mut self, end: usize) -> Vec<ExchangeOutput> {
+        std::mem::take(&mut self.told[end])
+    }
+
+    fn call(&mut self, contract: ContractIdentity, reply_as: Option<u64>) {
+        let (node, object) = (node("right"), arm());
+        let call = Call {
+            node,
+            object,
+            contract,
+            id: None,
+            sent: at(self.now),
+            until: None,
+            payload: payload().into(),
+            reply_as,
+        };
+        self.ends[0].handle_call(call);
+        self.run();
+    }
+
+    /// The right end agrees to the binding that it was just asked for.
+    fn agree(&mut self) -> Epoch {
+        let told = self.take(1);
+        let [ExchangeOutput::Bind { peer, epoch, binding, identity, .. }] = &told[..] else {
+            panic!("{told:?}");
+        };
+        assert_eq!(count().check(identity), Ok(()));
+        self.ends[1].handle_bound(*peer, *epoch, *binding, Ok(()));
+        self.run();
+        *epoch
+    }
+}
+
+#[test]
+fn the_first_message_binds_and_all_are_served_in_order() {
+    let mut pair = Pair::open();
+    pair.call(count(), Some(10));
+    pair.call(count(), None);
+    assert!(pair.ends[0].is_waiting());
+
+    let epoch = pair.agree();
+    pair.call(count(), Some(11));
+
+    let calls: Vec<_> = pair
+        .take(1)
+        .into_iter()
+        .map(|output| match output {
+            ExchangeOutput::Serve { call, .. } => call,
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert_eq!(calls, [Some(1), None, Some(2)]);
+    let left = pair.ids[0];
+    pair.ends[1].handle_answer(left, epoch, 2, Ok(payload().into()), at(0));
+    pair.ends[1].handle_answer(left, epoch, 1, Err(Why::Stopped), at(0));
+    pair.run();
+    let resolved = |reply_as, result| ExchangeOutput::Resolve { reply_as, result };
+    assert_eq!(pair.take(0), [resolved(11, Ok(payload())), resolved(10, Err(Why::Stopped))]);
+}
+
+#[test]
+fn a_contract_that_differs_is_shown_from_both_sides_and_asked_again_next_time() {
+    let mut pair = Pair::open();
+    pair.call(contract(layout_of_text), Some(10));
+    let told = pair.take(1);
+    let [ExchangeOutput::Bind { peer, epoch, binding, identity, .. }] = &told[..] else {
+        panic!("{told:?}");
+    };
+    let theirs = count().check(identity).unwrap_err().to_string();
+    let why = Why::ContractDiffers { difference: theirs.clone() };
+    pair.ends[1].handle_bound(*peer, *epoch, *binding, Err((why, Some(count()))));
+    pair.run();
+
+    let told = pair.take(0);
+    let [
+        ExchangeOutput::Differs { difference, .. },
+        ExchangeOutput::Resolve { reply_as: 10, result: Err(Why::ContractDiffers { .. }) },
+    ] = &told[..]
+    else {
+        panic!("{told:?}");
+    };
+    assert_ne!(*difference, theirs, "here and there have changed places");
+    pair.call(count(), Some(11));
+    pair.agree();
+    assert!(matches!(pair.take(1)[..], [ExchangeOutput::Serve { .. }]));
+}
+
+#[test]
+fn everything_is_resolved_when_the_session_ends_and_late_answers_go_nowhere() {
+    let mut pair = Pair::open();
+    let right = pair.ids[1];
+    pair.call(count(), Some(10));
+    let epoch = pair.agree();
+    pair.ends[0].handle_notice(right, 77, payload());
+    pair.run();
+
+    pair.ends[0].handle_ended(right, &Why::Stopped);
+    pair.run();
+
+    let unknown = Why::OutcomeUnknown { reason: Why::Stopped.to_string() };
+    let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(unknown) };
+    let noticed = ExchangeOutput::Noticed { number: 77, arrived: false };
+    let why = Why::Stopped;
+    assert_eq!(pair.take(0), [resolved, noticed, ExchangeOutput::Forget { peer: right, why }]);
+
+    let left = pair.ids[0];
+    pair.ends[1].handle_ended(left, &Why::Stopped);
+    for end in 0..2 {
+        pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
+    }
+    pair.take(1);
+    pair.ends[1].handle_answer(left, epoch, 1, Ok(payload().into()), at(0));
+    pair.run();
+    assert_eq!(pair.take(0), [], "the answer belongs to the session before");
+}
+
+#[test]
+fn without_a_session_a_call_is_refused_with_the_reason() {
+    let mut pair = Pair::new();
+    pair.call(count(), Some(10));
+    let why = Why::Unreachable { node: "right".into() };
+    let resolved = |why| ExchangeOutput::Resolve { reply_as: 10, result: Err(why) };
+    assert_eq!(pair.take(0), [resolved(why)]);
+
+    pair.ends[0].handle_reachable(pair.ids[1]);
+    pair.call(count(), Some(10));
+    assert_eq!(pair.take(0), [resolved(Why::Restarting)]);
+    pair.call(count(), None);
+    let (peer, to) = (pair.ids[1], Addressee::Object(arm(), "count"));
+    assert_eq!(pair.take(0), [ExchangeOutput::Lost { peer, to, why: Why::Restarting }]);
+}
+
+#[test]
+fn too_many_messages_for_one_binding_are_told_and_then_refused() {
+    let mut pair = Pair::open();
+    for _ in 0..budget::TIMES * budget::MESSAGES + 1 {
+        let (node, object) = (node("right"), arm());
+        let (id, reply_as, contract) = (None, None, count());
+        let (sent, until, payload) = (at(0), None, payload());
+        let call =
+            Call { node, object, contract, id, sent, until, payload: payload.into(), reply_as };
+        pair.ends[0].handle_call(call);
+    }
+    pair.run();
+    let peer = pair.ids[1];
+    let (load, why) = (Load::Small, Why::WayFull { node: "right".into(), bulk: false });
+    let lost = ExchangeOutput::Lost { peer, to: Addressee::Object(arm(), "count"), why };
+    assert_eq!(pair.take(0), [ExchangeOutput::Full { peer, load }, lost]);
+
+    pair.agree();
+
+    assert_eq!(pair.take(0), [ExchangeOutput::Room { peer, load }]);
+    assert_eq!(pair.take(1).len(), budget::TIMES * budget::MESSAGES);
+}
+
+#[test]
+fn an_interest_is_told_now_and_to_every_later_session() {
+    let mut pair = Pair::new();
+    pair.ends[0].handle_interest(topic(), vec![count()]);
+    for end in 0..2 {
+        pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
+    }
+    pair.run();
+    let told = pair.take(1);
+    let [ExchangeOutput::Subscribe { peer, subscription, topic: wanted, .. }] = &told[..] else {
+        panic!("{told:?}");
+    };
+    assert_eq!(*wanted, topic());
+
+    pair.ends[1].handle_event(*peer, (*subscription, Delivery::Reliable), payload().into(), at(0));
+    pair.run();
+    let event =
+        ExchangeOutput::Event { topic: topic(), form: 0, age: Duration::ZERO, payload: payload() };
+    assert_eq!(pair.take(0), [event]);
+
+    pair.ends[0].handle_interest(topic(), vec![]);
+    pair.run();
+    let (peer, subscription) = (*peer, *subscription);
+    assert_eq!(pair.take(1), [ExchangeOutput::Unsubscribe { peer, subscription }]);
+    pair.ends[1].handle_event(peer, (subscription, Delivery::Reliable), payload().into(), at(0));
+    pair.run();
+    assert_eq!(pair.take(0), []);
+    assert_eq!(pair.ends[0].refusals().stale, 1);
+}
+
+#[test]
+fn a_notice_is_confirmed_only_when_it_was_taken() {
+    let mut pair = Pair::open();
+    pair.ends[0].handle_notice(pair.ids[1], 77, payload());
+    pair.run();
+    let told = pair.take(1);
+    let [ExchangeOutput::Notice { peer, epoch, number, .. }] = told[..] else {
+        panic!("{told:?}");
+    };
+    assert_eq!(pair.take(0), []);
+
+    pair.ends[1].handle_noticed(peer, epoch, number);
+    pair.run();
+
+    assert_eq!(pair.take(0), [ExchangeOutput::Noticed { number: 77, arrived: true }]);
+}
+
+#[test]
+fn a_returned_message_resolves_its_request() {
+    let mut pair = Pair::open();
+    pair.call(count(), None);
+    pair.agree();
+    pair.take(1);
+    let call = |reply_as| Call {
+        node: node("right"),
+        object: arm(),
+        contract: count(),
+        id: None,
+        sent: at(0),
+        until: None,
+        payload: payload().into(),
+        reply_as,
+    };
+    let full = Why::WayFull { node: "right".into(), bulk: false };
+    let mut told = vec![];
+    for reply_as in [Some(10), None] {
+        pair.ends[0].handle_call(call(reply_as));
+        let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
+            panic!("it is sent");
+        };
+        pair.ends[0].handle_returned(peer, message.into_bytes(), full.clone(), Sent::Nothing);
+        told.extend(pair.ends[0].poll_output());
+    }
+
+    let (peer, to) = (pair.ids[1], Addressee::Object(arm(), "count"));
+    let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(full.clone()) };
+    let lost = ExchangeOutput::Lost { peer, to, why: full };
+    assert_eq!(told, [resolved, lost]);
+}
+
+#[test]
+fn a_peer_that_binds_without_end_is_refused_beyond_the_limit() {
+    let mut pair = Pair::open();
+    let identity: Bytes = count().brief().encode().into();
+    for binding in 0..BINDINGS_MAX as u32 + 3 {
+        let bind = Message::Bind { binding, object: arm(), identity: identity.clone() };
+        pair.ends[0].handle_message(pair.ids[1], bind.encode().into_bytes(), at(0));
+    }
+    assert_eq!(pair.ends[0].refusals().too_large, 3);
+}
+
+#[test]
+fn what_waited_on_the_way_arrives_with_its_age() {
+    let mut pair = Pair::open();
+    let nothing = Announcement { complete: true, added: vec![], removed: vec![] };
+    pair.ends[0].handle_own_names(None, &nothing, at(0));
+    pair.run();
+    pair.call(count(), None);
+    // The peer agrees 300 ms later.
+    pair.now = 300;
+    pair.take(1);
+    let right = pair.ids[1];
+    pair.ends[0].handle_message(
+        right,
+        Message::Bound { binding: 1 }.encode().into_bytes(),
+        at(300),
+    );
+    pair.run();
+
+    let told = pair.take(1);
+    let [ExchangeOutput::Serve { age, .. }] = &told[..] else { panic!("{told:?}") };
+    assert_eq!(*age, Duration::from_millis(300));
+}
+
+#[test]
+fn an_object_without_room_is_told_of_once_however_many_bindings_lead_there() {
+    let mut pair = Pair::open();
+    let left = pair.ids[0];
+    let right = pair.ids[1];
+    let mut numbers = Vec::new();
+    for contract in [count(), contract(layout_of_text)] {
+        pair.call(contract, None);
+        let told = pair.take(1);
+        let [.., ExchangeOutput::Bind { epoch, binding, .. }] = &told[..] else {
+            panic!("{told:?}")
+        };
+        pair.ends[1].handle_bound(left, *epoch, *binding, Ok(()));
+        pair.run();
+        numbers.push(*binding);
+    }
+    pair.take(0);
+    let mut says = |binding: u32, word: fn(&mut Exchange, NodeId, u32)| {
+        word(&mut pair.ends[1], left, binding);
+        pair.run();
+        pair.take(0)
+    };
+    let (peer, object) = (right, arm());
+    let full = ExchangeOutput::ObjectFull { peer, object: object.clone() };
+    let room = ExchangeOutput::ObjectRoom { peer, object };
+
+    assert_eq!(says(numbers[0], Exchange::handle_full), std::slice::from_ref(&full));
+    assert_eq!(says(numbers[1], Exchange::handle_full), []);
+    assert_eq!(says(numbers[0], Exchange::handle_room), []);
+    assert_eq!(says(numbers[1], Exchange::handle_room), [room]);
+    assert_eq!(says(numbers[1], Exchange::handle_full), [full]);
+
+    // What makes no sense changes nothing, and is counted.
+    assert_eq!(says(numbers[1], Exchange::handle_full), []);
+    assert_eq!(says(numbers[0], Exchange::handle_room), []);
+    assert_eq!(says(99, Exchange::handle_full), []);
+    assert_eq!(says(99, Exchange::handle_room), []);
+    assert_eq!(pair.ends[0].refusals().unexpected, 4);
+}
+
+#[test]
+fn a_reply_that_no_session_carries_is_told_to_have_been_made() {
+    let mut pair = Pair::open();
+    pair.call(count(), Some(10));
+    pair.agree();
+    pair.take(1);
+    let left = pair.ids[0];
+    let reply = Message::Reply { call: 1, result: Ok(payload().into()) }.encode().into_bytes();
+
+    let why = Why::TooLargeForSession { limit: 5 };
+    pair.ends[1].handle_returned(left, reply, why, Sent::Nothing);
+    pair.run();
+
+    let result = Err(Why::ReplyTooLarge { limit: 5 });
+    assert_eq!(pair.take(0), [ExchangeOutput::Resolve { reply_as: 10, result }]);
+}
+
+#[test]
+fn what_waited_in_a_machine_that_failed_is_told_as_lost_and_what_comes_back_of_it_is_known() {
+    let mut pair = Pair::open();
+    pair.call(count(), None);
+    pair.agree();
+    let sent = pair.take(1);
+    assert_eq!(sent.len(), 1, "it is bound");
+    let call = |contract: ContractIdentity| Call {
+        node: node("right"),
+        object: arm(),
+        contract,
+        id: None,
+        sent: at(0),
+        until: None,
+        payload: payload().into(),
+        reply_as: None,
+    };
+    pair.ends[0].handle_call(call(count()));
+    let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
+        panic!("it is sent");
+    };
+    let other = ContractIdentity { name: "other", ..count() };
+    pair.ends[0].handle_call(call(other));
+    while pair.ends[0].poll_output().is_some() {}
+
+    let why = Why::OutcomeUnknown { reason: "it failed".into() };
+    let mut reborn = pair.ends[0].reborn(&why);
+    let lost = |contract, why| {
+        let to = Addressee::Object(arm(), contract);
+        Some(ExchangeOutput::Lost { peer, to, why })
+    };
+    assert_eq!(reborn.poll_output(), lost("other", why));
+    assert_eq!(reborn.poll_output(), None);
+
+    let died = Why::PeerDied { incarnation: Incarnation(1) };
+    reborn.handle_returned(peer, message.into_bytes(), died.clone(), Sent::Perhaps);
+    assert_eq!(reborn.poll_output(), lost("count", died));
+}

@@ -1,0 +1,244 @@
+//! What an exchange is told, and wants done.
+
+use crate::net::peer_protocol::naming::Announcement;
+use crate::net::session::ordering_key::Strand;
+use crate::net::session::size_class::Load;
+use crate::net::wire::node_id::NodeId;
+use crate::net::wire::segment::Stream;
+use crate::{
+    ContractIdentity, Instant, MessageId, NodeName, ObjectName, Parcel, PeerIdentity, Why,
+};
+use bytes::Bytes;
+use std::time::Duration;
+
+/// Which topic, and the contract of its events.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct TopicContract {
+    /// The topic.
+    pub topic: String,
+    /// The contract's name.
+    pub contract: String,
+}
+
+/// One session's number on this node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Epoch(pub u64);
+
+/// What an object wants sent to one of another node.
+#[derive(Clone, Debug)]
+pub struct Call {
+    /// To which node.
+    pub node: NodeName,
+    /// To which object there.
+    pub object: ObjectName,
+    /// By which contract.
+    pub contract: ContractIdentity,
+    /// By which identity a repeated message is known.
+    pub id: Option<MessageId>,
+    /// When the object sent it.
+    pub sent: Instant,
+    /// When the answer is no use any more.
+    pub until: Option<Instant>,
+    /// The message.
+    pub payload: Parcel,
+    /// The number by which the caller knows the request; `None` if it wants no reply.
+    pub reply_as: Option<u64>,
+}
+
+/// How much of a message that came back was on its way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sent {
+    /// Nothing: it has certainly not arrived.
+    Nothing,
+    /// Some of it, or all: it may have arrived.
+    Perhaps,
+}
+
+/// Whom a message was for that was lost.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Addressee {
+    /// This object, by the contract of this name.
+    Object(ObjectName, &'static str),
+    /// Those who listen by the subscription of this number.
+    Subscription(u32),
+    /// Nobody knows any more: its session is long over.
+    Forgotten,
+}
+
+/// What an exchange wants done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ExchangeOutput {
+    /// Give this to the session with the peer.
+    Send {
+        /// Whom.
+        peer: NodeId,
+        /// In which stream.
+        stream: Stream,
+        /// With what it stays in order there.
+        strand: Strand,
+        /// What.
+        message: Parcel,
+    },
+    /// Give this to the session with the peer, to be sent once: of the channel the newest counts.
+    SendNewest {
+        /// Whom.
+        peer: NodeId,
+        /// On which channel.
+        channel: u32,
+        /// What.
+        message: Parcel,
+    },
+    /// Does this object take this contract? Answer with [`Exchange::handle_bound`](super::Exchange::handle_bound).
+    Bind {
+        /// Who asks.
+        peer: NodeId,
+        /// In which session.
+        epoch: Epoch,
+        /// Under which number.
+        binding: u32,
+        /// Which object.
+        object: ObjectName,
+        /// The contract as the peer knows it.
+        identity: Box<PeerIdentity>,
+    },
+    /// Give this message to the object that is bound; answer a request with
+    /// [`Exchange::handle_answer`](super::Exchange::handle_answer).
+    Serve {
+        /// From whom.
+        peer: NodeId,
+        /// In which session.
+        epoch: Epoch,
+        /// Through which binding.
+        binding: u32,
+        /// By which number to answer; `None` if no reply is wanted.
+        call: Option<u64>,
+        /// By which identity a repeated message is known.
+        id: Option<MessageId>,
+        /// How long it has been on its way.
+        age: Duration,
+        /// A request is not to be begun after this.
+        until: Option<Instant>,
+        /// The message.
+        payload: Bytes,
+    },
+    /// A request of ours is resolved.
+    Resolve {
+        /// The caller's number for it.
+        reply_as: u64,
+        /// With what.
+        result: Result<Bytes, Why>,
+    },
+    /// A message that wanted no reply did not arrive, or perhaps not.
+    Lost {
+        /// For which node.
+        peer: NodeId,
+        /// For whom there.
+        to: Addressee,
+        /// Why.
+        why: Why,
+    },
+    /// Too much waits for the peer to agree to a contract: senders should stop.
+    Full {
+        /// Whom.
+        peer: NodeId,
+        /// What there is no room for: bulk alone, or what is small, and then nothing goes.
+        load: Load,
+    },
+    /// They may go on.
+    Room {
+        /// Whom.
+        peer: NodeId,
+        /// With what.
+        load: Load,
+    },
+    /// The peer's object has no room: senders should stop, for this object.
+    ObjectFull {
+        /// Where.
+        peer: NodeId,
+        /// Which.
+        object: ObjectName,
+    },
+    /// It has room again.
+    ObjectRoom {
+        /// Where.
+        peer: NodeId,
+        /// Which.
+        object: ObjectName,
+    },
+    /// Our contract differs from the peer's.
+    Differs {
+        /// Whose.
+        peer: NodeId,
+        /// Which contract, and what differs.
+        difference: String,
+    },
+    /// Send what is published here to this peer, unless the contract differs; then tell with
+    /// [`Exchange::handle_subscribe_refused`](super::Exchange::handle_subscribe_refused).
+    Subscribe {
+        /// Who wants it.
+        peer: NodeId,
+        /// Under which number.
+        subscription: u32,
+        /// Which topic.
+        topic: TopicContract,
+        /// The contract as the peer knows it, and then the earlier versions that it understands. What is
+        /// sent by the n-th of them goes under the number and n.
+        identities: Vec<PeerIdentity>,
+    },
+    /// Send no more of this.
+    Unsubscribe {
+        /// Who does not want it any more.
+        peer: NodeId,
+        /// Which.
+        subscription: u32,
+    },
+    /// An event arrived for those who listen here.
+    Event {
+        /// Which topic.
+        topic: TopicContract,
+        /// By which of our versions of the contract it is read: 0 is the present one.
+        form: usize,
+        /// How long it has been on its way.
+        age: Duration,
+        /// The event.
+        payload: Bytes,
+    },
+    /// Another node's fault for our recoverer; confirm with [`Exchange::handle_noticed`](super::Exchange::handle_noticed).
+    Notice {
+        /// Whose.
+        peer: NodeId,
+        /// In which session.
+        epoch: Epoch,
+        /// Under which number.
+        number: u64,
+        /// The fault.
+        payload: Bytes,
+    },
+    /// A fault that we told a peer of has arrived, or its session has ended before it had.
+    Noticed {
+        /// The number that was given to [`Exchange::handle_notice`](super::Exchange::handle_notice).
+        number: u64,
+        /// It has arrived.
+        arrived: bool,
+    },
+    /// A peer told of its objects.
+    Names {
+        /// Whose.
+        peer: NodeId,
+        /// Which.
+        announcement: Announcement,
+    },
+    /// The peer ends in order.
+    Bye {
+        /// Who.
+        peer: NodeId,
+    },
+    /// The session is over: drop what the peer had here, its bindings and subscriptions, and what it
+    /// has said of its objects' room.
+    Forget {
+        /// Whose.
+        peer: NodeId,
+        /// Why it is over.
+        why: Why,
+    },
+}

@@ -1,0 +1,421 @@
+//! Announcements: told to every neighbour until it confirms them, compared, outdone.
+
+use super::{Known, LinkNumber, Router, RouterOutput, Trouble};
+use crate::net::wire::advertisement::{
+    Advertisement, Edge, HAVE_HEADER, NEIGHBOURS_MAX, Routing, STAMP, Stamp,
+};
+use crate::net::wire::frame::FRAME_HEADER;
+use crate::net::wire::node_id::NodeId;
+use crate::{Incarnation, NodeName};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// How long what was said before a withdrawal counts: what is true follows at once, and no session must
+/// notice.
+const BELIEF: Duration = Duration::from_millis(50);
+/// Above this a number is not outdone but withdrawn: ours must not come to those that were. Half a year of
+/// counting is left.
+const JUMP_MAX: u32 = u32::MAX - (1 << 20);
+/// How many withdrawals of a node are remembered: the echo of one is no news, and what it took back is not
+/// taken again. Of more lies at once, some are withdrawn again.
+const WITHDRAWN_MAX: usize = 8;
+/// Lies in our name within this time that are no accident, and how many.
+const FORGED_PERIOD: Duration = Duration::from_secs(10);
+const FORGED_MANY: u32 = 3;
+
+impl Router {
+    /// Our own links have changed: everybody must know.
+    pub(super) fn announce_links(&mut self) {
+        let mut edges: BTreeMap<NodeId, Edge> = BTreeMap::new();
+        for adjacent in self.links.values() {
+            let edge = Edge {
+                to: adjacent.id,
+                life: Edge::life_tag(adjacent.neighbour.incarnation),
+                cost: adjacent.cost,
+                mtu: adjacent.mtu,
+            };
+            let best = edges.entry(edge.to).or_insert(edge);
+            if edge.cost < best.cost {
+                *best = edge;
+            }
+        }
+        self.own.edges = edges.into_values().take(NEIGHBOURS_MAX).collect();
+        self.outdate();
+        self.renew();
+    }
+
+    pub(super) fn renew(&mut self) {
+        if self.own.stamp.sequence == u32::MAX {
+            return self.begin_anew(self.own.withdrawal());
+        }
+        self.own.stamp.sequence += 1;
+        self.refresh_at = self.now + self.config.refresh;
+        self.flood(self.id, None);
+    }
+
+    pub(super) fn advertisement(&self, origin: NodeId) -> Option<&Advertisement> {
+        if origin == self.id {
+            return Some(&self.own);
+        }
+        self.known.get(&origin).map(|known| &known.advertisement)
+    }
+
+    /// An origin's newest advertisement, and before it, in one frame, what the origin has withdrawn to
+    /// begin below it: frames overtake each other.
+    fn told_of(&self, origin: NodeId) -> Option<Vec<Advertisement>> {
+        let newest = self.advertisement(origin)?;
+        let withdrawn = self.known.get(&origin).and_then(|known| known.withdrawn.front().copied());
+        let higher = withdrawn.filter(|stamp| *stamp > newest.stamp);
+        let withdrawal = higher.map(|stamp| Advertisement { stamp, ..newest.withdrawal() });
+        Some(withdrawal.into_iter().chain([newest.clone()]).collect())
+    }
+
+    /// Gives an origin's newest advertisement to every neighbour but the one that it came from.
+    pub(super) fn flood(&mut self, origin: NodeId, except: Option<LinkNumber>) {
+        let links: Vec<_> = self.links.keys().copied().filter(|l| Some(*l) != except).collect();
+        for link in links {
+            self.announce(link, &[origin]);
+        }
+    }
+
+    /// Gives these origins' advertisements to a neighbour until it confirms them.
+    pub(super) fn announce(&mut self, link: LinkNumber, origins: &[NodeId]) {
+        let Some(adjacent) = self.links.get_mut(&link) else { return };
+        let again = self.now + adjacent.patience(self.config.resend);
+        let room = usize::from(adjacent.mtu) - FRAME_HEADER;
+        self.wake_at = self.wake_at.min(again);
+        adjacent.pending.extend(origins.iter().map(|origin| (*origin, again)));
+        let mut frame = Vec::new();
+        let mut length = 1;
+        let mut frames = Vec::new();
+        for told in origins.iter().filter_map(|origin| self.told_of(*origin)) {
+            let more: usize = told.iter().map(Advertisement::length).sum();
+            if length + more > room {
+                frames.push(std::mem::take(&mut frame));
+                length = 1;
+            }
+            length += more;
+            frame.extend(told);
+        }
+        frames.push(frame);
+        for frame in frames.into_iter().filter(|frame| !frame.is_empty()) {
+            let bytes = Routing::Announce(frame).encode();
+            self.outputs.push_back(RouterOutput::Routing { link, bytes });
+        }
+    }
+
+    /// Tells a neighbour all that we know of, so that it can send what we lack.
+    pub(super) fn compare(&mut self, link: LinkNumber) {
+        let Some(adjacent) = self.links.get_mut(&link) else { return };
+        let bytes = Routing::Numbered(link).encode();
+        self.outputs.push_back(RouterOutput::Routing { link, bytes });
+        adjacent.compare_at = self.now + adjacent.patience(self.config.compare);
+        self.wake_at = self.wake_at.min(adjacent.compare_at);
+        let room = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / STAMP;
+        let mut stamps: Vec<_> =
+            self.known.values().map(|known| known.advertisement.stamp).collect();
+        stamps.push(self.own.stamp);
+        stamps.sort();
+        let mut first = NodeId(0);
+        let count = stamps.chunks(room).len();
+        for (n, chunk) in stamps.chunks(room).enumerate() {
+            let end = chunk.last().map_or(NodeId(u32::MAX), |stamp| stamp.origin);
+            let last = if n + 1 == count { NodeId(u32::MAX) } else { end };
+            let have = Routing::Have { range: Some((first, last)), stamps: chunk.to_vec() };
+            self.outputs.push_back(RouterOutput::Routing { link, bytes: have.encode() });
+            first = NodeId(last.0.saturating_add(1));
+        }
+    }
+
+    pub(super) fn say_have(&mut self, link: LinkNumber, stamps: Vec<Stamp>) {
+        let Some(adjacent) = self.links.get(&link) else { return };
+        let room = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / STAMP;
+        for chunk in stamps.chunks(room) {
+            let have = Routing::Have { range: None, stamps: chunk.to_vec() };
+            self.outputs.push_back(RouterOutput::Routing { link, bytes: have.encode() });
+        }
+    }
+
+    pub(super) fn handle_announce(&mut self, link: LinkNumber, advertisements: Vec<Advertisement>) {
+        let mut confirmed = Vec::new();
+        let mut better = BTreeSet::new();
+        for advertisement in advertisements {
+            let stamp = advertisement.stamp;
+            if stamp.origin == self.id {
+                let echo = advertisement.withdrawn && self.withdrew.contains(&stamp);
+                if echo || advertisement == self.own {
+                    confirmed.push(stamp);
+                } else if !self.hear_of_ourselves(&advertisement, link) {
+                    better.insert(stamp.origin);
+                }
+                continue;
+            }
+            let known = self.known.get(&stamp.origin);
+            if let Some(known) = known.filter(|known| known.withdrawn.contains(&stamp)) {
+                if advertisement.withdrawn {
+                    confirmed.extend(known.advertisement.withdrawn.then_some(stamp));
+                    if let Some(adjacent) = self.links.get_mut(&link) {
+                        adjacent.pending.remove(&stamp.origin);
+                    }
+                } else {
+                    // Its origin has taken it back: whoever still has it must know.
+                    self.refusals.stale += 1;
+                    let told = vec![advertisement.withdrawal(), known.advertisement.clone()];
+                    self.say(link, told);
+                }
+                continue;
+            }
+            let held = self.known.get(&stamp.origin).map(|known| known.advertisement.stamp);
+            let later = held.is_some_and(|held| held.incarnation < stamp.incarnation);
+            let contested = later && self.is_contested(&advertisement.node, stamp.incarnation);
+            let held = self.known.get(&stamp.origin).map(|known| &known.advertisement);
+            match held {
+                Some(held) if held.node != advertisement.node => {
+                    let held = Some(held.node.clone());
+                    self.tell_collision(held, advertisement.node);
+                }
+                // Only who has it takes it back: a lie spreads from node to node, and so does this.
+                Some(held) if advertisement.withdrawn && !takes_back(&advertisement, held) => {
+                    if held.withdrawn || held.stamp > stamp {
+                        better.insert(stamp.origin);
+                    }
+                }
+                // After a withdrawal the origin begins to count anew.
+                Some(held) if held.withdrawn && !advertisement.withdrawn && !contested => {
+                    confirmed.push(stamp);
+                    self.learn(advertisement, link);
+                }
+                // Of two that differ and have one stamp, everybody takes the same, which comes to its
+                // origin sooner or later (RFC 2328, 13.1).
+                Some(held)
+                    if (held.stamp, held.withdrawn, &held.edges)
+                        > (stamp, advertisement.withdrawn, &advertisement.edges) =>
+                {
+                    self.refusals.stale += 1;
+                    better.insert(stamp.origin);
+                }
+                Some(held) if *held == advertisement => {
+                    confirmed.push(stamp);
+                    if let Some(adjacent) = self.links.get_mut(&link) {
+                        adjacent.pending.remove(&stamp.origin);
+                    }
+                }
+                // Confirmed, so that it is not repeated; not kept, so that it is asked for once it counts.
+                Some(_) if contested => {
+                    confirmed.push(stamp);
+                    self.tell_why(link, stamp.origin);
+                }
+                None if self.known.len() >= self.config.nodes_max => {
+                    self.refusals.too_large += 1;
+                }
+                _ => {
+                    confirmed.push(stamp);
+                    self.learn(advertisement, link);
+                }
+            }
+        }
+        self.say_have(link, confirmed);
+        if !better.is_empty() {
+            let better: Vec<_> = better.into_iter().collect();
+            self.announce(link, &better);
+        }
+    }
+
+    fn say(&mut self, link: LinkNumber, told: Vec<Advertisement>) {
+        let bytes = Routing::Announce(told).encode();
+        self.outputs.push_back(RouterOutput::Routing { link, bytes });
+    }
+
+    pub(super) fn learn(&mut self, advertisement: Advertisement, from: LinkNumber) {
+        let origin = advertisement.stamp.origin;
+        let expires = self.now + self.config.lifetime;
+        self.wake_at = self.wake_at.min(expires);
+        let before = self.known.remove(&origin);
+        let effective = before.as_ref().and_then(Known::effective).cloned();
+        let mut withdrawn = before.map(|before| before.withdrawn).unwrap_or_default();
+        let mut believed = None;
+        if advertisement.withdrawn {
+            let until = self.now + BELIEF;
+            self.wake_at = self.wake_at.min(until);
+            believed = effective.clone().map(|effective| (effective, until));
+            withdrawn.truncate(WITHDRAWN_MAX - 1);
+            withdrawn.push_front(advertisement.stamp);
+        }
+        self.hear_given_up(effective.as_ref(), &advertisement);
+        let (reached, ended) = (false, false);
+        let known = Known { advertisement, expires, reached, ended, believed, withdrawn };
+        let same = match (&effective, known.effective()) {
+            (Some(before), Some(now)) => {
+                before.edges == now.edges && before.stamp.incarnation == now.stamp.incarnation
+            }
+            _ => false,
+        };
+        self.known.insert(origin, known);
+        if !same {
+            self.outdate();
+        }
+        if let Some(adjacent) = self.links.get_mut(&from) {
+            adjacent.pending.remove(&origin);
+        }
+        self.flood(origin, Some(from));
+    }
+
+    /// Somebody says something in our name: what a router of ours once said, or a lie. We say something
+    /// newer (RFC 2328, 13.4), or, where nothing can be, withdraw it and count anew. Answers no where what
+    /// we say is newer already.
+    pub(super) fn hear_of_ourselves(
+        &mut self,
+        advertisement: &Advertisement,
+        link: LinkNumber,
+    ) -> bool {
+        let (theirs, ours) = (advertisement.stamp, self.own.stamp);
+        if advertisement.node != self.own.node {
+            self.tell_collision(Some(self.own.node.clone()), advertisement.node.clone());
+        } else if theirs.incarnation > ours.incarnation {
+            if self.is_more_than_a_rumour(theirs) {
+                self.defend(theirs.incarnation);
+            } else {
+                self.defend_against_rumour(theirs.incarnation);
+            }
+            return false;
+        } else if theirs < ours {
+            return false;
+        } else {
+            self.count_forged(link);
+            if advertisement.withdrawn {
+                self.remember_withdrawn(theirs);
+            }
+            if advertisement.withdrawn && theirs.sequence >= JUMP_MAX {
+                // Whatever else we say is taken now.
+                self.renew();
+            } else if theirs.sequence >= JUMP_MAX {
+                self.begin_anew(advertisement.withdrawal());
+            } else {
+                // Also where this router was built anew within its node's life: it continues the count.
+                self.own.stamp.sequence = theirs.sequence;
+                self.renew();
+            }
+        }
+        true
+    }
+
+    /// Takes back what was said in our name, and says what is true, in one frame, since frames overtake each
+    /// other. Who does not hear it, answers our next announcement by what it still has, and hears it again.
+    fn begin_anew(&mut self, withdrawal: Advertisement) {
+        self.remember_withdrawn(withdrawal.stamp);
+        self.own.stamp.sequence = 1;
+        self.refresh_at = self.now + self.config.refresh;
+        let length = 1 + withdrawal.length() + self.own.length() + FRAME_HEADER;
+        let (withdrawal, own) = (vec![withdrawal], vec![self.own.clone()]);
+        let both = [withdrawal.clone(), own.clone()].concat();
+        for (&link, adjacent) in &mut self.links {
+            let again = self.now + adjacent.patience(self.config.resend);
+            self.wake_at = self.wake_at.min(again);
+            adjacent.pending.insert(self.id, again);
+            let fits = length <= usize::from(adjacent.mtu);
+            let frames = if fits { vec![&both] } else { vec![&withdrawal, &own] };
+            self.outputs.extend(frames.into_iter().map(|told| {
+                let bytes = Routing::Announce(told.clone()).encode();
+                RouterOutput::Routing { link, bytes }
+            }));
+        }
+    }
+
+    /// Its echo is no news.
+    fn remember_withdrawn(&mut self, stamp: Stamp) {
+        if self.withdrew.len() == WITHDRAWN_MAX {
+            self.withdrew.pop_front();
+        }
+        self.withdrew.push_back(stamp);
+    }
+
+    /// Counts what is said in our name, and tells when it does not cease.
+    fn count_forged(&mut self, link: LinkNumber) {
+        self.refusals.forged += 1;
+        let (since, times) = self.forged;
+        let fresh = self.now - since > FORGED_PERIOD;
+        self.forged = if fresh { (self.now, 1) } else { (since, times.saturating_add(1)) };
+        let times = self.forged.1;
+        self.go_on(Trouble::Forged);
+        if times == FORGED_MANY
+            && let Some(adjacent) = self.links.get(&link)
+        {
+            let neighbour = adjacent.neighbour.node.clone();
+            self.outputs.push_back(RouterOutput::Forged { neighbour, times });
+            self.begin_trouble(Trouble::Forged);
+        }
+    }
+
+    pub(super) fn handle_have(
+        &mut self,
+        link: LinkNumber,
+        range: Option<(NodeId, NodeId)>,
+        stamps: &[Stamp],
+    ) {
+        let mut better = Vec::new();
+        let mut wanted = Vec::new();
+        for &stamp in stamps {
+            let Stamp { origin, .. } = stamp;
+            let nothing = Stamp { origin, incarnation: Incarnation(0), sequence: 0 };
+            let held = self.advertisement(origin).map_or(nothing, |held| held.stamp);
+            let known = self.known.get(&origin);
+            if let Some(known) = known.filter(|known| known.withdrawn.contains(&stamp))
+                && held != stamp
+            {
+                let withdrawal = Advertisement { stamp, ..known.advertisement.withdrawal() };
+                self.say(link, vec![withdrawal, known.advertisement.clone()]);
+            } else if held > stamp {
+                better.push(origin);
+            } else if held < stamp {
+                wanted.push(held);
+            } else if let Some(adjacent) = self.links.get_mut(&link) {
+                adjacent.pending.remove(&origin);
+            }
+        }
+        if let Some((first, last)) = range
+            && first <= last
+        {
+            let listed: std::collections::BTreeSet<_> = stamps.iter().map(|s| s.origin).collect();
+            let held = self.known.range(first..=last).map(|(origin, _)| *origin);
+            let own = (first..=last).contains(&self.id).then_some(self.id);
+            better.extend(held.chain(own).filter(|origin| !listed.contains(origin)));
+        }
+        if !better.is_empty() {
+            self.announce(link, &better);
+        }
+        self.say_have(link, wanted);
+    }
+
+    pub(super) fn tell_collision(&mut self, node: Option<NodeName>, refused: NodeName) {
+        self.refusals.unexpected += 1;
+        let Some(node) = node else { return };
+        let pair = Some((node.clone(), refused.clone()));
+        self.go_on(Trouble::NameTaken);
+        if self.told != pair {
+            self.told = pair;
+            self.begin_trouble(Trouble::NameTaken);
+            self.outputs.push_back(RouterOutput::NumberTaken { node, refused });
+        }
+    }
+
+    pub(super) fn forget_the_old(&mut self) {
+        let now = self.now;
+        let before = self.known.len();
+        self.known.retain(|_, known| known.expires > now);
+        let mut changed = self.known.len() != before;
+        for known in self.known.values_mut() {
+            changed |= known.believed.take_if(|(_, until)| *until <= now).is_some();
+        }
+        if changed {
+            self.outdate();
+        }
+    }
+}
+
+/// Whether this withdrawal is of what is held.
+fn takes_back(withdrawal: &Advertisement, held: &Advertisement) -> bool {
+    let (void, held_stamp) = (withdrawal.stamp, held.stamp);
+    let at_the_end = held_stamp.sequence >= JUMP_MAX && held_stamp <= void;
+    !held.withdrawn
+        && (held_stamp == void || held_stamp.incarnation == void.incarnation && at_the_end)
+}

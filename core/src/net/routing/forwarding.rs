@@ -1,0 +1,194 @@
+//! Passing packets on: the look-up, and what becomes of what cannot be delivered.
+
+use super::{Health, LinkNumber, Router, RouterOutput};
+use crate::net::routing::topology::Way;
+use crate::net::wire::frame::FRAME_HEADER;
+use crate::net::wire::node_id::NodeId;
+use crate::net::wire::packet::{Class, HOPS_MAX, Packet, Payload, Undelivered};
+use crate::{Instant, Parcel};
+use bytes::Bytes;
+
+impl Router {
+    /// A packet came over a link.
+    pub fn handle_packet(&mut self, link: LinkNumber, packet: Bytes, now: Instant) {
+        self.now = now;
+        let packet = match Packet::decode(packet) {
+            Ok(packet) => packet,
+            Err(error) => return self.refusals.count(&error),
+        };
+        if self.barred.contains_key(&link) || self.kept_out.contains(&packet.source) {
+            self.refusals.isolated += 1;
+        } else if packet.source == self.id {
+            // It went in a circle, as packets may while nodes hear of a change one after the other, and is
+            // repeated. Or somebody uses our name; then the session asks no more often than it would.
+            self.refusals.unexpected += 1;
+            self.give_back(&packet, Undelivered::TooManyHops);
+        } else if packet.destination != self.id {
+            match packet.payload {
+                Payload::Copy { .. } => self.follow(packet),
+                Payload::Segment(_) | Payload::Return { .. } => self.forward(packet, link),
+            }
+        } else {
+            self.outputs.push_back(match packet.payload {
+                Payload::Copy { relays, .. } if !relays.is_empty() => {
+                    self.refusals.malformed += 1;
+                    return;
+                }
+                Payload::Segment(segment) | Payload::Copy { segment, .. } => {
+                    let source = packet.source;
+                    let direct = self.links.get(&link).is_some_and(|link| link.id == source);
+                    RouterOutput::Segment { source, segment: segment.into_bytes(), direct }
+                }
+                Payload::Return { destination, reason } => {
+                    RouterOutput::Undelivered { destination, reason }
+                }
+            });
+        }
+    }
+
+    /// Our session with `destination` wants this sent.
+    pub fn handle_segment(&mut self, destination: NodeId, class: Class, segment: Parcel) {
+        let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
+        let payload = Payload::Segment(segment);
+        let packet = Packet { class, hops, destination, source, passed: Vec::new(), payload };
+        match self.choose(destination, &[]) {
+            Some(link) => self.pass(link, &packet),
+            None => self.give_back(&packet, Undelivered::NoRoute),
+        }
+    }
+
+    /// The same over ways that have as little in common as can be, each written into its copy: the first
+    /// one that arrives counts. A way that is too small for it is left out.
+    pub fn handle_copies(&mut self, destination: NodeId, class: Class, segment: &Parcel) {
+        if self.routes.contains_key(&destination) && !self.ways.contains_key(&destination) {
+            let ways = self.topology().ways(destination);
+            self.ways.insert(destination, ways);
+        }
+        let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
+        let ways = self.ways.get(&destination).map_or(&[][..], Vec::as_slice);
+        let copy = |(copy, way): (u8, &Way)| {
+            let adjacent = self.links.get(&way.link)?;
+            let segment = segment.clone();
+            let payload = match way.relays.split_first() {
+                None => Payload::Segment(segment),
+                Some((_, relays)) => Payload::Copy { copy, relays: relays.to_vec(), segment },
+            };
+            let packet =
+                Packet { class, hops, destination, source, passed: Vec::new(), payload }.parcel();
+            let fits = packet.len() + FRAME_HEADER <= adjacent.mtu.min(way.mtu).into();
+            let near = way.relays.len() <= hops.into();
+            (fits && near).then_some(RouterOutput::Packet { link: way.link, packet })
+        };
+        let copies: Vec<_> = (0..).zip(ways).filter_map(copy).collect();
+        if copies.len() < 2 {
+            // One way alone is followed by routes, each node knowing an alternate; or it is said why none is.
+            return self.handle_segment(destination, class, segment.clone());
+        }
+        self.outputs.extend(copies);
+    }
+
+    /// Passes a copy on by the way that is written in it, and by no other: on one of its own it would go
+    /// where another copy goes already, or in a circle. What no copy brings, the session repeats.
+    fn follow(&mut self, packet: Packet) {
+        let Packet { class, hops, destination, source, passed, payload } = packet;
+        let Payload::Copy { copy, mut relays, segment } = payload else { return };
+        if relays.contains(&self.id) {
+            self.refusals.malformed += 1;
+            return;
+        }
+        let next = if relays.is_empty() { destination } else { relays.remove(0) };
+        let payload = Payload::Copy { copy, relays, segment };
+        let link = hops.checked_sub(1).and_then(|hops| {
+            let packet = Packet { class, hops, destination, source, passed, payload }.parcel();
+            Some((self.parallel(next, copy, packet.len() + FRAME_HEADER)?, packet))
+        });
+        match link {
+            Some((link, packet)) => self.outputs.push_back(RouterOutput::Packet { link, packet }),
+            None => self.refusals.astray += 1,
+        }
+    }
+
+    /// Of several links to a neighbour, copies that both must pass it take different ones.
+    fn parallel(&self, next: NodeId, copy: u8, length: usize) -> Option<LinkNumber> {
+        let fitting = self
+            .links
+            .iter()
+            .filter(|(_, adjacent)| adjacent.id == next && length <= usize::from(adjacent.mtu));
+        let best = |usable: fn(Health) -> bool| -> Vec<LinkNumber> {
+            let usable = fitting.clone().filter(|(_, adjacent)| usable(adjacent.health));
+            usable.map(|(number, _)| *number).collect()
+        };
+        let links = Some(best(|health| health < Health::Suspect)).filter(|links| !links.is_empty());
+        let links = links.unwrap_or_else(|| best(|_| true));
+        links.get(usize::from(copy) % links.len().max(1)).copied()
+    }
+
+    /// Passes a packet on that came over a link, to nobody who has had it: nodes that hear of a change one
+    /// after the other may each believe that another is nearer.
+    pub(super) fn forward(&mut self, mut packet: Packet, from: LinkNumber) {
+        let here_before = packet.passed.contains(&self.id);
+        let (false, Some(hops)) = (here_before, packet.hops.checked_sub(1)) else {
+            return self.give_back(&packet, Undelivered::TooManyHops);
+        };
+        let from = self.links.get(&from).map(|adjacent| adjacent.id);
+        let had: Vec<_> =
+            packet.passed.iter().copied().chain([packet.source]).chain(from).collect();
+        packet.hops = hops;
+        match self.choose(packet.destination, &had) {
+            Some(_) if packet.passed.len() >= HOPS_MAX.into() => {
+                self.give_back(&packet, Undelivered::TooManyHops);
+            }
+            Some(link) => {
+                packet.passed.push(self.id);
+                self.pass(link, &packet);
+            }
+            None => self.give_back(&packet, Undelivered::NoRoute),
+        }
+    }
+
+    pub(super) fn pass(&mut self, link: LinkNumber, packet: &Packet) {
+        let encoded = packet.parcel();
+        let mtu = self.links.get(&link).map_or(0, |adjacent| usize::from(adjacent.mtu));
+        if encoded.len() + FRAME_HEADER > mtu {
+            return self.give_back(packet, Undelivered::TooLarge);
+        }
+        self.outputs.push_back(RouterOutput::Packet { link, packet: encoded });
+    }
+
+    /// Tells a packet's source that it went no further. Nothing is said about a return.
+    pub(super) fn give_back(&mut self, packet: &Packet, reason: Undelivered) {
+        let Payload::Segment(_) = packet.payload else { return };
+        let destination = packet.destination;
+        if packet.source == self.id {
+            self.outputs.push_back(RouterOutput::Undelivered { destination, reason });
+            return;
+        }
+        let payload = Payload::Return { destination, reason };
+        let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
+        let (class, passed) = (Class::Control, Vec::new());
+        let answer = Packet { class, hops, destination: packet.source, source, passed, payload };
+        if let Some(link) = self.choose(answer.destination, &[]) {
+            self.pass(link, &answer);
+        }
+    }
+
+    /// The look-up: the next hop if it is well, else the alternate, else whichever is better off; none
+    /// that has had the packet.
+    pub(super) fn choose(&self, destination: NodeId, had: &[NodeId]) -> Option<LinkNumber> {
+        self.routes.get(&destination)?.choose(&self.links, had)
+    }
+
+    /// Links have come, gone or become suspect: some nodes are now reached another way.
+    pub(super) fn choose_anew(&mut self) {
+        for (node, route) in &mut self.routes {
+            let chosen = route.choose(&self.links, &[]);
+            if chosen != route.chosen {
+                route.chosen = chosen;
+                if chosen.is_some() {
+                    let mtu = route.segment_limit();
+                    self.outputs.push_back(RouterOutput::PathChanged { node: *node, mtu });
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,434 @@
+//! Which neighbour is next on the way to a node, and which one if that fails.
+//!
+//! Every router tells all others which links it has (see [`advertisement`]); each computes the
+//! shortest paths by itself. Beside the next hop it keeps an alternate that leads on without coming
+//! back (a loop-free alternate, RFC 5286, inequality 1), so that a failing link costs one look-up.
+//!
+//! An edge counts only if both its ends announce it: a dead node's last words lead nowhere.
+//!
+//! [`advertisement`]: super::wire::advertisement
+
+mod alarms;
+mod contest;
+mod flooding;
+mod forwarding;
+mod remote_down;
+mod types;
+
+pub mod topology;
+
+pub use self::types::{Health, LinkStatus, RouterConfig, RouterOutput, Trouble};
+
+use self::contest::Dispute;
+use super::active_alarms::Latch;
+use super::wire::Refusals;
+use super::wire::advertisement::{Advertisement, Routing, Stamp};
+use super::wire::node_id::NodeId;
+use crate::{Incarnation, Instant, Machine, NodeName};
+use bytes::Bytes;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+use topology::{Adjacent, Route, Topology, Way};
+
+/// A link of this node, by its place in the node's configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct LinkNumber(pub u16);
+
+/// The machine of a node's router.
+#[derive(Debug)]
+pub struct Router {
+    config: RouterConfig,
+    id: NodeId,
+    links: BTreeMap<LinkNumber, Adjacent>,
+    /// Nodes that are isolated, as many as there are verdicts.
+    kept_out: BTreeSet<NodeId>,
+    /// Links to them. They carry, and are not used.
+    barred: BTreeMap<LinkNumber, LinkStatus>,
+    known: BTreeMap<NodeId, Known>,
+    own: Advertisement,
+    routes: BTreeMap<NodeId, Route>,
+    /// The ways of copies, computed when the first goes to a node after a change: as many as routes.
+    ways: BTreeMap<NodeId, Vec<Way>>,
+    /// The paths must be computed anew, then.
+    compute_at: Option<Instant>,
+    computed_at: Instant,
+    refresh_at: Instant,
+    /// The last pair told of, so that a collision is told once and not with every flood.
+    told: Option<(NodeName, NodeName)>,
+    /// What was withdrawn in our name, the last last.
+    withdrew: VecDeque<Stamp>,
+    /// How often within the last seconds somebody spoke in our name, and since when.
+    forged: (Instant, u32),
+    /// The other node of our name that was told of last, and when we last said that we are here.
+    usurper: Option<Incarnation>,
+    defended_at: Instant,
+    /// A greater life of our name that others know of, its last word, and since when we have known:
+    /// perhaps an earlier one of ours, before the clock was set back.
+    rumour: Option<(Stamp, Instant)>,
+    /// Names of which a later life is kept out; at most as many as nodes are remembered.
+    disputes: BTreeMap<NodeId, Dispute>,
+    /// Links to those lives. They carry, and are not used.
+    contested: BTreeMap<LinkNumber, LinkStatus>,
+    /// What was told of as a fault and is not over.
+    troubles: Latch<Trouble>,
+    /// Nodes that the router before this one could reach, and until when they may take to be found
+    /// again.
+    remembered: Option<(Instant, Vec<(NodeName, Incarnation)>)>,
+    /// The earliest of all due times; computed anew only when it has come.
+    wake_at: Instant,
+    now: Instant,
+    refusals: Refusals,
+    outputs: VecDeque<RouterOutput>,
+}
+
+#[derive(Debug)]
+struct Known {
+    advertisement: Advertisement,
+    expires: Instant,
+    /// A path has led to this life since, and does no more.
+    reached: bool,
+    ended: bool,
+    /// What counts until then, after a withdrawal: what is true follows it.
+    believed: Option<(Advertisement, Instant)>,
+    /// What the origin has withdrawn, the last first.
+    withdrawn: VecDeque<Stamp>,
+}
+
+impl Known {
+    /// What the ways are computed from.
+    fn effective(&self) -> Option<&Advertisement> {
+        let newest = Some(&self.advertisement).filter(|newest| !newest.withdrawn);
+        self.believed.as_ref().map(|(believed, _)| believed).or(newest)
+    }
+}
+
+/// A link's smallest MTU in bytes: the hello of a node with the longest name fits, and half of a frame and
+/// more is the message's. Only what routers tell each other is cut below the packet, by the link.
+pub const MTU_MIN: usize = 96;
+
+impl Router {
+    /// A router without links.
+    pub fn new(config: RouterConfig, now: Instant) -> Self {
+        let id = NodeId::of(&config.node);
+        let stamp = Stamp { origin: id, incarnation: config.incarnation, sequence: 1 };
+        let (node, edges) = (config.node.clone(), Vec::new());
+        let own = Advertisement { stamp, node, edges, withdrawn: false };
+        let refresh_at = now + config.refresh;
+        Router {
+            config,
+            id,
+            links: BTreeMap::new(),
+            kept_out: BTreeSet::new(),
+            barred: BTreeMap::new(),
+            known: BTreeMap::new(),
+            own,
+            routes: BTreeMap::new(),
+            ways: BTreeMap::new(),
+            compute_at: None,
+            computed_at: Instant::ORIGIN,
+            refresh_at,
+            told: None,
+            withdrew: VecDeque::new(),
+            forged: (now, 0),
+            usurper: None,
+            defended_at: Instant::ORIGIN,
+            rumour: None,
+            disputes: BTreeMap::new(),
+            contested: BTreeMap::new(),
+            troubles: Latch::default(),
+            remembered: None,
+            wake_at: refresh_at,
+            now,
+            refusals: Refusals::default(),
+            outputs: VecDeque::new(),
+        }
+    }
+
+    /// A router in the place of one that failed. It finds its links and its place in the network
+    /// again; what the old one could reach and this one cannot find is told as lost.
+    pub fn reborn(
+        config: RouterConfig,
+        reached: impl IntoIterator<Item = (NodeName, Incarnation)>,
+        now: Instant,
+    ) -> Self {
+        let mut router = Router::new(config, now);
+        // Neighbours compare what they know at once, and again after this.
+        let until = now + router.config.compare;
+        router.remembered = Some((until, reached.into_iter().collect()));
+        router.wake_at = router.wake_at.min(until);
+        router
+    }
+
+    /// What was told of and is not over.
+    pub fn troubles(&self) -> impl Iterator<Item = Trouble> {
+        self.troubles.iter().copied()
+    }
+
+    /// What was refused so far.
+    pub fn refusals(&self) -> Refusals {
+        self.refusals
+    }
+
+    /// The present route to a node.
+    pub fn route(&self, node: NodeId) -> Option<&Route> {
+        self.routes.get(&node)
+    }
+
+    /// Whether a link's hellos have said that this life of a node is at its other end.
+    pub fn is_neighbour(&self, node: &NodeName, incarnation: Incarnation) -> bool {
+        let mut heard = self.links.values().map(|link| &link.neighbour);
+        heard.any(|heard| heard.node == *node && heard.incarnation == incarnation)
+    }
+
+    /// Whether a way leads to a node as of now, all that is known taken into account; `None` while the
+    /// only ones lead over links that may have failed as well, which is known in a moment.
+    pub fn verdict(&mut self, node: NodeId, now: Instant) -> Option<bool> {
+        self.now = now;
+        if self.compute_at.is_some() {
+            self.compute();
+        }
+        let Some(chosen) = self.routes.get(&node).and_then(|route| route.chosen) else {
+            return Some(false);
+        };
+        let health = self.links.get(&chosen).map_or(Health::Down, |link| link.health);
+        (health < Health::Suspect).then_some(true)
+    }
+
+    /// Every node that can be reached, with the route to it.
+    pub fn routes(&self) -> impl Iterator<Item = (NodeId, &Route)> {
+        self.routes.iter().map(|(node, route)| (*node, route))
+    }
+
+    /// A link's state, cost or size has changed.
+    pub fn handle_link(&mut self, link: LinkNumber, status: LinkStatus, now: Instant) {
+        self.now = now;
+        let LinkStatus { neighbour, health, cost, mtu } = status;
+        let id = NodeId::of(&neighbour.node);
+        let known = self.known.get(&id).map(|known| &known.advertisement.node);
+        if known.is_some_and(|known| *known != neighbour.node) {
+            let known = known.cloned();
+            self.tell_collision(known, neighbour.node);
+            return;
+        }
+        self.barred.remove(&link);
+        if self.kept_out.contains(&id) {
+            if self.links.remove(&link).is_some() {
+                self.announce_links();
+            }
+            if health != Health::Down {
+                self.barred.insert(link, LinkStatus { neighbour, health, cost, mtu });
+            }
+            return;
+        }
+        self.contested.remove(&link);
+        if health != Health::Down && self.is_contested(&neighbour.node, neighbour.incarnation) {
+            self.contest(link, LinkStatus { neighbour, health, cost, mtu });
+            return;
+        }
+        if health == Health::Down || mtu < MTU_MIN {
+            if let Some(lost) = self.links.remove(&link) {
+                self.choose_anew();
+                self.say_given_up(&lost);
+                self.announce_links();
+            }
+            return;
+        }
+        let (cost, mtu) = (cost.max(1), mtu.min(u16::MAX.into()) as u16);
+        match self.links.get_mut(&link) {
+            Some(adjacent) if adjacent.neighbour == neighbour => {
+                let same = adjacent.cost == cost && adjacent.mtu == mtu;
+                (adjacent.cost, adjacent.mtu, adjacent.health) = (cost, mtu, health);
+                self.choose_anew();
+                if !same {
+                    self.announce_links();
+                }
+            }
+            _ => {
+                let pending = BTreeMap::new();
+                self.links.insert(
+                    link,
+                    Adjacent {
+                        neighbour,
+                        id,
+                        cost,
+                        mtu,
+                        health,
+                        number_there: None,
+                        pending,
+                        compare_at: now,
+                    },
+                );
+                self.announce_links();
+                self.compare(link);
+            }
+        }
+    }
+
+    /// A node is isolated: nothing is taken from it or sent there, no packet of it is passed on, and
+    /// no way leads over it. Or it is let in again.
+    pub fn handle_isolation(&mut self, node: &NodeName, isolated: bool, now: Instant) {
+        self.now = now;
+        let id = NodeId::of(node);
+        let changed = if isolated { self.kept_out.insert(id) } else { self.kept_out.remove(&id) };
+        if !changed || id == self.id {
+            return;
+        }
+        self.outdate();
+        if !isolated {
+            for (link, status) in std::mem::take(&mut self.barred) {
+                self.handle_link(link, status, now);
+            }
+            return;
+        }
+        let (barred, links) = std::mem::take(&mut self.links)
+            .into_iter()
+            .partition(|(_, adjacent)| adjacent.id == id);
+        self.links = links;
+        let barred: BTreeMap<LinkNumber, Adjacent> = barred;
+        if barred.is_empty() {
+            return;
+        }
+        self.choose_anew();
+        self.announce_links();
+        for (link, Adjacent { neighbour, cost, mtu, health, .. }) in barred {
+            let status = LinkStatus { neighbour, health, cost, mtu: mtu.into() };
+            self.barred.insert(link, status);
+            // The last that it is told: it learns at once that nobody is behind its links.
+            let bytes = Routing::Announce(vec![self.own.clone()]).encode();
+            self.outputs.push_back(RouterOutput::Routing { link, bytes });
+        }
+    }
+
+    /// A neighbour's router said something.
+    pub fn handle_routing(&mut self, link: LinkNumber, bytes: Bytes, now: Instant) {
+        self.now = now;
+        if self.barred.contains_key(&link) {
+            self.refusals.isolated += 1;
+            return;
+        }
+        if !self.links.contains_key(&link) {
+            self.refusals.unexpected += 1;
+            self.tell_contender(link);
+            return;
+        }
+        match Routing::decode(bytes) {
+            Ok(Routing::Announce(advertisements)) => self.handle_announce(link, advertisements),
+            Ok(Routing::Have { range, stamps }) => self.handle_have(link, range, &stamps),
+            Ok(Routing::Dispute { contender, node }) => self.handle_dispute(link, contender, node),
+            Ok(Routing::Defend { against, advertisement }) => {
+                self.handle_defence(link, against, advertisement);
+            }
+            Ok(Routing::Numbered(number)) => self.handle_numbered(link, number),
+            Ok(Routing::GaveUp(lost)) => self.handle_given_up(link, lost),
+            Err(error) => self.refusals.count(&error),
+        }
+    }
+
+    fn outdate(&mut self) {
+        // A change comes as a burst of floods: the first is acted on at once, the rest together.
+        const TOGETHER: Duration = Duration::from_millis(5);
+        self.compute_at.get_or_insert(self.now.max(self.computed_at + TOGETHER));
+    }
+
+    /// The network as far as it is used.
+    fn topology(&self) -> Topology<'_> {
+        let known = self.known.iter().filter(|(id, _)| !self.kept_out.contains(id));
+        let known = known.filter_map(|(id, known)| Some((*id, known.effective()?)));
+        Topology::new(self.id, &self.links, known)
+    }
+
+    /// Computes the paths anew and tells what has changed.
+    fn compute(&mut self) {
+        self.compute_at = None;
+        self.computed_at = self.now;
+        let routes = self.topology().routes();
+        self.ways.clear();
+        let mut before = std::mem::replace(&mut self.routes, routes);
+        for (id, route) in &self.routes {
+            let (mtu, incarnation) = (route.segment_limit(), route.incarnation);
+            let output = match before.remove(id) {
+                Some(old) if old.incarnation == incarnation => {
+                    if !old.must_repeat_over(route) {
+                        continue;
+                    }
+                    RouterOutput::PathChanged { node: *id, mtu }
+                }
+                _ => RouterOutput::Reachable { node: route.node.clone(), incarnation, mtu },
+            };
+            self.outputs.push_back(output);
+        }
+        for Route { node, incarnation, .. } in before.into_values() {
+            self.outputs.push_back(RouterOutput::Lost { node, incarnation });
+        }
+    }
+
+    fn give_up_remembered(&mut self) {
+        if self.remembered.as_ref().is_none_or(|(until, _)| *until > self.now) {
+            return;
+        }
+        for (node, incarnation) in self.remembered.take().into_iter().flat_map(|(_, nodes)| nodes) {
+            if !self.routes.contains_key(&NodeId::of(&node)) {
+                self.outputs.push_back(RouterOutput::Lost { node, incarnation });
+            }
+        }
+    }
+
+    fn earliest(&self) -> Instant {
+        let links = self
+            .links
+            .values()
+            .flat_map(|adjacent| adjacent.pending.values().copied().chain([adjacent.compare_at]));
+        let ages = self.known.values().flat_map(|known| {
+            known.believed.iter().map(|(_, until)| *until).chain([known.expires])
+        });
+        let remembered = self.remembered.iter().map(|(until, _)| *until);
+        let ends = self.dispute_ends().into_iter().chain(self.troubles.due());
+        links.chain(ages).chain(remembered).chain(ends).fold(self.refresh_at, Instant::min)
+    }
+}
+
+impl Machine for Router {
+    type Output = RouterOutput;
+
+    fn poll_output(&mut self) -> Option<RouterOutput> {
+        self.outputs.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        Some(self.compute_at.map_or(self.wake_at, |at| at.min(self.wake_at)))
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.now = now;
+        if self.refresh_at <= now {
+            self.renew();
+        }
+        self.forget_the_old();
+        let numbers: Vec<_> = self.links.keys().copied().collect();
+        for link in numbers {
+            let Some(adjacent) = self.links.get(&link) else { continue };
+            let due = adjacent.pending.iter().filter(|(_, again)| **again <= now);
+            let due: Vec<_> = due.map(|(origin, _)| *origin).collect();
+            let compare = adjacent.compare_at <= now;
+            if !due.is_empty() {
+                self.announce(link, &due);
+            }
+            if compare {
+                self.compare(link);
+            }
+        }
+        let outdated = self.compute_at.is_some_and(|at| at <= now);
+        if outdated {
+            self.compute();
+        }
+        if outdated || !self.disputes.is_empty() {
+            self.settle_disputes();
+        }
+        self.give_up_remembered();
+        self.end_troubles();
+        self.wake_at = self.earliest();
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,63 @@
+//! A link that carries no more at one end, while the other end does not know of it.
+//!
+//! ```text
+//!  A ═╳═ switch ══════ B      A's interface has lost its carrier; B's has not
+//!  A ──── C ────────── B      A announces its links without B: B need not wait for hellos
+//!  A ───gave up 1───── B      of several links with B, A names the one: B has said what it calls it
+//! ```
+//!
+//! What is missing in the neighbour's newest announcement, and was in the one before, has been withdrawn;
+//! what was in neither is not announced yet, and says nothing. That others can lie in its name is no
+//! danger: the link becomes suspect, and dear, which diverts traffic where there is another way; it goes
+//! on as soon as the neighbour's hellos say the contrary, and then such words do not count for a while.
+
+use super::{LinkNumber, Router, RouterOutput};
+use crate::net::routing::topology::Adjacent;
+use crate::net::wire::advertisement::{Advertisement, Edge, NEIGHBOURS_MAX, Routing};
+
+impl Router {
+    /// A link is down: its neighbour learns which by every other one.
+    pub(super) fn say_given_up(&mut self, lost: &Adjacent) {
+        let Some(number) = lost.number_there else { return };
+        let bytes = Routing::GaveUp(number).encode();
+        for (&link, _) in self.links.iter().filter(|(_, adjacent)| adjacent.id == lost.id) {
+            self.outputs.push_back(RouterOutput::Routing { link, bytes: bytes.clone() });
+        }
+    }
+
+    pub(super) fn handle_numbered(&mut self, link: LinkNumber, number: LinkNumber) {
+        if let Some(adjacent) = self.links.get_mut(&link) {
+            adjacent.number_there = Some(number);
+        }
+    }
+
+    /// The neighbour at the other end of `from` has given up a link; nobody else's word counts.
+    pub(super) fn handle_given_up(&mut self, from: LinkNumber, link: LinkNumber) {
+        let neighbour = |link| self.links.get(link).map(|adjacent| &adjacent.neighbour);
+        // Often both ends know of it.
+        let Some(lost) = neighbour(&link) else { return };
+        if link != from && neighbour(&from) == Some(lost) {
+            self.outputs.push_back(RouterOutput::GivenUp { link });
+        } else {
+            self.refusals.unexpected += 1;
+        }
+    }
+
+    /// A node's newest announcement follows another: has it withdrawn its links with us?
+    pub(super) fn hear_given_up(&mut self, before: Option<&Advertisement>, newest: &Advertisement) {
+        let (id, stamp) = (self.id, newest.stamp);
+        let life = Edge::life_tag(self.own.stamp.incarnation);
+        let with_us =
+            |told: &Advertisement| told.edges.iter().any(|edge| edge.to == id && edge.life == life);
+        let before = before.filter(|told| told.stamp.incarnation == stamp.incarnation);
+        // One that is full may lack what there was no room for.
+        let complete = !newest.withdrawn && newest.edges.len() < NEIGHBOURS_MAX;
+        if !complete || with_us(newest) || !before.is_some_and(with_us) {
+            return;
+        }
+        let lost = self.links.iter().filter(|(_, adjacent)| {
+            adjacent.id == stamp.origin && adjacent.neighbour.incarnation == stamp.incarnation
+        });
+        self.outputs.extend(lost.map(|(&link, _)| RouterOutput::GivenUp { link }));
+    }
+}

@@ -1,0 +1,599 @@
+//! A router among neighbours that the test speaks for.
+
+mod copies;
+mod given_up;
+
+use super::*;
+use crate::net::link::Neighbour;
+use crate::net::wire::advertisement::Edge;
+use crate::net::wire::packet::{Class, Packet, Payload, Undelivered};
+
+const FIRST: LinkNumber = LinkNumber(0);
+const SECOND: LinkNumber = LinkNumber(1);
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+fn named(name: &str) -> NodeName {
+    NodeName::new(name).unwrap()
+}
+
+fn id(name: &str) -> NodeId {
+    NodeId::of(&named(name))
+}
+
+/// Whoever tests speaks for the neighbours.
+fn router() -> Router {
+    Router::new(RouterConfig::new(named("own"), Incarnation(1)), at(1000))
+}
+
+fn up(neighbour: &str, cost: u16) -> LinkStatus {
+    let neighbour = Neighbour { node: named(neighbour), incarnation: Incarnation(1) };
+    LinkStatus { neighbour, health: Health::Up, cost, mtu: 1400 }
+}
+
+fn advertisement(node: &str, sequence: u32, edges: &[(&str, u16)]) -> Advertisement {
+    let stamp = Stamp { origin: id(node), incarnation: Incarnation(1), sequence };
+    let edge = |(to, cost): &(&str, u16)| Edge { to: id(to), life: 1, cost: *cost, mtu: 1400 };
+    let edges = edges.iter().map(edge).collect();
+    Advertisement { stamp, node: named(node), edges, withdrawn: false }
+}
+
+/// The same, of a node that is linked to that life of another.
+fn linked_to(life: u8, to: &str, advertisement: Advertisement) -> Advertisement {
+    let mut linked = advertisement;
+    linked.edges.iter_mut().filter(|edge| edge.to == id(to)).for_each(|edge| edge.life = life);
+    linked
+}
+
+fn tell(router: &mut Router, link: LinkNumber, told: Advertisement, now: u64) {
+    router.handle_routing(link, Routing::Announce(vec![told]).encode(), at(now));
+}
+
+fn outputs(router: &mut Router, now: u64) -> Vec<RouterOutput> {
+    router.handle_timeout(at(now));
+    std::iter::from_fn(|| router.poll_output()).collect()
+}
+
+fn without_routing(outputs: Vec<RouterOutput>) -> Vec<RouterOutput> {
+    outputs.into_iter().filter(|o| !matches!(o, RouterOutput::Routing { .. })).collect()
+}
+
+fn announced(outputs: &[RouterOutput], link: LinkNumber) -> Vec<Advertisement> {
+    let bytes = outputs.iter().filter_map(|output| match output {
+        RouterOutput::Routing { link: on, bytes } if *on == link => Some(bytes.clone()),
+        _ => None,
+    });
+    bytes
+        .filter_map(|bytes| match Routing::decode(bytes) {
+            Ok(Routing::Announce(told)) => Some(told),
+            _ => None,
+        })
+        .flatten()
+        .collect()
+}
+
+/// Two ways to `far`, over `left` and over `right`; `left` is cheaper.
+fn between_two() -> Router {
+    let mut router = router();
+    router.handle_link(FIRST, up("left", 1), at(1000));
+    router.handle_link(SECOND, up("right", 5), at(1000));
+    tell(&mut router, FIRST, advertisement("left", 1, &[("own", 1), ("far", 1)]), 1000);
+    tell(&mut router, SECOND, advertisement("right", 1, &[("own", 5), ("far", 1)]), 1000);
+    tell(&mut router, FIRST, advertisement("far", 1, &[("left", 1), ("right", 1)]), 1000);
+    let reached = without_routing(outputs(&mut router, 1010));
+    assert_eq!(reached.len(), 3, "{reached:?}");
+    router
+}
+
+fn packet_to(destination: &str, hops: u8) -> Packet {
+    let payload = Payload::Segment(Bytes::from_static(b"segment").into());
+    let (destination, source) = (id(destination), id("source"));
+    Packet { class: Class::Data, hops, destination, source, passed: Vec::new(), payload }
+}
+
+fn over(output: Option<RouterOutput>) -> Option<LinkNumber> {
+    match output {
+        Some(RouterOutput::Packet { link, .. }) => Some(link),
+        _ => None,
+    }
+}
+
+#[test]
+fn the_alternate_is_known_ahead_and_taken_without_any_computation() {
+    let mut router = between_two();
+    let route = router.route(id("far")).unwrap();
+    assert_eq!((route.next, route.alternate, route.cost), (FIRST, Some(SECOND), 2));
+    let segment = || Bytes::from_static(b"segment");
+    router.handle_segment(id("far"), Class::Data, segment().into());
+    assert_eq!(over(router.poll_output()), Some(FIRST));
+
+    let suspect = LinkStatus { health: Health::Suspect, ..up("left", 1) };
+    router.handle_link(FIRST, suspect, at(1020));
+
+    let changed = RouterOutput::PathChanged { node: id("far"), mtu: 1376 };
+    let told: Vec<_> = std::iter::from_fn(|| router.poll_output()).collect();
+    assert!(told.contains(&changed), "{told:?}");
+    router.handle_segment(id("far"), Class::Data, segment().into());
+    assert_eq!(over(router.poll_output()), Some(SECOND));
+}
+
+#[test]
+fn of_two_ways_that_are_not_well_the_better_one_is_taken() {
+    let mut router = between_two();
+    let mut chosen = |left, right| {
+        router.handle_link(FIRST, LinkStatus { health: left, ..up("left", 1) }, at(1020));
+        router.handle_link(SECOND, LinkStatus { health: right, ..up("right", 5) }, at(1020));
+        router.route(id("far")).unwrap().chosen
+    };
+
+    assert_eq!(chosen(Health::Suspect, Health::Proving), Some(SECOND));
+    assert_eq!(chosen(Health::Proving, Health::Suspect), Some(FIRST));
+    assert_eq!(chosen(Health::Proving, Health::Up), Some(SECOND));
+    assert_eq!(chosen(Health::Suspect, Health::Suspect), Some(FIRST));
+}
+
+#[test]
+fn a_way_that_would_lead_back_is_no_alternate() {
+    let mut router = router();
+    router.handle_link(FIRST, up("left", 1), at(1000));
+    router.handle_link(SECOND, up("right", 1), at(1000));
+    // What `right` sends to `left` it sends through us.
+    tell(&mut router, FIRST, advertisement("left", 1, &[("own", 1)]), 1000);
+    tell(&mut router, SECOND, advertisement("right", 1, &[("own", 1)]), 1000);
+    outputs(&mut router, 1010);
+
+    assert_eq!(router.route(id("left")).unwrap().alternate, None);
+}
+
+#[test]
+fn an_edge_counts_only_if_both_ends_announce_it() {
+    let mut router = router();
+    router.handle_link(FIRST, up("left", 1), at(1000));
+    tell(&mut router, FIRST, advertisement("left", 1, &[("own", 1), ("far", 1)]), 1000);
+    tell(&mut router, FIRST, advertisement("far", 1, &[]), 1000);
+    outputs(&mut router, 1010);
+    assert!(router.route(id("far")).is_none());
+
+    tell(&mut router, FIRST, advertisement("far", 2, &[("left", 1)]), 1020);
+    let told = without_routing(outputs(&mut router, 1030));
+
+    assert!(matches!(&told[..], [RouterOutput::Reachable { node, .. }] if *node == named("far")));
+}
+
+#[test]
+fn who_boasts_of_a_cheap_link_draws_no_traffic_unless_its_other_end_says_so_too() {
+    let mut router = between_two();
+    // By `left`, `far` costs 1 and 50, whatever `left` says: `right` is nearer with 5 and 1.
+    tell(&mut router, FIRST, advertisement("left", 2, &[("own", 1), ("far", 1)]), 1020);
+    tell(&mut router, FIRST, advertisement("far", 2, &[("left", 50), ("right", 1)]), 1020);
+    outputs(&mut router, 1030);
+    let route = router.route(id("far")).unwrap();
+    assert_eq!((route.next, route.cost), (SECOND, 6));
+
+    // That it has links to others, none of them confirms.
+    let boast = [("own", 1), ("far", 1), ("right", 1), ("nowhere", 1)];
+    tell(&mut router, FIRST, advertisement("left", 3, &boast), 1040);
+    outputs(&mut router, 1050);
+    assert_eq!(router.route(id("right")).unwrap().next, SECOND);
+    assert!(router.route(id("nowhere")).is_none());
+}
+
+#[test]
+fn a_link_that_is_said_to_carry_next_to_nothing_is_no_way() {
+    let mut router = between_two();
+    let mut narrow = advertisement("far", 2, &[("left", 1), ("right", 1)]);
+    narrow.edges[0].mtu = 1;
+
+    tell(&mut router, FIRST, narrow, 1020);
+    outputs(&mut router, 1030);
+
+    let route = router.route(id("far")).unwrap();
+    assert_eq!((route.next, route.mtu), (SECOND, 1400));
+}
+
+#[test]
+fn what_somebody_says_in_our_name_is_outdone() {
+    let mut router = between_two();
+
+    tell(&mut router, FIRST, advertisement("own", 700, &[("nowhere", 1)]), 1020);
+
+    let told = announced(&outputs(&mut router, 1020), SECOND);
+    let own = told.iter().find(|told| told.stamp.origin == id("own")).unwrap();
+    assert_eq!((own.stamp.sequence, own.edges.len()), (701, 2));
+}
+
+#[test]
+fn a_way_that_became_dearer_further_on_is_told_so_that_what_was_lost_there_is_repeated() {
+    let mut router = between_two();
+    router.handle_link(SECOND, LinkStatus { health: Health::Down, ..up("right", 5) }, at(1020));
+    without_routing(outputs(&mut router, 1020));
+
+    tell(&mut router, FIRST, advertisement("left", 2, &[("own", 1), ("far", 9)]), 1040);
+
+    let changed = RouterOutput::PathChanged { node: id("far"), mtu: 1376 };
+    assert!(outputs(&mut router, 1050).contains(&changed));
+}
+
+#[test]
+fn a_packet_is_passed_on_with_one_hop_less_and_never_back() {
+    let mut router = between_two();
+
+    router.handle_packet(SECOND, packet_to("far", 3).encode(), at(1020));
+    let Some(RouterOutput::Packet { link: FIRST, packet }) = router.poll_output() else {
+        panic!("it goes on over the cheaper way");
+    };
+    assert_eq!(Packet::decode(packet.into_bytes()).unwrap().hops, 2);
+
+    router.handle_packet(FIRST, packet_to("far", 3).encode(), at(1020));
+    assert_eq!(over(router.poll_output()), Some(SECOND), "never back to where it came from");
+}
+
+#[test]
+fn a_packet_goes_to_nobody_who_has_had_it_and_over_no_node_twice() {
+    let mut router = between_two();
+    let passed = |by: &[&str]| {
+        let passed = by.iter().map(|relay| id(relay)).collect();
+        Packet { passed, source: id("other"), ..packet_to("far", 3) }.encode()
+    };
+
+    // Left is nearer, but believes the same of somebody who believes it of this node.
+    router.handle_packet(SECOND, passed(&["left", "somebody"]), at(1020));
+    assert_eq!(over(router.poll_output()), None, "both ways have had it");
+
+    router.handle_packet(FIRST, passed(&["somebody"]), at(1020));
+    let Some(RouterOutput::Packet { link: SECOND, packet }) = router.poll_output() else {
+        panic!("it goes on");
+    };
+    let packet = Packet::decode(packet.into_bytes()).unwrap();
+    assert_eq!(packet.passed, [id("somebody"), id("own")]);
+
+    router.handle_packet(SECOND, passed(&["own", "somebody"]), at(1020));
+    assert_eq!(over(router.poll_output()), None, "it was here before");
+}
+
+#[test]
+fn what_cannot_be_delivered_comes_back_with_the_reason() {
+    let mut router = between_two();
+    // The source is the node called right.
+    let from_right = |destination, hops| {
+        let packet = Packet { source: id("right"), ..packet_to(destination, hops) };
+        packet.encode()
+    };
+    let check = |router: &mut Router, expected| {
+        let Some(RouterOutput::Packet { packet, .. }) = router.poll_output() else {
+            panic!("nothing came back");
+        };
+        let Ok(Packet { destination, payload: Payload::Return { reason, .. }, .. }) =
+            Packet::decode(packet.into_bytes())
+        else {
+            panic!("it is no return");
+        };
+        assert_eq!((destination, reason), (id("right"), expected));
+    };
+
+    router.handle_packet(SECOND, from_right("nowhere", 5), at(1020));
+    check(&mut router, Undelivered::NoRoute);
+    router.handle_packet(SECOND, from_right("far", 0), at(1020));
+    check(&mut router, Undelivered::TooManyHops);
+    router.handle_segment(id("nowhere"), Class::Data, Bytes::new().into());
+    let (destination, reason) = (id("nowhere"), Undelivered::NoRoute);
+    let undelivered = RouterOutput::Undelivered { destination, reason };
+    assert_eq!(router.poll_output(), Some(undelivered));
+    router.handle_segment(id("far"), Class::Data, Bytes::from(vec![0; 1400]).into());
+    let (destination, reason) = (id("far"), Undelivered::TooLarge);
+    let undelivered = RouterOutput::Undelivered { destination, reason };
+    assert_eq!(router.poll_output(), Some(undelivered));
+    // A return that cannot be delivered is not returned again.
+    let payload = Payload::Return { destination: id("far"), reason: Undelivered::NoRoute };
+    let returned = Packet { payload, ..packet_to("nowhere", 3) };
+    router.handle_packet(SECOND, returned.encode(), at(1020));
+    assert_eq!(router.poll_output(), None);
+}
+
+#[test]
+fn news_is_passed_on_at_once_and_repeated_until_confirmed() {
+    let mut router = between_two();
+    let news = advertisement("far", 2, &[("left", 1)]);
+
+    tell(&mut router, FIRST, news.clone(), 1020);
+    assert_eq!(announced(&outputs(&mut router, 1020), SECOND), vec![news.clone()]);
+    let again = outputs(&mut router, 1065);
+    assert!(announced(&again, SECOND).contains(&news));
+
+    let stamps = vec![news.stamp];
+    let confirm = Routing::Have { range: None, stamps };
+    router.handle_routing(SECOND, confirm.encode(), at(1070));
+    let later = outputs(&mut router, 1200);
+    assert!(!announced(&later, SECOND).contains(&news));
+}
+
+#[test]
+fn old_news_is_answered_with_newer_news() {
+    let mut router = between_two();
+    tell(&mut router, FIRST, advertisement("far", 5, &[("left", 1)]), 1020);
+    outputs(&mut router, 1030);
+
+    tell(&mut router, SECOND, advertisement("far", 4, &[]), 1040);
+
+    let answer = announced(&outputs(&mut router, 1040), SECOND);
+    assert_eq!(
+        answer.iter().find(|told| told.stamp.origin == id("far")).unwrap().stamp.sequence,
+        5
+    );
+    assert!(router.refusals().stale >= 1);
+}
+
+#[test]
+fn what_a_neighbour_lacks_is_seen_in_its_list_and_sent() {
+    let mut router = between_two();
+    outputs(&mut router, 1030);
+
+    let range = Some((NodeId(0), NodeId(u32::MAX)));
+    let nothing = Routing::Have { range, stamps: vec![] };
+    router.handle_routing(SECOND, nothing.encode(), at(1031));
+
+    let sent = announced(&outputs(&mut router, 1031), SECOND);
+    let mut origins: Vec<_> = sent.iter().map(|told| told.node.as_str()).collect();
+    origins.sort();
+    assert_eq!(origins, ["far", "left", "own", "right"]);
+}
+
+#[test]
+fn a_node_that_nobody_repeats_is_forgotten() {
+    let mut router = between_two();
+    for now in (2000..60_000).step_by(1000) {
+        let sequence = now as u32;
+        let left = advertisement("left", sequence, &[("own", 1), ("far", 1)]);
+        let right = advertisement("right", sequence, &[("own", 5), ("far", 1)]);
+        tell(&mut router, FIRST, left, now);
+        tell(&mut router, SECOND, right, now);
+        outputs(&mut router, now);
+    }
+    assert!(router.route(id("far")).is_none());
+    assert!(router.route(id("left")).is_some());
+}
+
+#[test]
+fn a_restarted_node_is_told_with_its_new_life() {
+    let mut router = between_two();
+    let mut reborn = advertisement("far", 1, &[("left", 1), ("right", 1)]);
+    reborn.stamp.incarnation = Incarnation(2);
+
+    // Its neighbours have heard the new life instead of the old one, and have proved the links anew.
+    tell(&mut router, FIRST, advertisement("left", 2, &[("own", 1)]), 1020);
+    tell(&mut router, SECOND, advertisement("right", 2, &[("own", 5)]), 1020);
+    let (node, incarnation) = (named("far"), Incarnation(1));
+    let told = without_routing(outputs(&mut router, 1030));
+    assert!(told.contains(&RouterOutput::Lost { node, incarnation }), "{told:?}");
+    let left = advertisement("left", 3, &[("own", 1), ("far", 1)]);
+    tell(&mut router, FIRST, linked_to(2, "far", left), 1200);
+    tell(&mut router, FIRST, reborn, 1200);
+
+    let told = without_routing(outputs(&mut router, 1210));
+    let (node, incarnation) = (named("far"), Incarnation(2));
+    assert_eq!(told, [RouterOutput::Reachable { node, incarnation, mtu: 1376 }]);
+}
+
+#[test]
+fn a_new_life_of_which_the_neighbours_say_nothing_waits_for_the_old_one_to_answer() {
+    let mut router = between_two();
+    let mut reborn = advertisement("far", 1, &[("left", 1), ("right", 1)]);
+    reborn.stamp.incarnation = Incarnation(2);
+
+    tell(&mut router, FIRST, reborn.clone(), 1020);
+    assert_eq!(without_routing(outputs(&mut router, 2010)), []);
+    outputs(&mut router, 2020);
+    tell(&mut router, FIRST, reborn, 2030);
+    let lost = without_routing(outputs(&mut router, 2040));
+    assert!(matches!(lost.last(), Some(RouterOutput::Lost { node, .. }) if *node == named("far")));
+    let left = advertisement("left", 2, &[("own", 1), ("far", 1)]);
+    tell(&mut router, FIRST, linked_to(2, "far", left), 2050);
+
+    let told = without_routing(outputs(&mut router, 2060));
+    let (node, incarnation) = (named("far"), Incarnation(2));
+    assert_eq!(told, [RouterOutput::Reachable { node, incarnation, mtu: 1376 }]);
+}
+
+#[test]
+fn a_router_built_anew_counts_on_and_tells_what_it_cannot_find_again() {
+    let config = RouterConfig::new(named("own"), Incarnation(1));
+    let reached = ["left", "gone"].map(|node| (named(node), Incarnation(1)));
+    let mut router = Router::reborn(config, reached, at(1000));
+    router.handle_link(FIRST, up("left", 1), at(1000));
+
+    // The neighbour still holds what the old router said.
+    tell(&mut router, FIRST, advertisement("own", 57, &[("left", 1)]), 1001);
+
+    let told = announced(&outputs(&mut router, 1010), FIRST);
+    assert_eq!(told.last().unwrap().stamp.sequence, 58);
+    let lost = without_routing(outputs(&mut router, 2100));
+    let (node, incarnation) = (named("gone"), Incarnation(1));
+    assert_eq!(lost, [RouterOutput::Lost { node, incarnation }]);
+}
+
+#[test]
+fn a_second_node_of_our_name_is_told_once_and_an_earlier_life_of_ours_never() {
+    let mut router = between_two();
+    let mut usurper = advertisement("own", 1, &[]);
+    usurper.stamp.incarnation = Incarnation(9);
+
+    for now in [1020, 1030, 1040, 3000] {
+        tell(&mut router, FIRST, usurper.clone(), now);
+        assert_eq!(without_routing(outputs(&mut router, now)), [], "it is only repeated");
+    }
+    for now in [3020, 3030, 3040] {
+        usurper.stamp.sequence += 1;
+        tell(&mut router, FIRST, usurper.clone(), now);
+    }
+
+    let told = without_routing(outputs(&mut router, 3050));
+    assert_eq!(told, [RouterOutput::NameTaken { incarnation: Incarnation(9), first: true }]);
+}
+
+#[test]
+fn over_a_narrow_medium_news_is_repeated_ten_times_as_rarely() {
+    let told_within = |mtu| {
+        let mut router = router();
+        router.handle_link(FIRST, LinkStatus { mtu, ..up("left", 1) }, at(1000));
+        (1000..1900).map(|now| announced(&outputs(&mut router, now), FIRST).len()).sum::<usize>()
+    };
+
+    assert_eq!((told_within(1400), told_within(MTU_MIN)), (23, 3));
+}
+
+#[test]
+fn a_link_that_cannot_carry_an_advertisement_is_not_used() {
+    let mut router = router();
+    let narrow = LinkStatus { mtu: MTU_MIN - 1, ..up("left", 1) };
+
+    router.handle_link(FIRST, narrow, at(1000));
+
+    assert_eq!(outputs(&mut router, 1010), []);
+}
+
+#[test]
+fn nothing_goes_to_an_isolated_node_comes_from_it_or_leads_over_it_until_it_is_admitted() {
+    let mut router = between_two();
+    let segment = || Bytes::from_static(b"segment");
+    let packet = |source: &str, to: &str| Packet { source: id(source), ..packet_to(to, 3) };
+
+    router.handle_isolation(&named("left"), true, at(1020));
+    let told = outputs(&mut router, 1030);
+
+    let own = |link| announced(&told, link).into_iter().find(|own| own.node == named("own"));
+    for link in [FIRST, SECOND] {
+        let own = own(link).expect("all are told, and so is the isolated node itself");
+        assert_eq!(own.edges.iter().map(|edge| edge.to).collect::<Vec<_>>(), [id("right")]);
+    }
+    let (node, incarnation) = (named("left"), Incarnation(1));
+    assert!(told.contains(&RouterOutput::Lost { node, incarnation }));
+    // The ways go around it.
+    assert_eq!(router.route(id("far")).unwrap().next, SECOND);
+    router.handle_segment(id("left"), Class::Data, segment().into());
+    assert!(matches!(router.poll_output(), Some(RouterOutput::Undelivered { .. })));
+    // Whatever comes by its link is refused, and what it has sent by others' links too.
+    let refused = router.refusals().isolated;
+    router.handle_packet(FIRST, packet("left", "far").encode(), at(1040));
+    router.handle_packet(FIRST, packet("somebody", "own").encode(), at(1040));
+    router.handle_packet(SECOND, packet("left", "own").encode(), at(1040));
+    tell(&mut router, FIRST, advertisement("left", 9, &[("own", 1), ("far", 1)]), 1040);
+    assert_eq!(router.refusals().isolated - refused, 4);
+    assert_eq!(without_routing(outputs(&mut router, 1045)), []);
+    // That its link is still well, or comes back, changes nothing.
+    router.handle_link(FIRST, LinkStatus { health: Health::Down, ..up("left", 1) }, at(1050));
+    router.handle_link(FIRST, up("left", 1), at(1060));
+    assert_eq!(without_routing(outputs(&mut router, 1070)), []);
+
+    router.handle_isolation(&named("left"), false, at(1080));
+
+    let told = outputs(&mut router, 1090);
+    let back = |output: &RouterOutput| matches!(output, RouterOutput::Reachable { node, .. } if *node == named("left"));
+    assert!(told.iter().any(back), "{told:?}");
+    assert_eq!(router.route(id("far")).unwrap().next, FIRST);
+}
+
+#[test]
+fn no_way_leads_over_a_far_node_that_is_isolated() {
+    let mut router = router();
+    router.handle_link(FIRST, up("left", 1), at(1000));
+    tell(&mut router, FIRST, advertisement("left", 1, &[("own", 1), ("middle", 1)]), 1000);
+    tell(&mut router, FIRST, advertisement("middle", 1, &[("left", 1), ("far", 1)]), 1000);
+    tell(&mut router, FIRST, advertisement("far", 1, &[("middle", 1)]), 1000);
+    outputs(&mut router, 1010);
+    assert!(router.route(id("far")).is_some());
+
+    router.handle_isolation(&named("middle"), true, at(1020));
+    outputs(&mut router, 1030);
+    assert!(router.route(id("far")).is_none() && router.route(id("middle")).is_none());
+
+    router.handle_isolation(&named("middle"), false, at(1040));
+    outputs(&mut router, 1050);
+    assert!(router.route(id("far")).is_some());
+}
+
+#[test]
+fn what_was_said_in_our_name_under_the_highest_number_is_withdrawn_and_counting_begins_anew() {
+    let mut router = between_two();
+
+    tell(&mut router, FIRST, advertisement("own", u32::MAX, &[("nowhere", 1)]), 1020);
+
+    for link in [FIRST, SECOND] {
+        let told = announced(&outputs(&mut router, 1020), link);
+        if told.is_empty() {
+            continue;
+        }
+        let own: Vec<_> = told.iter().filter(|told| told.node == named("own")).collect();
+        assert!(own[0].withdrawn && own[0].stamp.sequence == u32::MAX, "{own:?}");
+        assert_eq!((own[1].stamp.sequence, own[1].edges.len()), (1, 2));
+    }
+    assert_eq!(router.refusals().forged, 1);
+}
+
+#[test]
+fn lies_in_our_name_are_over_when_a_minute_has_passed_without_one() {
+    let mut router = between_two();
+    let over = RouterOutput::Over(Trouble::Forged);
+    for second in 0..100 {
+        let lie = advertisement("own", 1000 + 10 * second, &[("nowhere", 1)]);
+        tell(&mut router, FIRST, lie, 2000 + 1000 * u64::from(second));
+        assert!(!outputs(&mut router, 2000 + 1000 * u64::from(second)).contains(&over));
+    }
+    assert!(router.troubles().eq([Trouble::Forged]));
+
+    assert!(!outputs(&mut router, 160_900).contains(&over));
+    assert!(router.poll_timeout().is_some_and(|due| due <= at(161_000)));
+    assert!(outputs(&mut router, 161_000).contains(&over));
+    assert_eq!(router.troubles().count(), 0);
+}
+
+#[test]
+fn a_router_that_has_counted_to_the_end_withdraws_its_last_word_first() {
+    let mut router = between_two();
+    router.own.stamp.sequence = u32::MAX;
+
+    router.handle_link(SECOND, up("right", 7), at(1030));
+
+    let told = announced(&outputs(&mut router, 1030), FIRST);
+    let own: Vec<_> = told.iter().map(|own| (own.withdrawn, own.stamp.sequence)).collect();
+    assert_eq!(own[..2], [(true, u32::MAX), (false, 1)]);
+}
+
+#[test]
+fn of_two_announcements_with_one_number_everybody_takes_the_same() {
+    let (one, other) = ([("left", 1), ("right", 1)], [("left", 1), ("right", 9)]);
+    for (first, second) in [(one, other), (other, one)] {
+        let mut router = between_two();
+        tell(&mut router, FIRST, advertisement("far", 2, &first), 1020);
+        outputs(&mut router, 1030);
+        tell(&mut router, SECOND, advertisement("far", 2, &second), 1040);
+        outputs(&mut router, 1050);
+        let known = router.advertisement(id("far")).unwrap().edges.iter().map(|edge| edge.cost);
+        assert_eq!(known.max(), Some(9));
+    }
+}
+
+#[test]
+fn what_is_withdrawn_counts_for_a_moment_and_then_no_longer() {
+    let mut router = between_two();
+    let withdrawal = advertisement("far", 1, &[]).withdrawal();
+
+    tell(&mut router, FIRST, withdrawal.clone(), 1020);
+
+    let passed_on = outputs(&mut router, 1030);
+    assert!(announced(&passed_on, SECOND).contains(&withdrawal));
+    assert_eq!(without_routing(passed_on), []);
+    let lost = without_routing(outputs(&mut router, 1071));
+    assert!(matches!(lost.last(), Some(RouterOutput::Lost { node, .. }) if *node == named("far")));
+    // A repetition of what is void does not bring it back; whatever else the origin says does.
+    tell(&mut router, FIRST, advertisement("far", 1, &[("left", 1), ("right", 1)]), 1080);
+    assert_eq!(without_routing(outputs(&mut router, 1090)), []);
+    let mut again = advertisement("far", 1, &[("left", 1), ("right", 1)]);
+    again.stamp.incarnation = Incarnation(0);
+    tell(&mut router, FIRST, again, 1100);
+    let left = advertisement("left", 2, &[("own", 1), ("far", 1)]);
+    tell(&mut router, FIRST, linked_to(0, "far", left), 1100);
+    let back = |told: &RouterOutput| matches!(told, RouterOutput::Reachable { node, .. } if *node == named("far"));
+    assert!(outputs(&mut router, 1110).iter().any(back));
+}

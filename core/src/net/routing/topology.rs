@@ -1,0 +1,256 @@
+//! The shortest paths through a network, and the alternates to them.
+
+mod disjoint;
+
+pub(crate) use self::disjoint::Way;
+
+use super::{Health, LinkNumber, MTU_MIN};
+use crate::net::is_narrow;
+use crate::net::link::Neighbour;
+use crate::net::wire::advertisement::{Advertisement, Edge};
+use crate::net::wire::frame::FRAME_HEADER;
+use crate::net::wire::node_id::NodeId;
+use crate::net::wire::packet::{HOPS_MAX, PACKET_HEADER, passed_length};
+use crate::{Incarnation, Instant, NodeName};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
+use std::time::Duration;
+
+/// The way to one node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Route {
+    /// Whereto.
+    pub node: NodeName,
+    /// In which of its lives.
+    pub incarnation: Incarnation,
+    /// The sum of the costs of the links on the shortest path.
+    pub cost: u32,
+    /// The link that the shortest path begins with.
+    pub next: LinkNumber,
+    /// The link to take when that one fails: its path does not lead back through this node.
+    pub alternate: Option<LinkNumber>,
+    /// The link that is taken now; `None` when none carries.
+    pub chosen: Option<LinkNumber>,
+    /// The largest frame that both paths carry, in bytes.
+    pub mtu: u16,
+    /// How many nodes pass a packet on along the longer of both.
+    pub relays: u8,
+}
+
+/// A link that carries, and what its neighbour still has to be told.
+#[derive(Debug)]
+pub(crate) struct Adjacent {
+    pub(crate) neighbour: Neighbour,
+    pub(crate) id: NodeId,
+    pub(crate) cost: u16,
+    pub(crate) mtu: u16,
+    pub(crate) health: Health,
+    /// What the neighbour calls it, as far as it has said.
+    pub(crate) number_there: Option<LinkNumber>,
+    /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
+    pub(crate) pending: BTreeMap<NodeId, Instant>,
+    pub(crate) compare_at: Instant,
+}
+
+impl Adjacent {
+    /// How long an answer of the neighbour's may take, where it takes so long on a fast medium.
+    pub(crate) fn patience(&self, fast: Duration) -> Duration {
+        fast * if is_narrow(segment_limit(self.mtu)) { 10 } else { 1 }
+    }
+}
+
+/// A path whose segments are smaller carries nothing: too many nodes pass on what fits into too small frames.
+pub(crate) const SEGMENT_MIN: usize = 40;
+
+/// The bytes of a segment that fits into a frame of this size.
+pub(crate) fn segment_limit(mtu: u16) -> usize {
+    usize::from(mtu).saturating_sub(FRAME_HEADER + PACKET_HEADER)
+}
+
+impl Route {
+    /// The largest segment that both paths carry, with the list of those who pass it on. A way that becomes
+    /// longer while it is under way adds two of them at most, or it comes back as too large.
+    pub(crate) fn segment_limit(&self) -> usize {
+        const MORE: usize = 2;
+        let relays = usize::from(self.relays.min(HOPS_MAX));
+        let list = passed_length(if relays == 0 { 0 } else { relays + MORE });
+        segment_limit(self.mtu).saturating_sub(list)
+    }
+
+    /// Whether what is under way here is to be repeated over its successor: it goes another way, in
+    /// other pieces, or has become dearer, that is, has lost something further on.
+    pub(crate) fn must_repeat_over(&self, next: &Route) -> bool {
+        self.chosen != next.chosen
+            || self.mtu != next.mtu
+            || self.segment_limit() > next.segment_limit()
+            || self.cost < next.cost
+    }
+
+    /// The next hop or the alternate, whichever is better off now, the next hop if both are alike; never
+    /// to one of `had`.
+    pub(crate) fn choose(
+        &self,
+        links: &BTreeMap<LinkNumber, Adjacent>,
+        had: &[NodeId],
+    ) -> Option<LinkNumber> {
+        let ways = [Some(self.next), self.alternate];
+        let usable = ways.into_iter().flatten().filter_map(|link| {
+            let adjacent = links.get(&link).filter(|adjacent| !had.contains(&adjacent.id))?;
+            Some((adjacent.health, link))
+        });
+        // The first of those that are alike.
+        usable.min_by_key(|(health, _)| *health).map(|(_, link)| link)
+    }
+}
+
+/// The network as one node knows it.
+pub(crate) struct Topology<'a> {
+    here: NodeId,
+    links: &'a BTreeMap<LinkNumber, Adjacent>,
+    known: BTreeMap<NodeId, &'a Advertisement>,
+}
+
+/// How far a node is from some other.
+#[derive(Clone, Copy)]
+struct Distance {
+    cost: u32,
+    mtu: u16,
+    /// How many links the path has.
+    links: u8,
+}
+
+impl<'a> Topology<'a> {
+    pub(crate) fn new(
+        here: NodeId,
+        links: &'a BTreeMap<LinkNumber, Adjacent>,
+        known: impl Iterator<Item = (NodeId, &'a Advertisement)>,
+    ) -> Self {
+        Topology { here, links, known: known.collect() }
+    }
+
+    pub(crate) fn routes(&self) -> BTreeMap<NodeId, Route> {
+        let from_here = self.distances(self.here);
+        let from_neighbours: BTreeMap<_, _> = self
+            .links
+            .values()
+            .map(|a| (a.id, ()))
+            .map(|(id, ())| (id, self.distances(id)))
+            .collect();
+        from_here
+            .iter()
+            .filter(|(id, _)| **id != self.here)
+            .filter_map(|(id, distance)| Some((*id, self.route(*id, *distance, &from_neighbours)?)))
+            .collect()
+    }
+
+    fn route(
+        &self,
+        to: NodeId,
+        from_here: Distance,
+        from_neighbours: &BTreeMap<NodeId, BTreeMap<NodeId, Distance>>,
+    ) -> Option<Route> {
+        let mut ways: Vec<_> = self
+            .links
+            .iter()
+            .filter_map(|(number, link)| {
+                let from_neighbour = &from_neighbours[&link.id];
+                let rest = from_neighbour.get(&to)?;
+                let cost = rest.cost.saturating_add(link.cost.into());
+                // It would not come back here (RFC 5286, inequality 1).
+                let back = from_neighbour.get(&self.here).map_or(0, |back| back.cost);
+                let free = rest.cost < back.saturating_add(from_here.cost);
+                Some((cost, *number, link, link.mtu.min(rest.mtu), (rest.links, free)))
+            })
+            .collect();
+        ways.sort_by_key(|(cost, number, ..)| (*cost, *number));
+        let (cost, next, first, mtu, (relays, _)) = *ways.first()?;
+        let free =
+            |(_, _, link, _, (_, free)): &&(_, _, &Adjacent, _, _)| link.id == first.id || *free;
+        let alternate = ways[1..].iter().find(free);
+        let (mtu, relays) = alternate
+            .map_or((mtu, relays), |(.., other, (more, _))| (mtu.min(*other), relays.max(*more)));
+        let alternate = alternate.map(|(_, number, ..)| *number);
+        let (node, incarnation) = self.identity(to)?;
+        let mut route =
+            Route { node, incarnation, cost, next, alternate, chosen: None, mtu, relays };
+        if route.segment_limit() < SEGMENT_MIN {
+            return None;
+        }
+        route.chosen = route.choose(self.links, &[]);
+        Some(route)
+    }
+
+    /// A node's name and newest known life: its own words, or what a link to it has heard.
+    fn identity(&self, id: NodeId) -> Option<(NodeName, Incarnation)> {
+        let told = self.known.get(&id).map(|a| (a.node.clone(), a.stamp.incarnation));
+        let heard = self
+            .links
+            .values()
+            .filter(|link| link.id == id)
+            .map(|link| (link.neighbour.node.clone(), link.neighbour.incarnation));
+        heard.chain(told).max_by_key(|(_, incarnation)| *incarnation)
+    }
+
+    /// Dijkstra's algorithm; ties are broken by the nodes' numbers.
+    fn distances(&self, from: NodeId) -> BTreeMap<NodeId, Distance> {
+        let mut found = BTreeMap::new();
+        let mut edge_of_search = BinaryHeap::from([Reverse((0, from, Reverse(u16::MAX), 0u8))]);
+        while let Some(Reverse((cost, id, Reverse(mtu), links))) = edge_of_search.pop() {
+            if found.contains_key(&id) {
+                continue;
+            }
+            found.insert(id, Distance { cost, mtu, links });
+            for (to, step, limit) in self.edges(id) {
+                if found.contains_key(&to) {
+                    continue;
+                }
+                let Some((step, limit)) = self.agreed(id, to, step, limit) else { continue };
+                let cost: u32 = cost;
+                let mtu = Reverse(mtu.min(limit));
+                let reached = (cost.saturating_add(step.into()), to, mtu, links.saturating_add(1));
+                edge_of_search.push(Reverse(reached));
+            }
+        }
+        found
+    }
+
+    /// What an edge costs and carries that both its ends announce. The dearer and the narrower word counts:
+    /// nobody draws traffic by boasting alone.
+    fn agreed(&self, from: NodeId, to: NodeId, cost: u16, mtu: u16) -> Option<(u16, u16)> {
+        let (back, mtu_back) = self.back(to, from)?;
+        Some((cost.max(back), mtu.min(mtu_back)))
+    }
+
+    fn edges(&self, id: NodeId) -> Vec<(NodeId, u16, u16)> {
+        if id == self.here {
+            return self.links.values().map(|link| (link.id, link.cost, link.mtu)).collect();
+        }
+        self.announced(id).map(|edge| (edge.to, edge.cost, edge.mtu)).collect()
+    }
+
+    /// What another node says of its links; one that could not carry an announcement carries none of
+    /// our traffic either, and one to another life than the one that speaks does not lead to it.
+    fn announced(&self, id: NodeId) -> impl Iterator<Item = &Edge> {
+        let known = self.known.get(&id).map_or(&[][..], |known| &known.edges);
+        known.iter().filter(|edge| {
+            let told = self.known.get(&edge.to).map(|known| known.stamp.incarnation);
+            usize::from(edge.mtu) >= MTU_MIN
+                && told.is_none_or(|life| Edge::life_tag(life) == edge.life)
+        })
+    }
+
+    /// What `id` says of its link to `other`, if it says that it has one. Of our own links their hellos
+    /// have asked the other end; what they cost to there is our own word.
+    fn back(&self, id: NodeId, other: NodeId) -> Option<(u16, u16)> {
+        if id == self.here || other == self.here {
+            let neighbour = if id == self.here { other } else { id };
+            let own = self.links.values().filter(|link| link.id == neighbour);
+            let cheapest = own.min_by_key(|link| link.cost)?;
+            // Which of several is meant, whoever looks at each of them knows.
+            let cost = if other == self.here { 0 } else { cheapest.cost };
+            return Some((cost, u16::MAX));
+        }
+        let edge = self.announced(id).find(|edge| edge.to == other)?;
+        Some((edge.cost, edge.mtu))
+    }
+}

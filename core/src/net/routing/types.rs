@@ -1,0 +1,171 @@
+//! What a router is configured with, is told, and wants done.
+
+use super::LinkNumber;
+use crate::net::link::Neighbour;
+use crate::net::wire::node_id::NodeId;
+use crate::net::wire::packet::Undelivered;
+use crate::{Incarnation, NodeName, Parcel};
+use bytes::Bytes;
+use std::time::Duration;
+
+/// How a router behaves.
+#[derive(Clone, Debug)]
+pub struct RouterConfig {
+    /// Our own name.
+    pub node: NodeName,
+    /// Our own life.
+    pub incarnation: Incarnation,
+    /// The most nodes that are remembered; more are refused and counted. Bounds memory and the time
+    /// that a change takes.
+    pub nodes_max: usize,
+    /// How often we repeat what nothing has changed in. Shorter repairs sooner and costs more.
+    pub refresh: Duration,
+    /// A node that nobody has heard of for so long is forgotten. At least three times `refresh`.
+    pub lifetime: Duration,
+    /// How often neighbours compare what they know; ten times as rarely over narrow media.
+    pub compare: Duration,
+    /// After how long an advertisement is repeated that a neighbour has not confirmed; ten times as long
+    /// over narrow media.
+    pub resend: Duration,
+    /// How many nodes may pass a packet on, at most 31.
+    pub hops: u8,
+}
+
+impl RouterConfig {
+    /// The usual behaviour for this node.
+    pub fn new(node: NodeName, incarnation: Incarnation) -> Self {
+        RouterConfig {
+            node,
+            incarnation,
+            nodes_max: 256,
+            refresh: Duration::from_secs(10),
+            lifetime: Duration::from_secs(35),
+            compare: Duration::from_secs(1),
+            // Several round trips of any medium that a robot has, and still within one hello or two.
+            resend: Duration::from_millis(40),
+            hops: 16,
+        }
+    }
+}
+
+/// What a router must know of a link.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LinkStatus {
+    /// Who is at its other end.
+    pub neighbour: Neighbour,
+    /// It carries, or it does not.
+    pub health: Health,
+    /// How dear it is to use; the cheaper of two paths is taken. 0 counts as 1.
+    pub cost: u16,
+    /// The largest frame that it carries, in bytes.
+    pub mtu: usize,
+}
+
+/// Whether a link can be used, the best first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Health {
+    /// It carries.
+    Up,
+    /// It carries again, and has failed too often lately to be taken where there is another way.
+    Proving,
+    /// It may have failed: taken only where there is no other way.
+    Suspect,
+    /// It does not carry.
+    Down,
+}
+
+/// What a router tells of that goes on until somebody acts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Trouble {
+    /// Somebody announces links in this node's name.
+    Forged,
+    /// Two nodes have one name, or one number.
+    NameTaken,
+}
+
+/// What a router wants done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RouterOutput {
+    /// Give this to the link as the router's own.
+    Routing {
+        /// Which link.
+        link: LinkNumber,
+        /// What.
+        bytes: Bytes,
+    },
+    /// Give this packet to the link.
+    Packet {
+        /// Which link.
+        link: LinkNumber,
+        /// The packet.
+        packet: Parcel,
+    },
+    /// A segment arrived for our session with the source.
+    Segment {
+        /// Who sent it.
+        source: NodeId,
+        /// The segment.
+        segment: Bytes,
+        /// It came over a link with the source itself: nobody else can have made it up.
+        direct: bool,
+    },
+    /// A packet of ours could not be delivered.
+    Undelivered {
+        /// Where it should have gone.
+        destination: NodeId,
+        /// Why it did not.
+        reason: Undelivered,
+    },
+    /// The neighbour says by another way that it has given this link up: tell the link.
+    GivenUp {
+        /// Which.
+        link: LinkNumber,
+    },
+    /// A node can be reached, or has a new incarnation.
+    Reachable {
+        /// Which.
+        node: NodeName,
+        /// In which of its lives.
+        incarnation: Incarnation,
+        /// The largest segment that can be sent to it, in bytes.
+        mtu: usize,
+    },
+    /// What is sent to this node takes another way from now on. Repeat what is not acknowledged.
+    PathChanged {
+        /// Which.
+        node: NodeId,
+        /// The largest segment that can be sent to it, in bytes.
+        mtu: usize,
+    },
+    /// No path leads to a node any more.
+    Lost {
+        /// Which.
+        node: NodeName,
+        /// In which of its lives.
+        incarnation: Incarnation,
+    },
+    /// Again and again somebody announces links in this node's name. It is outdone each time.
+    Forged {
+        /// Who passed it on, and may have done so in good faith.
+        neighbour: NodeName,
+        /// How often within ten seconds.
+        times: u32,
+    },
+    /// Of this nothing was heard for a minute.
+    Over(Trouble),
+    /// Two names give one node number. The second is ignored; give it another name.
+    NumberTaken {
+        /// Who has it.
+        node: NodeName,
+        /// Who is ignored.
+        refused: NodeName,
+    },
+    /// Another node of our name is in the network. The older life is taken for it, and the other is kept
+    /// out by all.
+    NameTaken {
+        /// The other's incarnation.
+        incarnation: Incarnation,
+        /// Ours is the older life.
+        first: bool,
+    },
+}

@@ -1,0 +1,28 @@
+//! How large a message is, and so what it shares room with on its way to another node.
+//!
+//! Bulk has room of its own at each place where messages wait, so that it never fills that of what
+//! is small: an order finds room while images stand in a row. Within a [`Strand`](crate::net::Strand)
+//! both go in the order in which they were sent; what is small and of another one goes between the
+//! parts of what is large.
+
+/// Whether a message is small, or bulk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Load {
+    /// Of [`SMALL_MAX`](Load::SMALL_MAX) bytes at most: an order, a reading, the scan of a laser.
+    Small,
+    /// Larger: an image, a map.
+    Bulk,
+}
+
+impl Load {
+    /// The most bytes of a small message. The room that small ones have anywhere takes 64 of them at least.
+    pub const SMALL_MAX: usize = 16 * 1024;
+
+    /// Both, in the order of their places.
+    pub const ALL: [Load; 2] = [Load::Small, Load::Bulk];
+
+    /// What a message of so many bytes is.
+    pub fn of(bytes: usize) -> Self {
+        if bytes > Self::SMALL_MAX { Load::Bulk } else { Load::Small }
+    }
+}

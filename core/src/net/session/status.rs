@@ -1,0 +1,120 @@
+//! How a session stands, for people.
+
+use super::duplicates::Replicas;
+use super::round_trip::RoundTrip;
+use super::{STREAMS, Session, SessionCounters, State, lane};
+use crate::Incarnation;
+use crate::net::wire::Refusals;
+use crate::net::wire::segment::Stream;
+use std::fmt;
+use std::time::Duration;
+
+/// Where the dealings with a peer stand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SessionState {
+    /// No session is open, and none can be: no path leads to the peer.
+    Away,
+    /// A path leads there, and each says who it is.
+    Opening,
+    /// Messages go to and fro. Where the path has gone meanwhile, the session waits for another for two
+    /// seconds.
+    Open,
+    /// This node ends in order; what was sent is still being delivered.
+    Closing,
+    /// This node has ended in order, and opens no more.
+    Closed,
+}
+
+impl fmt::Display for SessionState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            SessionState::Away => "away",
+            SessionState::Opening => "opening",
+            SessionState::Open => "open",
+            SessionState::Closing => "closing",
+            SessionState::Closed => "closed",
+        })
+    }
+}
+
+/// A session at one moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SessionStanding {
+    /// Where it stands.
+    pub state: SessionState,
+    /// Which of the peer's lives it is with; `None` while there is none open.
+    pub incarnation: Option<Incarnation>,
+    /// The smoothed round trip.
+    pub round_trip: Option<Duration>,
+    /// Messages of the ordered streams that the peer has not acknowledged, sent or waiting.
+    pub unacknowledged: usize,
+    /// Parts of messages that are on their way and not believed lost.
+    pub in_flight: usize,
+    /// How many parts may be on their way at present: fewer after a loss, more while all goes well.
+    pub window: usize,
+    /// What it did so far.
+    pub counters: SessionCounters,
+    /// What was refused so far.
+    pub refusals: Refusals,
+}
+
+impl Session {
+    /// The peer's life that the present session is with.
+    pub fn peer(&self) -> Option<Incarnation> {
+        match self.state {
+            State::Open { peer } | State::Closing { peer, .. } => Some(peer.incarnation),
+            _ => None,
+        }
+    }
+
+    /// We ended in order; nothing is left to do.
+    pub fn is_closed(&self) -> bool {
+        self.state == State::Closed
+    }
+
+    /// The smoothed round trip to the peer.
+    pub fn round_trip(&self) -> Option<Duration> {
+        self.trips.iter().find_map(RoundTrip::smoothed)
+    }
+
+    /// What it did so far.
+    pub fn counters(&self) -> SessionCounters {
+        let unfinished = self.pieces.given_up + self.best_effort.unfinished();
+        let Replicas { dropped, missed, alone, .. } = self.replicas;
+        SessionCounters {
+            unfinished: self.counters.unfinished + unfinished,
+            replicas: self.counters.replicas + dropped,
+            missed: self.counters.missed + missed,
+            alone: self.counters.alone + alone,
+            ..self.counters
+        }
+    }
+
+    /// What was refused so far.
+    pub fn refusals(&self) -> Refusals {
+        self.refusals
+    }
+
+    /// How it stands now.
+    pub fn standing(&self) -> SessionStanding {
+        let state = match self.state {
+            State::Idle => SessionState::Away,
+            State::Opening { .. } if self.path.is_none() => SessionState::Away,
+            State::Opening { .. } => SessionState::Opening,
+            State::Open { .. } => SessionState::Open,
+            State::Closing { .. } => SessionState::Closing,
+            State::Closed => SessionState::Closed,
+        };
+        let held = STREAMS.map(|stream| self.streams[stream as usize].outbound.messages());
+        SessionStanding {
+            state,
+            incarnation: self.peer(),
+            round_trip: self.round_trip(),
+            unacknowledged: held.iter().sum(),
+            in_flight: self.flying(lane(Stream::Data)) + self.flying(lane(Stream::Redundant)),
+            window: self.congestion.min(self.config.window as usize),
+            counters: self.counters(),
+            refusals: self.refusals(),
+        }
+    }
+}

@@ -1,0 +1,342 @@
+//! What routers tell their neighbours: who has which links, and who knows what.
+//!
+//! ```text
+//! announce:  0 │ advertisement … to the frame's end
+//! have:      1 │ range 0 or 1 │ first 4 │ last 4 │ stamp … to the frame's end
+//! dispute:   2 │ stamp 16 │ n 1 │ name n
+//! defend:    3 │ incarnation 8 │ advertisement
+//! numbered:  4 │ link 2
+//! gave up:   5 │ link 2
+//!
+//! advertisement: stamp 16 │ n 1 │ name n │ count 1 │ count × (neighbour 4, life 1, cost 2, mtu 2)
+//! stamp:         origin 4 │ incarnation 8 │ sequence 4
+//! ```
+//!
+//! A count of 128 withdraws the advertisement of that stamp. Only so can an origin get rid of what
+//! somebody else has said in its name under the highest sequence, or of a life that it never had
+//! (RFC 2328, 12.1.6 and 14.1, where an age does the same).
+//!
+//! Flooding is reliable hop by hop, as in IS-IS: an advertisement is repeated until the neighbour
+//! says that it has it (or a newer one). A `have` with a range lists everything between two nodes'
+//! numbers, so that what is missing in it is known to be missing.
+
+use super::node_id::NodeId;
+use super::{Reader, WireError, Write};
+use crate::net::routing::LinkNumber;
+use crate::{Incarnation, NodeName};
+use bytes::{BufMut, Bytes, BytesMut};
+
+/// The most neighbours that one node may have: its advertisement takes 626 bytes then, which is one frame of most
+/// media, and seven of the smallest.
+pub const NEIGHBOURS_MAX: usize = 64;
+/// The bytes of one stamp.
+pub(crate) const STAMP: usize = 16;
+/// The bytes of a `have` without its stamps.
+pub(crate) const HAVE_HEADER: usize = 10;
+
+const ANNOUNCE: u8 = 0;
+const HAVE: u8 = 1;
+const WITHDRAWN: u8 = 128;
+const DISPUTE: u8 = 2;
+const DEFEND: u8 = 3;
+const NUMBERED: u8 = 4;
+const GAVE_UP: u8 = 5;
+
+/// Which advertisement: of two of one origin, the greater is the newer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Stamp {
+    /// Whose.
+    pub origin: NodeId,
+    /// In which of its lives.
+    pub incarnation: Incarnation,
+    /// The n-th of that life.
+    pub sequence: u32,
+}
+
+/// One node's links, as it sees them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Advertisement {
+    /// Which.
+    pub stamp: Stamp,
+    /// The origin's name.
+    pub node: NodeName,
+    /// Whom it has links to, at most [`NEIGHBOURS_MAX`].
+    pub edges: Vec<Edge>,
+    /// The one of this stamp is void; it has no edges.
+    pub withdrawn: bool,
+}
+
+/// One link, in one direction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Edge {
+    /// To whom.
+    pub to: NodeId,
+    /// To which of its lives, as [`life_tag`](Edge::life_tag) has it: while a node begins anew, some know
+    /// its new life already, and their links lead nobody to the old one.
+    pub life: u8,
+    /// How dear it is to use; at least 1.
+    pub cost: u16,
+    /// The largest frame that it carries, in bytes; saturates.
+    pub mtu: u16,
+}
+
+/// What a router says to its neighbour's.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Routing {
+    /// These are the newest that I know.
+    Announce(Vec<Advertisement>),
+    /// I have these.
+    Have {
+        /// Of all origins from the first to the last, I have exactly these.
+        range: Option<(NodeId, NodeId)>,
+        /// Which. A sequence of 0 asks for the origin's advertisement.
+        stamps: Vec<Stamp>,
+    },
+    /// A later life of a node has come up, while routes lead to an older one: is that still there?
+    Dispute {
+        /// The later life; its sequence says nothing.
+        contender: Stamp,
+        /// The name of both.
+        node: NodeName,
+    },
+    /// The older life is there.
+    Defend {
+        /// The later life, which is another node.
+        against: Incarnation,
+        /// The older one's newest.
+        advertisement: Advertisement,
+    },
+    /// I call this link so.
+    Numbered(LinkNumber),
+    /// Another link between us, which you call so, carries no more at this end.
+    GaveUp(LinkNumber),
+}
+
+impl Edge {
+    /// What an edge says of a life: its last eight bits, which two lives that follow each other share by
+    /// chance at most.
+    pub fn life_tag(incarnation: Incarnation) -> u8 {
+        incarnation.0 as u8
+    }
+}
+
+impl Stamp {
+    fn put(&self, bytes: &mut BytesMut) {
+        bytes.put_u32(self.origin.0);
+        bytes.put_u64(self.incarnation.0);
+        bytes.put_u32(self.sequence);
+    }
+
+    fn read(reader: &mut Reader) -> Result<Stamp, WireError> {
+        Ok(Stamp {
+            origin: NodeId(reader.u32()?),
+            incarnation: Incarnation(reader.u64()?),
+            sequence: reader.u32()?,
+        })
+    }
+}
+
+impl Advertisement {
+    /// How many bytes it takes.
+    pub(crate) fn length(&self) -> usize {
+        STAMP + 2 + self.node.as_str().len() + 9 * self.edges.len()
+    }
+
+    /// What takes this one back.
+    pub(crate) fn withdrawal(&self) -> Advertisement {
+        let node = self.node.clone();
+        Advertisement { stamp: self.stamp, node, edges: Vec::new(), withdrawn: true }
+    }
+
+    fn put(&self, bytes: &mut BytesMut) {
+        self.stamp.put(bytes);
+        bytes.sized(self.node.as_str().as_bytes());
+        if self.withdrawn {
+            return bytes.put_u8(WITHDRAWN);
+        }
+        bytes.put_u8(self.edges.len().min(NEIGHBOURS_MAX) as u8);
+        for edge in self.edges.iter().take(NEIGHBOURS_MAX) {
+            bytes.put_u32(edge.to.0);
+            bytes.put_u8(edge.life);
+            bytes.put_u16(edge.cost);
+            bytes.put_u16(edge.mtu);
+        }
+    }
+
+    fn read(reader: &mut Reader) -> Result<Advertisement, WireError> {
+        let stamp = Stamp::read(reader)?;
+        let node: NodeName = reader.parsed("a node's name")?;
+        if NodeId::of(&node) != stamp.origin || stamp.sequence == 0 {
+            return Err(WireError::Malformed { what: "an advertisement's origin" });
+        }
+        let count = reader.u8()?;
+        if count == WITHDRAWN {
+            return Ok(Advertisement { stamp, node, edges: Vec::new(), withdrawn: true });
+        }
+        let count = usize::from(count);
+        if count > NEIGHBOURS_MAX {
+            return Err(WireError::TooLarge { what: "an advertisement" });
+        }
+        let mut edges = Vec::with_capacity(count);
+        for _ in 0..count {
+            let (to, life) = (NodeId(reader.u32()?), reader.u8()?);
+            let edge = Edge { to, life, cost: reader.u16()?, mtu: reader.u16()? };
+            if edge.cost == 0 {
+                return Err(WireError::Malformed { what: "a link's cost" });
+            }
+            edges.push(edge);
+        }
+        Ok(Advertisement { stamp, node, edges, withdrawn: false })
+    }
+}
+
+impl Routing {
+    /// Its bytes.
+    pub fn encode(&self) -> Bytes {
+        let mut bytes = BytesMut::new();
+        match self {
+            Routing::Announce(advertisements) => {
+                bytes.put_u8(ANNOUNCE);
+                for advertisement in advertisements {
+                    advertisement.put(&mut bytes);
+                }
+            }
+            Routing::Have { range, stamps } => {
+                bytes.put_u8(HAVE);
+                let (first, last) = range.unwrap_or((NodeId(0), NodeId(0)));
+                bytes.put_u8(range.is_some().into());
+                bytes.put_u32(first.0);
+                bytes.put_u32(last.0);
+                for stamp in stamps {
+                    stamp.put(&mut bytes);
+                }
+            }
+            Routing::Dispute { contender, node } => {
+                bytes.put_u8(DISPUTE);
+                contender.put(&mut bytes);
+                bytes.sized(node.as_str().as_bytes());
+            }
+            Routing::Defend { against, advertisement } => {
+                bytes.put_u8(DEFEND);
+                bytes.put_u64(against.0);
+                advertisement.put(&mut bytes);
+            }
+            Routing::Numbered(link) | Routing::GaveUp(link) => {
+                let gave_up = matches!(self, Routing::GaveUp(_));
+                bytes.put_u8(if gave_up { GAVE_UP } else { NUMBERED });
+                bytes.put_u16(link.0);
+            }
+        }
+        bytes.freeze()
+    }
+
+    /// Reads what a neighbour's router said.
+    ///
+    /// # Errors
+    /// [`WireError`] for anything that [`encode`](Routing::encode) does not write.
+    pub fn decode(bytes: Bytes) -> Result<Routing, WireError> {
+        let mut reader = Reader::new(bytes);
+        match reader.u8()? {
+            ANNOUNCE => {
+                let mut advertisements = Vec::new();
+                while !reader.is_empty() {
+                    advertisements.push(Advertisement::read(&mut reader)?);
+                }
+                Ok(Routing::Announce(advertisements))
+            }
+            HAVE => {
+                let ranged = match reader.u8()? {
+                    0 => false,
+                    1 => true,
+                    _ => return Err(WireError::Malformed { what: "a have's range" }),
+                };
+                let range = (NodeId(reader.u32()?), NodeId(reader.u32()?));
+                let mut stamps = Vec::new();
+                while !reader.is_empty() {
+                    stamps.push(Stamp::read(&mut reader)?);
+                }
+                Ok(Routing::Have { range: ranged.then_some(range), stamps })
+            }
+            DISPUTE => {
+                let contender = Stamp::read(&mut reader)?;
+                let node: NodeName = reader.parsed("a node's name")?;
+                if NodeId::of(&node) != contender.origin {
+                    return Err(WireError::Malformed { what: "a dispute's origin" });
+                }
+                Ok(Routing::Dispute { contender, node })
+            }
+            DEFEND => {
+                let against = Incarnation(reader.u64()?);
+                let advertisement = Advertisement::read(&mut reader)?;
+                Ok(Routing::Defend { against, advertisement })
+            }
+            kind @ (NUMBERED | GAVE_UP) => {
+                let link = LinkNumber(reader.u16()?);
+                reader.end("a link's number")?;
+                Ok(if kind == GAVE_UP { Routing::GaveUp(link) } else { Routing::Numbered(link) })
+            }
+            _ => Err(WireError::Malformed { what: "a routing message's kind" }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn advertisement() -> Advertisement {
+        let node = NodeName::new("m1").unwrap();
+        let stamp = Stamp { origin: NodeId::of(&node), incarnation: Incarnation(2), sequence: 3 };
+        let edges = vec![Edge { to: NodeId(9), life: 7, cost: 10, mtu: 1400 }];
+        Advertisement { stamp, node, edges, withdrawn: false }
+    }
+
+    #[test]
+    fn the_bytes_of_routing_messages_are_these_for_ever() {
+        let origin = NodeId::of(&NodeName::new("m1").unwrap()).0.to_be_bytes();
+        let stamp = [&origin[..], &[0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3]].concat();
+        let announce = [&[0], &stamp[..], b"\x02m1\x01\0\0\0\x09\x07\0\x0a\x05\x78"].concat();
+        assert_eq!(&Routing::Announce(vec![advertisement()]).encode()[..], announce);
+        let range = Some((NodeId(1), NodeId(2)));
+        let have = Routing::Have { range, stamps: vec![advertisement().stamp] };
+        assert_eq!(&have.encode()[..], [b"\x01\x01\0\0\0\x01\0\0\0\x02", &stamp[..]].concat());
+    }
+
+    #[test]
+    fn routing_messages_come_back_as_they_were_and_cut_ones_do_not() {
+        let withdrawal = advertisement().withdrawal();
+        let announce = Routing::Announce(vec![advertisement(), withdrawal, advertisement()]);
+        assert_eq!(Routing::decode(announce.encode()), Ok(announce));
+        for range in [None, Some((NodeId(0), NodeId(u32::MAX)))] {
+            let have = Routing::Have { range, stamps: vec![advertisement().stamp; 3] };
+            assert_eq!(Routing::decode(have.encode()), Ok(have));
+        }
+        let contender = Stamp { sequence: 0, ..advertisement().stamp };
+        let dispute = Routing::Dispute { contender, node: advertisement().node };
+        assert_eq!(Routing::decode(dispute.encode()), Ok(dispute));
+        let against = Incarnation(9);
+        let defend = Routing::Defend { against, advertisement: advertisement() };
+        assert_eq!(Routing::decode(defend.encode()), Ok(defend));
+        for (said, bytes) in [
+            (Routing::Numbered(LinkNumber(0x0102)), b"\x04\x01\x02"),
+            (Routing::GaveUp(LinkNumber(0x0102)), b"\x05\x01\x02"),
+        ] {
+            assert_eq!(&said.encode()[..], bytes);
+            assert_eq!(Routing::decode(said.encode()), Ok(said));
+            assert!(Routing::decode([&bytes[..], b"\0"].concat().into()).is_err());
+        }
+        let one = Routing::Announce(vec![advertisement()]).encode();
+        assert_eq!(one.len(), 1 + advertisement().length());
+        for cut in 2..one.len() {
+            assert_eq!(Routing::decode(one.slice(..cut)), Err(WireError::Truncated));
+        }
+    }
+
+    #[test]
+    fn an_advertisement_whose_number_is_not_its_names_is_refused() {
+        let mut forged = advertisement();
+        forged.stamp.origin = NodeId(1);
+        let bytes = Routing::Announce(vec![forged]).encode();
+        assert!(matches!(Routing::decode(bytes), Err(WireError::Malformed { .. })));
+    }
+}

@@ -1,0 +1,343 @@
+//! The frame: what one link gives one transport.
+//!
+//! ```text
+//!      0        1
+//! ┌────────┬────────┬──────────────────────────────┐
+//! │ 1011 v │  kind  │ hello, routing, data         │   v = version of the protocol, 1
+//! │        │        │ greeting, or routing part    │
+//! └────────┴────────┴──────────────────────────────┘
+//!
+//! hello, kind 0, 38 bytes and the name:
+//!      2         10         14           18     19       21               29      33      37    38
+//! ┌────────┬───────────┬──────────┬─────────────┬──────┬──────┬──────────────┬───────┬──────┬───┬──────┐
+//! │ 1011 v │incarnation│ sequence │ interval µs │stance│loss ‰│ echoed       │echoed │held  │ n │ name │
+//! │   0    │     8     │    4     │     4       │  1   │  2   │ incarnation 8│ seq. 4│ µs 4 │ 1 │  n   │
+//! └────────┴───────────┴──────────┴─────────────┴──────┴──────┴──────────────┴───────┴──────┴───┴──────┘
+//! ```
+//!
+//! The echo says which hello of the neighbour arrived last and how long ago: the neighbour learns
+//! that it is heard, and the round trip without any clock in common. Stance and loss say what this end
+//! thinks of the link, so that both ends use it, or neither. Numbers are big-endian.
+//! On a bus one [greeting](super::bus_hello), kind 3, goes to all in place of a hello to each.
+//!
+//! What a router says and no frame of the medium carries whole goes in parts, kind 4: one byte, which part
+//! it is from 0, with 128 added to the last, then the bytes.
+//!
+//! A frame ends where the transport says that it ends; integrity is the transport's business.
+
+use super::bus_hello::Greeting;
+use super::{Reader, WireError, Write, packet};
+use crate::{Incarnation, NodeName, Parcel};
+use bytes::{BufMut, Bytes, BytesMut};
+
+/// The protocol's version: the low half of the first byte.
+pub const VERSION: u8 = 1;
+/// The high half of the first byte.
+const MAGIC: u8 = 0xb0;
+/// The bytes that a frame puts before what it carries.
+pub const FRAME_HEADER: usize = 2;
+
+const HELLO: u8 = 0;
+const ROUTING: u8 = 1;
+const DATA: u8 = 2;
+const GREETING: u8 = 3;
+const ROUTING_PART: u8 = 4;
+
+/// What one link says to the link at the other end.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Frame {
+    /// I live, and I hear you.
+    Hello(Hello),
+    /// For the neighbour's router itself: what it should know of the network.
+    Routing(Bytes),
+    /// A packet on its way.
+    Data(Parcel),
+    /// I live, and this is what I hear of each of you.
+    Greeting(Greeting),
+    /// A part of what the neighbour's router should know, where no frame carries it whole.
+    RoutingPart(RoutingPart),
+}
+
+/// A part of something of the router's.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RoutingPart {
+    /// Which, from 0 to [`INDEX_MAX`](RoutingPart::INDEX_MAX).
+    pub index: u8,
+    /// It is the last.
+    pub last: bool,
+    /// The bytes.
+    pub bytes: Bytes,
+}
+
+/// A link's sign of life.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Hello {
+    /// Who says it.
+    pub node: NodeName,
+    /// In which of its lives.
+    pub incarnation: Incarnation,
+    /// The number of the interval in which it was sent, counted from the link's start.
+    pub sequence: u32,
+    /// How long an interval is, in microseconds.
+    pub interval_us: u32,
+    /// Whether it would use the link.
+    pub stance: Stance,
+    /// How many of a thousand of the other's hellos it has lost lately.
+    pub loss_permille: u16,
+    /// What it last heard of the one that it speaks to; `None` if nothing yet.
+    pub echo: Option<Echo>,
+}
+
+/// What one end of a link thinks of it. Both ends must be ready before either uses it, and one that
+/// gives it up takes the other along: no end sends what the other would not take (as in BFD, RFC 5880).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stance {
+    /// It knows nothing yet: it has just begun, or begun anew.
+    Unproved,
+    /// It has given the link up, which has not proved itself since.
+    Down,
+    /// It uses the link, or would if the other did.
+    Ready,
+}
+
+/// What a node last heard of its neighbour.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Echo {
+    /// The neighbour's incarnation. Never 0.
+    pub incarnation: Incarnation,
+    /// The number of its last hello.
+    pub sequence: u32,
+    /// How long ago it came, in microseconds; saturates.
+    pub held_us: u32,
+}
+
+impl Frame {
+    /// The frame's bytes, in one piece.
+    pub fn encode(&self) -> Bytes {
+        self.parcel().into_bytes()
+    }
+
+    /// The frame's bytes. What is large of what it carries is not copied.
+    pub fn parcel(&self) -> Parcel {
+        match self {
+            Frame::Hello(hello) => hello.encode().into(),
+            Frame::Routing(bytes) => wrap(ROUTING, &bytes.clone().into()),
+            Frame::Data(packet) => wrap(DATA, packet),
+            Frame::Greeting(greeting) => {
+                let mut bytes = BytesMut::with_capacity(greeting.length_at_most());
+                bytes.put_u8(MAGIC | VERSION);
+                bytes.put_u8(GREETING);
+                greeting.encode(&mut bytes);
+                bytes.freeze().into()
+            }
+            Frame::RoutingPart(part) => {
+                let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 1 + part.bytes.len());
+                bytes.put_u8(MAGIC | VERSION);
+                bytes.put_u8(ROUTING_PART);
+                let last = if part.last { RoutingPart::LAST } else { 0 };
+                bytes.put_u8(last | part.index & RoutingPart::INDEX_MAX);
+                bytes.put_slice(&part.bytes);
+                bytes.freeze().into()
+            }
+        }
+    }
+
+    /// Reads a frame.
+    ///
+    /// # Errors
+    /// [`WireError`] for anything that [`encode`](Frame::encode) does not write.
+    pub fn decode(bytes: Bytes) -> Result<Frame, WireError> {
+        let mut reader = Reader::new(bytes);
+        let first = reader.u8()?;
+        if first & 0xf0 != MAGIC {
+            return Err(WireError::Foreign { first });
+        }
+        let theirs = first & 0x0f;
+        if theirs != VERSION {
+            return Err(WireError::Version { theirs, ours: VERSION });
+        }
+        match reader.u8()? {
+            HELLO => Hello::decode(reader).map(Frame::Hello),
+            ROUTING => Ok(Frame::Routing(reader.rest())),
+            DATA => Ok(Frame::Data(reader.rest().into())),
+            GREETING => Greeting::decode(reader).map(Frame::Greeting),
+            ROUTING_PART => {
+                let first = reader.u8()?;
+                let (index, last) =
+                    (first & RoutingPart::INDEX_MAX, first & RoutingPart::LAST != 0);
+                Ok(Frame::RoutingPart(RoutingPart { index, last, bytes: reader.rest() }))
+            }
+            _ => Err(WireError::Malformed { what: "a frame's kind" }),
+        }
+    }
+}
+
+impl RoutingPart {
+    /// The number of the last of the most parts.
+    pub const INDEX_MAX: u8 = 127;
+    const LAST: u8 = 128;
+}
+
+/// Whether these bytes are a hello, or a greeting. They go before all else: a link that they do not keep
+/// up carries nothing.
+pub fn is_hello(frame: &Parcel) -> bool {
+    matches!(frame.pieces()[0], [_, HELLO | GREETING, ..])
+}
+
+/// Whether these bytes of a frame should overtake what waits for a slow medium: hellos, what routers tell
+/// each other, and packets of the class [`Control`](crate::net::Class::Control), such as acknowledgements.
+pub fn is_urgent(frame: &Parcel) -> bool {
+    let [head, body] = frame.pieces();
+    match head {
+        // A packet in one piece, which is too large to be copied behind this header.
+        [_, DATA] => packet::is_control(body),
+        [_, DATA, packet @ ..] => packet::is_control(packet),
+        [_, kind, ..] => *kind != DATA,
+        _ => false,
+    }
+}
+
+fn wrap(kind: u8, payload: &Parcel) -> Parcel {
+    let mut bytes = BytesMut::with_capacity(FRAME_HEADER + payload.copied());
+    bytes.put_u8(MAGIC | VERSION);
+    bytes.put_u8(kind);
+    payload.behind(bytes)
+}
+
+impl Hello {
+    fn encode(&self) -> Bytes {
+        let nothing = Echo { incarnation: Incarnation(0), sequence: 0, held_us: 0 };
+        let echo = self.echo.unwrap_or(nothing);
+        let mut bytes = BytesMut::with_capacity(38 + self.node.as_str().len());
+        bytes.put_u8(MAGIC | VERSION);
+        bytes.put_u8(HELLO);
+        bytes.put_u64(self.incarnation.0);
+        bytes.put_u32(self.sequence);
+        bytes.put_u32(self.interval_us);
+        bytes.put_u8(self.stance as u8);
+        bytes.put_u16(self.loss_permille);
+        bytes.put_u64(echo.incarnation.0);
+        bytes.put_u32(echo.sequence);
+        bytes.put_u32(echo.held_us);
+        bytes.sized(self.node.as_str().as_bytes());
+        bytes.freeze()
+    }
+
+    fn decode(mut reader: Reader) -> Result<Hello, WireError> {
+        let incarnation = Incarnation(reader.u64()?);
+        let sequence = reader.u32()?;
+        let interval_us = reader.u32()?;
+        let stance = match reader.u8()? {
+            0 => Stance::Unproved,
+            1 => Stance::Down,
+            2 => Stance::Ready,
+            _ => return Err(WireError::Malformed { what: "a hello's stance" }),
+        };
+        let loss_permille = reader.u16()?;
+        let echo = Echo {
+            incarnation: Incarnation(reader.u64()?),
+            sequence: reader.u32()?,
+            held_us: reader.u32()?,
+        };
+        let node = reader.parsed("a node's name")?;
+        reader.end("a hello")?;
+        if incarnation == Incarnation(0) {
+            return Err(WireError::Malformed { what: "an incarnation" });
+        }
+        let echo = (echo.incarnation != Incarnation(0)).then_some(echo);
+        Ok(Hello { node, incarnation, sequence, interval_us, stance, loss_permille, echo })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::net::wire::node_id::NodeId;
+    use crate::net::wire::packet::{Class, Packet, Payload};
+
+    fn hello() -> Hello {
+        Hello {
+            node: NodeName::new("m1").unwrap(),
+            incarnation: Incarnation(0x0102),
+            sequence: 3,
+            interval_us: 50_000,
+            stance: Stance::Ready,
+            loss_permille: 0x0102,
+            echo: Some(Echo { incarnation: Incarnation(0x0a), sequence: 9, held_us: 0x100 }),
+        }
+    }
+
+    #[test]
+    fn the_bytes_of_a_frame_are_these_for_ever() {
+        let golden: &[u8] = &[
+            0xb1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 0, 0, 0, 3, 0, 0, 0xc3, 0x50, 2, 1, 2, 0, 0, 0, 0, 0,
+            0, 0, 0x0a, 0, 0, 0, 9, 0, 0, 1, 0, 2, b'm', b'1',
+        ];
+        assert_eq!(&Frame::Hello(hello()).encode()[..], golden);
+        assert_eq!(&Frame::Data(Bytes::from_static(b"xy").into()).encode()[..], b"\xb1\x02xy");
+        assert_eq!(&Frame::Routing(Bytes::from_static(b"z")).encode()[..], b"\xb1\x01z");
+        let part = RoutingPart { index: 3, last: true, bytes: Bytes::from_static(b"z") };
+        assert_eq!(&Frame::RoutingPart(part).encode()[..], b"\xb1\x04\x83z");
+    }
+
+    #[test]
+    fn a_frame_comes_back_as_it_was() {
+        let nothing_heard = Hello { echo: None, ..hello() };
+        let part = |last| RoutingPart { index: 127, last, bytes: Bytes::from_static(b"z") };
+        for frame in [
+            Frame::Hello(hello()),
+            Frame::Hello(nothing_heard),
+            Frame::Data(Bytes::new().into()),
+            Frame::RoutingPart(part(false)),
+            Frame::RoutingPart(part(true)),
+        ] {
+            assert_eq!(Frame::decode(frame.encode()), Ok(frame));
+        }
+    }
+
+    #[test]
+    fn hellos_and_routing_and_control_are_urgent_and_messages_are_not() {
+        let check = |frame: Frame, expected| assert_eq!(is_urgent(&frame.parcel()), expected);
+        check(Frame::Hello(hello()), true);
+        check(Frame::Routing(Bytes::from_static(b"z")), true);
+        assert!(is_hello(&Frame::Hello(hello()).parcel()));
+        assert!(!is_hello(&Frame::Routing(Bytes::new()).parcel()));
+        for (class, expected) in
+            [(Class::Control, true), (Class::Data, false), (Class::Bulk, false)]
+        {
+            let copy =
+                Payload::Copy { copy: 1, relays: vec![NodeId(3)], segment: Bytes::new().into() };
+            for payload in [Payload::Segment(Bytes::new().into()), copy] {
+                let (destination, source) = (NodeId(1), NodeId(2));
+                let packet =
+                    Packet { class, hops: 1, destination, source, passed: vec![], payload };
+                check(Frame::Data(packet.encode().into()), expected);
+            }
+            // As large as is no longer copied, and after somebody has passed it on.
+            for (length, passed) in (3_900..4_200).flat_map(|n| [(n, vec![]), (n, vec![NodeId(3)])])
+            {
+                let payload = Payload::Segment(Bytes::from(vec![7; length]).into());
+                let (destination, source) = (NodeId(1), NodeId(2));
+                let packet = Packet { class, hops: 1, destination, source, passed, payload };
+                check(Frame::Data(packet.parcel()), expected);
+            }
+        }
+        assert!(!is_urgent(&Parcel::default()));
+    }
+
+    #[test]
+    fn what_is_no_frame_is_refused_with_the_reason() {
+        let check = |bytes: &[u8], expected| {
+            assert_eq!(Frame::decode(Bytes::copy_from_slice(bytes)), Err(expected));
+        };
+        check(b"", WireError::Truncated);
+        check(b"GET / HTTP/1.1", WireError::Foreign { first: b'G' });
+        check(&[0xb2, 0], WireError::Version { theirs: 2, ours: 1 });
+        check(&[0xb1, 9], WireError::Malformed { what: "a frame's kind" });
+        let good = Frame::Hello(hello()).encode();
+        for cut in 1..good.len() {
+            check(&good[..cut], WireError::Truncated);
+        }
+        check(&[&good[..], b"!"].concat(), WireError::TooLarge { what: "a hello" });
+    }
+}

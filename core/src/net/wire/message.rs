@@ -1,0 +1,570 @@
+//! What nodes say to each other within a session: bindings, requests, events, names, faults.
+//!
+//! ```text
+//! kind 1 │ fields in the order of the variant
+//! ```
+//! Numbers are of variable length, texts and byte strings stand after their length, a last byte
+//! string without. Stamps are microseconds since the session began, on the sender's clock; those of
+//! requests, and their deadlines, tenths of a millisecond. An error is encoded as [`Why`] by the codec;
+//! it is no daily traffic.
+//!
+//! ```text
+//!   one node                                  the other
+//!      │ bind 1: laser, laser/scan v1 ──────────► │  the first message of a contract to an object
+//!      │ ◄─────────────────────────── bound 1     │
+//!      │ request 7 through binding 1 ───────────► │  9 bytes before the message's own, in an hour 10
+//!      │ ◄─────────────────────────── reply 7     │
+//!      │ tell through binding 1 ────────────────► │  the laser's queue is full: it waits there
+//!      │ ◄─────────────────────────── full 1      │  no more of these, until
+//!      │ ◄─────────────────────────── room 1      │
+//! ```
+
+use super::{Reader, WireError, Write};
+use crate::contract::codec;
+use crate::{MessageId, ObjectName, Parcel, Why};
+use bytes::{BufMut, Bytes, BytesMut};
+
+/// The longest name of a topic, in bytes.
+const TOPIC_MAX: usize = 255;
+/// The most bytes of a contract's identity: what [`PeerIdentity::decode`](crate::PeerIdentity::decode)
+/// takes.
+const IDENTITY_MAX: usize = 16 * 1024;
+/// The most bytes of an error. The longest shows 24 lines of differences.
+const WHY_MAX: usize = 8 * 1024;
+
+/// The unit of a request's times, in microseconds: shorter numbers, and fine enough for deadlines.
+pub const TICK_US: u64 = 100;
+/// The most versions of one contract that a listener understands.
+pub const FORMS_MAX: usize = 16;
+
+/// What two nodes say to each other.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Message {
+    /// I shall send messages of this contract to this object under this number.
+    Bind {
+        /// The number, chosen by the sender; good for this session.
+        binding: u32,
+        /// Whom.
+        object: ObjectName,
+        /// The contract as the sender knows it, an encoded [`PeerIdentity`](crate::PeerIdentity).
+        identity: Bytes,
+    },
+    /// The contract is the same here, and the object takes it.
+    Bound {
+        /// Which.
+        binding: u32,
+    },
+    /// It cannot be.
+    BindRefused {
+        /// Which.
+        binding: u32,
+        /// Why.
+        why: Why,
+        /// The contract as the receiver knows it; empty if it does not.
+        identity: Bytes,
+    },
+    /// A message that wants a reply.
+    Request {
+        /// The binding.
+        binding: u32,
+        /// By which number to reply.
+        call: u64,
+        /// When it was sent, in ticks.
+        stamp: u64,
+        /// How long after that it may begin to be served, in ticks; 0 for ever.
+        within: u64,
+        /// By which identity a repeated message is known.
+        id: Option<MessageId>,
+        /// The message.
+        payload: Parcel,
+    },
+    /// The reply.
+    Reply {
+        /// To which request.
+        call: u64,
+        /// The encoded reply, or why there is none.
+        result: Result<Parcel, Why>,
+    },
+    /// A message that wants no reply.
+    Tell {
+        /// The binding.
+        binding: u32,
+        /// When it was sent.
+        stamp_us: u64,
+        /// By which identity a repeated message is known.
+        id: Option<MessageId>,
+        /// The message.
+        payload: Parcel,
+    },
+    /// Send me what is published with you on this topic.
+    Subscribe {
+        /// The number, chosen by the listener; good for this session. Events of the n-th version below
+        /// come under this number and n.
+        subscription: u32,
+        /// The topic.
+        topic: String,
+        /// The contract as the listener knows it, and then the earlier versions that it understands.
+        identities: Vec<Bytes>,
+    },
+    /// The contract is another here; nothing will come.
+    SubscribeRefused {
+        /// Which.
+        subscription: u32,
+        /// Why.
+        why: Why,
+    },
+    /// Nobody here listens any more.
+    Unsubscribe {
+        /// Which.
+        subscription: u32,
+    },
+    /// Something was published.
+    Event {
+        /// For which subscription.
+        subscription: u32,
+        /// When it was published.
+        stamp_us: u64,
+        /// The event.
+        payload: Parcel,
+    },
+    /// A fault, for the receiver's recoverer.
+    Notice {
+        /// By which number to confirm.
+        number: u64,
+        /// The fault, as the fault chain encodes it.
+        payload: Parcel,
+    },
+    /// The fault has arrived.
+    Confirmed {
+        /// Which.
+        number: u64,
+    },
+    /// Objects of this node have come and gone.
+    Names {
+        /// When this was sent. A session begins with such a message, so that the age of what follows
+        /// can be measured against one that came without delay.
+        stamp_us: u64,
+        /// Everything said before is void: these are all.
+        complete: bool,
+        /// Who came.
+        added: Vec<ObjectName>,
+        /// Who went.
+        removed: Vec<ObjectName>,
+    },
+    /// This node ends in order and will not be back soon: do not take it for lost.
+    Bye,
+    /// The object behind this binding has no room: send it nothing until I say so. What is under way
+    /// waits here.
+    Full {
+        /// Which.
+        binding: u32,
+    },
+    /// It has room again.
+    Room {
+        /// Which.
+        binding: u32,
+    },
+}
+
+const BIND: u8 = 0;
+const BOUND: u8 = 1;
+const BIND_REFUSED: u8 = 2;
+const REQUEST: u8 = 3;
+const REPLY: u8 = 4;
+const REPLY_FAILED: u8 = 5;
+const TELL: u8 = 6;
+const SUBSCRIBE: u8 = 7;
+const SUBSCRIBE_REFUSED: u8 = 8;
+const UNSUBSCRIBE: u8 = 9;
+const EVENT: u8 = 10;
+const NOTICE: u8 = 11;
+const CONFIRMED: u8 = 12;
+const NAMES: u8 = 13;
+const BYE: u8 = 14;
+const FULL: u8 = 15;
+const ROOM: u8 = 16;
+
+impl Message {
+    /// The message's bytes. A large payload is not copied.
+    pub fn encode(&self) -> Parcel {
+        let payload = self.payload();
+        let mut bytes = BytesMut::with_capacity(24 + payload.map_or(0, Parcel::copied));
+        self.put_head(&mut bytes);
+        match payload {
+            Some(payload) => payload.behind(bytes),
+            None => bytes.freeze().into(),
+        }
+    }
+
+    /// What it ends with, as it is.
+    fn payload(&self) -> Option<&Parcel> {
+        match self {
+            Message::Request { payload, .. }
+            | Message::Tell { payload, .. }
+            | Message::Event { payload, .. }
+            | Message::Notice { payload, .. }
+            | Message::Reply { result: Ok(payload), .. } => Some(payload),
+            _ => None,
+        }
+    }
+
+    /// Writes all that stands before the payload.
+    fn put_head(&self, bytes: &mut BytesMut) {
+        match self {
+            Message::Bind { binding, object, identity } => {
+                numbered(bytes, BIND, *binding);
+                bytes.sized(object.as_str().as_bytes());
+                bytes.put_slice(identity);
+            }
+            Message::Bound { binding } => numbered(bytes, BOUND, *binding),
+            Message::BindRefused { binding, why, identity } => {
+                numbered(bytes, BIND_REFUSED, *binding);
+                bytes.sized(&encode_why(why));
+                bytes.put_slice(identity);
+            }
+            Message::Request { binding, call, stamp, within, id, payload: _ } => {
+                numbered(bytes, REQUEST, *binding);
+                [call, stamp, within].into_iter().for_each(|number| bytes.varint(*number));
+                put_id(bytes, *id);
+            }
+            Message::Reply { call, result: Ok(_) } => {
+                bytes.put_u8(REPLY);
+                bytes.varint(*call);
+            }
+            Message::Reply { call, result: Err(why) } => {
+                bytes.put_u8(REPLY_FAILED);
+                bytes.varint(*call);
+                bytes.sized(&encode_why(why));
+            }
+            Message::Tell { binding, stamp_us, id, payload: _ } => {
+                numbered(bytes, TELL, *binding);
+                bytes.varint(*stamp_us);
+                put_id(bytes, *id);
+            }
+            Message::Subscribe { subscription, topic, identities } => {
+                numbered(bytes, SUBSCRIBE, *subscription);
+                bytes.sized(topic.as_bytes());
+                identities.iter().for_each(|identity| bytes.sized(identity));
+            }
+            Message::SubscribeRefused { subscription, why } => {
+                numbered(bytes, SUBSCRIBE_REFUSED, *subscription);
+                bytes.sized(&encode_why(why));
+            }
+            Message::Unsubscribe { subscription } => {
+                numbered(bytes, UNSUBSCRIBE, *subscription);
+            }
+            Message::Event { subscription, stamp_us, payload: _ } => {
+                numbered(bytes, EVENT, *subscription);
+                bytes.varint(*stamp_us);
+            }
+            Message::Notice { number, payload: _ } => {
+                bytes.put_u8(NOTICE);
+                bytes.varint(*number);
+            }
+            Message::Confirmed { number } => {
+                bytes.put_u8(CONFIRMED);
+                bytes.varint(*number);
+            }
+            Message::Names { stamp_us, complete, added, removed } => {
+                bytes.put_u8(NAMES);
+                bytes.varint(*stamp_us);
+                bytes.put_u8((*complete).into());
+                for names in [added, removed] {
+                    bytes.varint(names.len() as u64);
+                    names.iter().for_each(|name| bytes.sized(name.as_str().as_bytes()));
+                }
+            }
+            Message::Bye => bytes.put_u8(BYE),
+            Message::Full { binding } => numbered(bytes, FULL, *binding),
+            Message::Room { binding } => numbered(bytes, ROOM, *binding),
+        }
+    }
+
+    /// Reads a message.
+    ///
+    /// # Errors
+    /// [`WireError`] for anything that [`encode`](Message::encode) does not write.
+    pub fn decode(bytes: Bytes) -> Result<Message, WireError> {
+        let mut reader = Reader::new(bytes);
+        let what = "a message";
+        Ok(match reader.u8()? {
+            BIND => Message::Bind {
+                binding: number(&mut reader)?,
+                object: reader.parsed("an object's name")?,
+                identity: rest(reader, IDENTITY_MAX, "a contract's identity")?,
+            },
+            BOUND => {
+                let binding = number(&mut reader)?;
+                reader.end(what)?;
+                Message::Bound { binding }
+            }
+            BIND_REFUSED => Message::BindRefused {
+                binding: number(&mut reader)?,
+                why: read_why(&mut reader)?,
+                identity: rest(reader, IDENTITY_MAX, "a contract's identity")?,
+            },
+            REQUEST => Message::Request {
+                binding: number(&mut reader)?,
+                call: reader.varint()?,
+                stamp: reader.varint()?,
+                within: reader.varint()?,
+                id: read_id(&mut reader)?,
+                payload: reader.rest().into(),
+            },
+            REPLY => Message::Reply { call: reader.varint()?, result: Ok(reader.rest().into()) },
+            REPLY_FAILED => {
+                let call = reader.varint()?;
+                let why = read_why(&mut reader)?;
+                reader.end(what)?;
+                Message::Reply { call, result: Err(why) }
+            }
+            TELL => Message::Tell {
+                binding: number(&mut reader)?,
+                stamp_us: reader.varint()?,
+                id: read_id(&mut reader)?,
+                payload: reader.rest().into(),
+            },
+            SUBSCRIBE => Message::Subscribe {
+                subscription: number(&mut reader)?,
+                topic: reader.text(TOPIC_MAX, "a topic's name")?,
+                identities: read_identities(reader)?,
+            },
+            SUBSCRIBE_REFUSED => {
+                let subscription = number(&mut reader)?;
+                let why = read_why(&mut reader)?;
+                reader.end(what)?;
+                Message::SubscribeRefused { subscription, why }
+            }
+            UNSUBSCRIBE => {
+                let subscription = number(&mut reader)?;
+                reader.end(what)?;
+                Message::Unsubscribe { subscription }
+            }
+            EVENT => Message::Event {
+                subscription: number(&mut reader)?,
+                stamp_us: reader.varint()?,
+                payload: reader.rest().into(),
+            },
+            NOTICE => Message::Notice { number: reader.varint()?, payload: reader.rest().into() },
+            CONFIRMED => {
+                let number = reader.varint()?;
+                reader.end(what)?;
+                Message::Confirmed { number }
+            }
+            NAMES => {
+                let stamp_us = reader.varint()?;
+                let complete = reader.u8()? != 0;
+                let added = read_names(&mut reader)?;
+                let removed = read_names(&mut reader)?;
+                reader.end(what)?;
+                Message::Names { stamp_us, complete, added, removed }
+            }
+            BYE => {
+                reader.end(what)?;
+                Message::Bye
+            }
+            FULL => {
+                let binding = number(&mut reader)?;
+                reader.end(what)?;
+                Message::Full { binding }
+            }
+            ROOM => {
+                let binding = number(&mut reader)?;
+                reader.end(what)?;
+                Message::Room { binding }
+            }
+            _ => return Err(WireError::Malformed { what: "a message's kind" }),
+        })
+    }
+}
+
+fn numbered(bytes: &mut BytesMut, kind: u8, number: u32) {
+    bytes.put_u8(kind);
+    bytes.varint(number.into());
+}
+
+fn number(reader: &mut Reader) -> Result<u32, WireError> {
+    u32::try_from(reader.varint()?).map_err(|_| WireError::TooLarge { what: "a number" })
+}
+
+fn rest(reader: Reader, limit: usize, what: &'static str) -> Result<Bytes, WireError> {
+    let rest = reader.rest();
+    if rest.len() > limit { Err(WireError::TooLarge { what }) } else { Ok(rest) }
+}
+
+fn read_identities(mut reader: Reader) -> Result<Vec<Bytes>, WireError> {
+    let what = "a contract's identity";
+    let mut identities = Vec::new();
+    while !reader.is_empty() {
+        if identities.len() == FORMS_MAX {
+            return Err(WireError::TooLarge { what });
+        }
+        identities.push(reader.sized(IDENTITY_MAX, what)?);
+    }
+    Ok(identities)
+}
+
+/// One byte, 0, where there is none.
+fn put_id(bytes: &mut BytesMut, id: Option<MessageId>) {
+    bytes.put_u8(id.is_some().into());
+    if let Some(MessageId { sender, sequence }) = id {
+        bytes.put_u64(sender);
+        bytes.varint(sequence);
+    }
+}
+
+fn read_id(reader: &mut Reader) -> Result<Option<MessageId>, WireError> {
+    match reader.u8()? {
+        0 => Ok(None),
+        1 => Ok(Some(MessageId { sender: reader.u64()?, sequence: reader.varint()? })),
+        _ => Err(WireError::Malformed { what: "a message's identity" }),
+    }
+}
+
+fn encode_why(why: &Why) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
+        // Its text is longer than any that this program writes: the kind is what counts.
+        let reason = why.to_string().chars().take(1024).collect();
+        let short = Why::Undecodable { reason };
+        codec::encode_bounded(&short, WHY_MAX, &mut bytes).expect("1024 letters fit");
+    }
+    bytes
+}
+
+fn read_why(reader: &mut Reader) -> Result<Why, WireError> {
+    let bytes = reader.sized(WHY_MAX, "an error")?;
+    codec::decode_bounded::<Why, WHY_MAX>(&bytes)
+        .map_err(|_| WireError::Malformed { what: "an error" })
+}
+
+fn read_names(reader: &mut Reader) -> Result<Vec<ObjectName>, WireError> {
+    let count = reader.varint()?;
+    // No room is taken on the strength of a promise: each name costs at least two bytes.
+    let mut names = Vec::new();
+    for _ in 0..count {
+        names.push(reader.parsed("an object's name")?);
+    }
+    Ok(names)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn examples() -> Vec<(Message, &'static [u8])> {
+        let object = ObjectName::new("arm").unwrap();
+        let payload = Bytes::from_static(b"xy");
+        let id = Some(MessageId { sender: 2, sequence: 300 });
+        let unknown = Why::Stopped;
+        vec![
+            (
+                Message::Bind { binding: 1, object: object.clone(), identity: payload.clone() },
+                b"\0\x01\x03armxy",
+            ),
+            (Message::Bound { binding: 200 }, b"\x01\xc8\x01"),
+            (
+                Message::BindRefused { binding: 1, why: unknown.clone(), identity: Bytes::new() },
+                b"\x02\x01\x01\x02",
+            ),
+            (
+                Message::Request {
+                    binding: 1,
+                    call: 7,
+                    stamp: 300,
+                    within: 5,
+                    id: None,
+                    payload: payload.clone().into(),
+                },
+                b"\x03\x01\x07\xac\x02\x05\0xy",
+            ),
+            (
+                Message::Request {
+                    binding: 1,
+                    call: 7,
+                    stamp: 0,
+                    within: 0,
+                    id,
+                    payload: payload.clone().into(),
+                },
+                b"\x03\x01\x07\0\0\x01\0\0\0\0\0\0\0\x02\xac\x02xy",
+            ),
+            (Message::Reply { call: 7, result: Ok(payload.clone().into()) }, b"\x04\x07xy"),
+            (Message::Reply { call: 7, result: Err(unknown.clone()) }, b"\x05\x07\x01\x02"),
+            (
+                Message::Tell {
+                    binding: 1,
+                    stamp_us: 9,
+                    id: None,
+                    payload: payload.clone().into(),
+                },
+                b"\x06\x01\x09\0xy",
+            ),
+            (
+                Message::Subscribe {
+                    subscription: 3,
+                    topic: "t".into(),
+                    identities: vec![payload.clone(), payload.clone()],
+                },
+                b"\x07\x03\x01t\x02xy\x02xy",
+            ),
+            (Message::SubscribeRefused { subscription: 3, why: unknown }, b"\x08\x03\x01\x02"),
+            (Message::Unsubscribe { subscription: 3 }, b"\x09\x03"),
+            (
+                Message::Event { subscription: 3, stamp_us: 300, payload: payload.clone().into() },
+                b"\x0a\x03\xac\x02xy",
+            ),
+            (Message::Notice { number: 4, payload: payload.into() }, b"\x0b\x04xy"),
+            (Message::Confirmed { number: 4 }, b"\x0c\x04"),
+            (
+                Message::Names {
+                    stamp_us: 0,
+                    complete: true,
+                    added: vec![object.clone()],
+                    removed: vec![object],
+                },
+                b"\x0d\0\x01\x01\x03arm\x01\x03arm",
+            ),
+            (Message::Bye, b"\x0e"),
+            (Message::Full { binding: 200 }, b"\x0f\xc8\x01"),
+            (Message::Room { binding: 200 }, b"\x10\xc8\x01"),
+        ]
+    }
+
+    #[test]
+    fn the_bytes_of_messages_are_these_for_ever_and_come_back() {
+        for (message, golden) in examples() {
+            assert_eq!(message.encode().into_bytes(), golden, "{message:?}");
+            assert_eq!(Message::decode(Bytes::from_static(golden)), Ok(message));
+        }
+    }
+
+    #[test]
+    fn cut_and_foreign_messages_are_refused() {
+        for (message, golden) in examples() {
+            // Whatever is cut off a last byte string is not missed here.
+            for cut in 0..golden.len().saturating_sub(2) {
+                if let Ok(other) = Message::decode(Bytes::from_static(&golden[..cut])) {
+                    assert_ne!(other, message);
+                }
+            }
+        }
+        for foreign in
+            [&b"\x11"[..], b"\x01\x01!", b"\x0d\0\0\xff\xff\x7f\x01a", b"\x05\x07\x01\x63"]
+        {
+            assert!(Message::decode(Bytes::copy_from_slice(foreign)).is_err(), "{foreign:?}");
+        }
+    }
+
+    #[test]
+    fn an_error_too_long_to_send_is_sent_short() {
+        let why = Why::ContractDiffers { difference: "x".repeat(100_000) };
+        let message = Message::Reply { call: 1, result: Err(why) };
+        let Ok(Message::Reply { result: Err(short), .. }) =
+            Message::decode(message.encode().into_bytes())
+        else {
+            panic!("it did not come back");
+        };
+        assert!(short.to_string().contains("the contract differs"));
+    }
+}

@@ -1,0 +1,491 @@
+//! The segment: what two sessions say to each other, whatever path lies between them.
+//!
+//! The first byte holds the kind in its upper three bits and flags below. Every segment but an open
+//! carries its receiver's tag, a number that the receiver chose for this session and no other: what
+//! was meant for an earlier session, or an earlier life, is known by it. Lengths in bytes; `v` is a
+//! number of one byte up to 127, two up to 16383, and so on.
+//!
+//! ```text
+//! open         000 00000 │ version 1 │ tag 4 │ echo 4 │ incarnation 8 │ number 4
+//! data         001 palfs │ tag 4 │ sequence v │ p: index v, count v │ a: ack │ payload
+//! redundant    111 palfr │ as data, and a copy goes over every way
+//! datagram     010 p0000 │ tag 4 │ channel v │ sequence v │ p: index v, count v │ payload
+//! acknowledge  011 00rdc │ tag 4 │ c: ack of the control stream │ d: of the data stream │ r: of the
+//!                        redundant one
+//! close        100 00000 │ tag 4
+//! closed       101 00000 │ tag 4
+//! reset        110 00000 │ tag 4, the one that the segment carried which nobody knows
+//!
+//! s     stream: 0 control, 1 data
+//! r     sent again: no copy of what was sent before
+//! f, l  the first, the last part of a message; with both the payload is one or more whole messages,
+//!       each after its length v; the first of several parts begins with the whole length v
+//! p     one of `count` pieces of what was cut for a larger MTU
+//! ack   next expected v │ window v │ n 1 │ n × (gap v, length v): beyond, these arrived as well
+//! ```
+
+use super::{Reader, WireError, Write, varint_length};
+use crate::{Incarnation, Parcel};
+use bytes::{BufMut, Bytes, BytesMut};
+
+/// The most ranges that one acknowledgement lists; the rest is listed in later ones.
+pub const RANGES_MAX: usize = 16;
+/// The most pieces of one thing. A part never needs so many; a message that is not repeated is refused when it
+/// would, which in the smallest segments is one of more than 228 KiB.
+pub const PIECES_MAX: u16 = 4096;
+
+/// The most bytes that say which piece it is.
+pub(crate) const PIECE_HEADER: usize = 4;
+
+/// The bytes that a data segment puts before its payload, acknowledgement and pieces apart.
+pub(crate) fn data_header(sequence: u64) -> usize {
+    1 + 4 + varint_length(sequence)
+}
+
+/// Which of a session's ordered streams. Control goes first when both wait.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Stream {
+    /// What keeps the robot together: bindings, faults, commands to recover.
+    Control,
+    /// What objects say to each other.
+    Data,
+    /// What they say over every way at once.
+    Redundant,
+}
+
+/// What two sessions say to each other.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Segment {
+    /// This is me; this is what I know of you.
+    Open(Open),
+    /// A part of an ordered stream.
+    Data(Data),
+    /// A message, or a piece of one, that is not repeated.
+    Datagram(Datagram),
+    /// What has arrived.
+    Acknowledge {
+        /// The receiver's tag.
+        tag: u32,
+        /// For the control stream.
+        control: Option<Ack>,
+        /// For the data stream.
+        data: Option<Ack>,
+        /// For the redundant stream.
+        redundant: Option<Ack>,
+    },
+    /// All that I had to say is said and acknowledged.
+    Close {
+        /// The receiver's tag.
+        tag: u32,
+    },
+    /// I have heard the close.
+    Closed {
+        /// The receiver's tag.
+        tag: u32,
+    },
+    /// There is no session with this tag here.
+    Reset {
+        /// The tag that is not known.
+        tag: u32,
+    },
+}
+
+/// The handshake.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Open {
+    /// The version of the session's protocol.
+    pub version: u8,
+    /// The sender's tag.
+    pub tag: u32,
+    /// The receiver's tag, as the sender knows it; 0 for not at all.
+    pub echo: u32,
+    /// The sender's life.
+    pub incarnation: Incarnation,
+    /// The n-th session of that life.
+    pub number: u32,
+}
+
+/// A part of an ordered stream.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Data {
+    /// The receiver's tag.
+    pub tag: u32,
+    /// Which stream.
+    pub stream: Stream,
+    /// Its place there.
+    pub sequence: u64,
+    /// A message begins here.
+    pub first: bool,
+    /// A message ends here.
+    pub last: bool,
+    /// It was sent before. Told on the redundant stream only, where copies are counted.
+    pub again: bool,
+    /// This is not the whole part.
+    pub piece: Option<Piece>,
+    /// What has arrived in the other direction.
+    pub ack: Option<Ack>,
+    /// The bytes.
+    pub payload: Parcel,
+}
+
+/// A message that is not repeated.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Datagram {
+    /// The receiver's tag.
+    pub tag: u32,
+    /// Of one channel, the newest message counts and no older one.
+    pub channel: u32,
+    /// Its place in its channel.
+    pub sequence: u64,
+    /// This is not the whole message.
+    pub piece: Option<Piece>,
+    /// The bytes.
+    pub payload: Parcel,
+}
+
+/// One of several pieces.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Piece {
+    /// Which, from 0.
+    pub index: u16,
+    /// How many there are, 2 to [`PIECES_MAX`].
+    pub count: u16,
+}
+
+/// What has arrived of a stream.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Ack {
+    /// The first that has not.
+    pub next: u64,
+    /// How many from there on the receiver takes.
+    pub window: u32,
+    /// What has arrived beyond, rising: first and last of each run. At most [`RANGES_MAX`].
+    pub ranges: Vec<(u64, u64)>,
+}
+
+const OPEN: u8 = 0;
+const DATA: u8 = 1;
+const DATAGRAM: u8 = 2;
+const ACKNOWLEDGE: u8 = 3;
+const CLOSE: u8 = 4;
+const CLOSED: u8 = 5;
+const RESET: u8 = 6;
+const REDUNDANT: u8 = 7;
+
+impl Segment {
+    /// The segment's bytes, in one piece.
+    pub fn encode(&self) -> Bytes {
+        self.parcel().into_bytes()
+    }
+
+    /// The segment's bytes. What is large of what it carries is not copied.
+    pub fn parcel(&self) -> Parcel {
+        match self {
+            Segment::Open(open) => {
+                let mut bytes = begin(OPEN, 0, 22);
+                bytes.put_u8(open.version);
+                bytes.put_u32(open.tag);
+                bytes.put_u32(open.echo);
+                bytes.put_u64(open.incarnation.0);
+                bytes.put_u32(open.number);
+                bytes.freeze().into()
+            }
+            Segment::Data(data) => data.parcel(),
+            Segment::Datagram(datagram) => datagram.parcel(),
+            Segment::Acknowledge { tag, control, data, redundant } => {
+                let flags = u8::from(control.is_some())
+                    | u8::from(data.is_some()) << 1
+                    | u8::from(redundant.is_some()) << 2;
+                let mut bytes = begin(ACKNOWLEDGE, flags, 32);
+                bytes.put_u32(*tag);
+                for ack in [control, data, redundant].into_iter().flatten() {
+                    ack.put(&mut bytes);
+                }
+                bytes.freeze().into()
+            }
+            Segment::Close { tag } => tagged(CLOSE, *tag),
+            Segment::Closed { tag } => tagged(CLOSED, *tag),
+            Segment::Reset { tag } => tagged(RESET, *tag),
+        }
+    }
+
+    /// Reads a segment.
+    ///
+    /// # Errors
+    /// [`WireError`] for anything that [`encode`](Segment::encode) does not write.
+    pub fn decode(bytes: Bytes) -> Result<Segment, WireError> {
+        let mut reader = Reader::new(bytes);
+        let first = reader.u8()?;
+        let (kind, flags) = (first >> 5, first & 0x1f);
+        let allowed = match kind {
+            DATA | REDUNDANT => 0b11111,
+            DATAGRAM => 0b10000,
+            ACKNOWLEDGE => 0b00111,
+            _ => 0,
+        };
+        if flags & !allowed != 0 {
+            return Err(WireError::Malformed { what: "a segment's flags" });
+        }
+        if kind == OPEN {
+            return Open::read(reader).map(Segment::Open);
+        }
+        let tag = reader.u32()?;
+        match kind {
+            DATA | REDUNDANT => Data::read(kind, tag, flags, reader).map(Segment::Data),
+            DATAGRAM => Datagram::read(tag, flags, reader).map(Segment::Datagram),
+            ACKNOWLEDGE => {
+                let mut ack = |bit| (flags & bit != 0).then(|| Ack::read(&mut reader)).transpose();
+                let (control, data, redundant) = (ack(1)?, ack(2)?, ack(4)?);
+                reader.end("an acknowledgement")?;
+                Ok(Segment::Acknowledge { tag, control, data, redundant })
+            }
+            // Three bits have no other value.
+            _ => {
+                reader.end("a segment")?;
+                Ok(match kind {
+                    CLOSE => Segment::Close { tag },
+                    CLOSED => Segment::Closed { tag },
+                    _ => Segment::Reset { tag },
+                })
+            }
+        }
+    }
+}
+
+fn begin(kind: u8, flags: u8, length: usize) -> BytesMut {
+    let mut bytes = BytesMut::with_capacity(length);
+    bytes.put_u8(kind << 5 | flags);
+    bytes
+}
+
+fn tagged(kind: u8, tag: u32) -> Parcel {
+    let mut bytes = begin(kind, 0, 5);
+    bytes.put_u32(tag);
+    bytes.freeze().into()
+}
+
+impl Open {
+    fn read(mut reader: Reader) -> Result<Open, WireError> {
+        let version = reader.u8()?;
+        let (tag, echo) = (reader.u32()?, reader.u32()?);
+        let incarnation = Incarnation(reader.u64()?);
+        let number = reader.u32()?;
+        reader.end("an open")?;
+        if tag == 0 {
+            return Err(WireError::Malformed { what: "a tag" });
+        }
+        Ok(Open { version, tag, echo, incarnation, number })
+    }
+}
+
+impl Data {
+    fn parcel(&self) -> Parcel {
+        let (kind, lowest) = match self.stream {
+            Stream::Control => (DATA, false),
+            Stream::Data => (DATA, true),
+            Stream::Redundant => (REDUNDANT, self.again),
+        };
+        let flags = u8::from(lowest)
+            | u8::from(self.first) << 1
+            | u8::from(self.last) << 2
+            | u8::from(self.ack.is_some()) << 3
+            | u8::from(self.piece.is_some()) << 4;
+        let mut bytes = begin(kind, flags, data_header(self.sequence) + 16 + self.payload.copied());
+        bytes.put_u32(self.tag);
+        bytes.varint(self.sequence);
+        Piece::put(self.piece, &mut bytes);
+        if let Some(ack) = &self.ack {
+            ack.put(&mut bytes);
+        }
+        self.payload.behind(bytes)
+    }
+
+    fn read(kind: u8, tag: u32, flags: u8, mut reader: Reader) -> Result<Data, WireError> {
+        let lowest = flags & 1 != 0;
+        let (stream, again) = match (kind, lowest) {
+            (REDUNDANT, again) => (Stream::Redundant, again),
+            (_, true) => (Stream::Data, false),
+            (_, false) => (Stream::Control, false),
+        };
+        let sequence = reader.varint()?;
+        let piece = Piece::read(flags, &mut reader)?;
+        let ack = (flags & 8 != 0).then(|| Ack::read(&mut reader)).transpose()?;
+        let (first, last) = (flags & 2 != 0, flags & 4 != 0);
+        let payload = reader.rest().into();
+        Ok(Data { tag, stream, sequence, first, last, again, piece, ack, payload })
+    }
+}
+
+impl Datagram {
+    fn parcel(&self) -> Parcel {
+        let flags = u8::from(self.piece.is_some()) << 4;
+        let mut bytes = begin(DATAGRAM, flags, 24 + self.payload.copied());
+        bytes.put_u32(self.tag);
+        bytes.varint(self.channel.into());
+        bytes.varint(self.sequence);
+        Piece::put(self.piece, &mut bytes);
+        self.payload.behind(bytes)
+    }
+
+    fn read(tag: u32, flags: u8, mut reader: Reader) -> Result<Datagram, WireError> {
+        let channel = u32::try_from(reader.varint()?)
+            .map_err(|_| WireError::TooLarge { what: "a channel's number" })?;
+        let sequence = reader.varint()?;
+        let piece = Piece::read(flags, &mut reader)?;
+        Ok(Datagram { tag, channel, sequence, piece, payload: reader.rest().into() })
+    }
+}
+
+impl Piece {
+    fn put(piece: Option<Piece>, bytes: &mut BytesMut) {
+        if let Some(Piece { index, count }) = piece {
+            bytes.varint(index.into());
+            bytes.varint(count.into());
+        }
+    }
+
+    fn read(flags: u8, reader: &mut Reader) -> Result<Option<Piece>, WireError> {
+        if flags & 16 == 0 {
+            return Ok(None);
+        }
+        let (index, count) = (reader.varint()?, reader.varint()?);
+        if count < 2 || count > u64::from(PIECES_MAX) || index >= count {
+            return Err(WireError::Malformed { what: "a piece's place" });
+        }
+        Ok(Some(Piece { index: index as u16, count: count as u16 }))
+    }
+}
+
+impl Ack {
+    /// How many bytes it takes.
+    pub(in crate::net) fn length(&self) -> usize {
+        let mut length = varint_length(self.next) + varint_length(self.window.into()) + 1;
+        let mut before = self.next;
+        for (first, last) in self.ranges.iter().take(RANGES_MAX) {
+            length += varint_length(first - before) + varint_length(last - first);
+            before = *last;
+        }
+        length
+    }
+
+    fn put(&self, bytes: &mut BytesMut) {
+        bytes.varint(self.next);
+        bytes.varint(self.window.into());
+        bytes.put_u8(self.ranges.len().min(RANGES_MAX) as u8);
+        let mut before = self.next;
+        for (first, last) in self.ranges.iter().take(RANGES_MAX) {
+            bytes.varint(first - before);
+            bytes.varint(last - first);
+            before = *last;
+        }
+    }
+
+    fn read(reader: &mut Reader) -> Result<Ack, WireError> {
+        let malformed = || WireError::Malformed { what: "an acknowledgement" };
+        let next = reader.varint()?;
+        let window = u32::try_from(reader.varint()?).unwrap_or(u32::MAX);
+        let count = usize::from(reader.u8()?);
+        if count > RANGES_MAX {
+            return Err(malformed());
+        }
+        let mut before = next;
+        let mut ranges = Vec::with_capacity(count);
+        for _ in 0..count {
+            let first = before.checked_add(reader.varint()?).ok_or_else(malformed)?;
+            let last = first.checked_add(reader.varint()?).ok_or_else(malformed)?;
+            ranges.push((first, last));
+            before = last;
+        }
+        Ok(Ack { next, window, ranges })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn examples() -> Vec<(Segment, &'static [u8])> {
+        let version = crate::net::session::VERSION;
+        let open = Open { version, tag: 7, echo: 0, incarnation: Incarnation(2), number: 3 };
+        let ack = Ack { next: 5, window: 200, ranges: vec![(7, 8), (300, 300)] };
+        let data = Data {
+            tag: 0x01020304,
+            stream: Stream::Data,
+            sequence: 300,
+            first: true,
+            last: true,
+            again: false,
+            piece: None,
+            ack: None,
+            payload: Bytes::from_static(b"\x02hi").into(),
+        };
+        let piece = Some(Piece { index: 1, count: 2 });
+        let acking = Data { piece, ack: Some(ack.clone()), ..data.clone() };
+        let copied = Data { stream: Stream::Redundant, again: true, ..data.clone() };
+        let datagram = Datagram {
+            tag: 1,
+            channel: 4,
+            sequence: 9,
+            piece: None,
+            payload: Bytes::from_static(b"x").into(),
+        };
+        vec![
+            (
+                Segment::Open(open),
+                &[0, 2, 0, 0, 0, 7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3],
+            ),
+            (Segment::Data(copied), b"\xe7\x01\x02\x03\x04\xac\x02\x02hi"),
+            (Segment::Data(data), b"\x27\x01\x02\x03\x04\xac\x02\x02hi"),
+            (
+                Segment::Data(acking),
+                b"\x3f\x01\x02\x03\x04\xac\x02\x01\x02\x05\xc8\x01\x02\x02\x01\xa4\x02\x00\x02hi",
+            ),
+            (Segment::Datagram(datagram), b"\x40\0\0\0\x01\x04\x09x"),
+            (
+                Segment::Acknowledge {
+                    tag: 1,
+                    control: None,
+                    data: None,
+                    redundant: Some(ack.clone()),
+                },
+                b"\x64\0\0\0\x01\x05\xc8\x01\x02\x02\x01\xa4\x02\x00",
+            ),
+            (
+                Segment::Acknowledge { tag: 1, control: None, data: Some(ack), redundant: None },
+                b"\x62\0\0\0\x01\x05\xc8\x01\x02\x02\x01\xa4\x02\x00",
+            ),
+            (Segment::Close { tag: 1 }, b"\x80\0\0\0\x01"),
+            (Segment::Closed { tag: 1 }, b"\xa0\0\0\0\x01"),
+            (Segment::Reset { tag: 1 }, b"\xc0\0\0\0\x01"),
+        ]
+    }
+
+    #[test]
+    fn the_bytes_of_segments_are_these_for_ever_and_come_back() {
+        for (segment, golden) in examples() {
+            assert_eq!(&segment.encode()[..], golden, "{segment:?}");
+            assert_eq!(Segment::decode(Bytes::from_static(golden)), Ok(segment));
+        }
+    }
+
+    #[test]
+    fn what_no_session_writes_is_refused() {
+        let check = |bytes: &'static [u8]| {
+            let refused = Segment::decode(Bytes::from_static(bytes));
+            assert!(matches!(refused, Err(WireError::Malformed { .. })), "{refused:?}");
+        };
+        check(b"\x68\0\0\0\x01");
+        check(b"\x81\0\0\0\x01");
+        check(b"\x30\0\0\0\x01\x01\x02\x02");
+        check(b"\x62\0\0\0\x01\x05\x05\x11");
+        check(b"\x62\0\0\0\x01\x05\x05\x01\xff\xff\xff\xff\xff\xff\xff\xff\xff\x01\x01");
+        for (segment, golden) in examples() {
+            if !matches!(segment, Segment::Data(_) | Segment::Datagram(_)) {
+                for cut in 0..golden.len() {
+                    let refused = Segment::decode(Bytes::from_static(&golden[..cut]));
+                    assert_eq!(refused, Err(WireError::Truncated), "{segment:?} {cut}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,247 @@
+//! A bad cable between a link and any transport, for tests and demonstrations.
+
+use crate::medium::{BUDGET, Medium, transport};
+use crate::upstream::Outlet;
+use actix::{AsyncContext, Context, Handler, MessageResult, ResponseFuture};
+use blastema_contract::transport::{
+    Attach, Close, Cut, Impair, InjectedFaults, Partition, ReadCounters, ReadInjectedFaults,
+    Received, Restore, Transmit, Transport, TransportReport,
+};
+use blastema_core::medium::impairment::Impairer;
+use blastema_core::{Instant, Machine};
+use std::future::Future;
+use std::pin::Pin;
+use std::task;
+use tokio::time::Sleep;
+
+/// What a [`Faulty`] begins with.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct FaultyConfig {
+    /// All that is left to chance follows from it.
+    pub seed: u64,
+    /// How many frames are held back in each direction at most; beyond, they are lost and counted.
+    /// It bounds the product of delay and rate.
+    pub limit: usize,
+    /// The clock by which frames are held back.
+    pub now: fn() -> Instant,
+}
+
+impl FaultyConfig {
+    /// The clock must be the one on which this arbiter's timers run.
+    pub fn new(seed: u64, now: fn() -> Instant) -> Self {
+        FaultyConfig { seed, limit: 4096, now }
+    }
+}
+
+/// Stands between a link and a transport, and does to frames what it is told: loss, delay, duplication,
+/// reordering, corruption, a limited rate ([`Impair`]), a cut, noticed or silent ([`Cut`]), a partition
+/// from some peers ([`Partition`]), and the mending ([`Restore`]).
+///
+/// ```text
+/// link ──Transmit──► Faulty ──Transmit──► transport
+///      ◄─Received──         ◄─Received──
+/// ```
+///
+/// At first it does nothing to them. Its counters are those of the transport.
+pub struct Faulty {
+    config: FaultyConfig,
+    inner: Transport,
+    outlet: Outlet,
+    outgoing: Impairer<Transmit>,
+    incoming: Impairer<Received>,
+    /// Where the transport stands, however the cable is.
+    state: Option<TransportReport>,
+    /// The cut is one that a medium notices.
+    cut_is_reported: bool,
+    timer: Option<(Instant, Pin<Box<Sleep>>)>,
+}
+
+impl Faulty {
+    /// A cable before `inner`; it attaches itself there when it is started.
+    pub fn new(inner: Transport, config: FaultyConfig) -> Self {
+        // Two directions, two sequences: traffic one way does not change the other's fate.
+        let (outgoing, incoming) = (config.seed, !config.seed);
+        Faulty {
+            inner,
+            outlet: Outlet::default(),
+            outgoing: Impairer::new(outgoing, config.limit),
+            incoming: Impairer::new(incoming, config.limit),
+            state: None,
+            cut_is_reported: false,
+            timer: None,
+            config,
+        }
+    }
+
+    fn announce(&mut self) {
+        if self.cut_is_reported {
+            self.outlet.announce_closed("the cable is cut, on purpose: mend it".into());
+        } else if let Some(state) = self.state.clone() {
+            self.outlet.announce(state);
+        }
+    }
+}
+
+impl Medium for Faulty {
+    fn outlet(&mut self) -> &mut Outlet {
+        &mut self.outlet
+    }
+
+    fn open(&mut self, context: &mut Context<Self>) {
+        let (frames, reports) = (context.address().recipient(), context.address().recipient());
+        self.inner.attach.do_send(Attach { frames, reports });
+        self.announce();
+    }
+
+    fn transmit(&mut self, message: Transmit) {
+        self.outgoing.handle_frame(message, (self.config.now)());
+    }
+
+    fn pump(&mut self, task: &mut task::Context<'_>) {
+        loop {
+            let now = (self.config.now)();
+            self.outgoing.handle_timeout(now);
+            self.incoming.handle_timeout(now);
+            while let Some(message) = self.outgoing.poll_output() {
+                self.inner.transmit.do_send(message);
+            }
+            for turn in 0.. {
+                if self.outlet.poll_room(task).is_pending() {
+                    break;
+                }
+                let Some(Received { from, frame }) = self.incoming.poll_output() else { break };
+                self.outlet.deliver(from, frame);
+                if turn == BUDGET {
+                    task.waker().wake_by_ref();
+                    break;
+                }
+            }
+            let due = [self.outgoing.poll_timeout(), self.incoming.poll_timeout()];
+            let Some(due) = due.into_iter().flatten().min() else { return };
+            if self.timer.as_ref().is_none_or(|(armed, _)| *armed != due) {
+                self.timer = Some((due, Box::pin(tokio::time::sleep(due - now))));
+            }
+            let Some((_, timer)) = &mut self.timer else { return };
+            if timer.as_mut().poll(task).is_pending() {
+                return;
+            }
+            self.timer = None;
+        }
+    }
+
+    fn shut(&mut self) {
+        self.timer = None;
+    }
+
+    fn close(&mut self) {
+        self.shut();
+        self.inner.close.do_send(Close);
+    }
+}
+
+transport!(Faulty, counted elsewhere);
+
+impl Handler<ReadCounters> for Faulty {
+    type Result = ResponseFuture<blastema_contract::transport::TransportCounters>;
+
+    fn handle(&mut self, message: ReadCounters, _: &mut Context<Self>) -> Self::Result {
+        let counters = self.inner.counters.send(message);
+        // A transport that is gone has counted nothing.
+        Box::pin(async { counters.await.unwrap_or_default() })
+    }
+}
+
+impl Handler<Received> for Faulty {
+    type Result = ();
+
+    fn handle(&mut self, message: Received, _: &mut Context<Self>) {
+        self.incoming.handle_frame(message, (self.config.now)());
+    }
+}
+
+impl Handler<TransportReport> for Faulty {
+    type Result = ();
+
+    fn handle(&mut self, message: TransportReport, _: &mut Context<Self>) {
+        match message {
+            TransportReport::PeerLost { .. }
+            | TransportReport::Clash { .. }
+            | TransportReport::NoCarrier { .. } => {
+                self.outlet.report(message);
+            }
+            TransportReport::Rate { bytes_per_second } => {
+                self.outlet.announce_rate(bytes_per_second);
+            }
+            TransportReport::Bus { all } => self.outlet.announce_bus(all),
+            TransportReport::Opened { .. } | TransportReport::Closed { .. } => {
+                self.state = Some(message);
+                self.announce();
+            }
+        }
+    }
+}
+
+impl Handler<Impair> for Faulty {
+    type Result = ();
+
+    fn handle(&mut self, message: Impair, _: &mut Context<Self>) {
+        let Impair { direction, impairment } = message;
+        if direction.outgoing() {
+            self.outgoing.impair(impairment);
+        }
+        if direction.incoming() {
+            self.incoming.impair(impairment);
+        }
+    }
+}
+
+impl Handler<Cut> for Faulty {
+    type Result = ();
+
+    fn handle(&mut self, message: Cut, _: &mut Context<Self>) {
+        let Cut { direction, reported } = message;
+        if direction.outgoing() {
+            self.outgoing.cut();
+        }
+        if direction.incoming() {
+            self.incoming.cut();
+        }
+        self.cut_is_reported |= reported;
+        self.announce();
+    }
+}
+
+impl Handler<Partition> for Faulty {
+    type Result = ();
+
+    fn handle(&mut self, message: Partition, _: &mut Context<Self>) {
+        let Partition { direction, peers } = message;
+        if direction.outgoing() {
+            self.outgoing.part_from(peers.clone());
+        }
+        if direction.incoming() {
+            self.incoming.part_from(peers);
+        }
+    }
+}
+
+impl Handler<Restore> for Faulty {
+    type Result = ();
+
+    fn handle(&mut self, _: Restore, _: &mut Context<Self>) {
+        self.outgoing.restore();
+        self.incoming.restore();
+        self.cut_is_reported = false;
+        self.announce();
+    }
+}
+
+impl Handler<ReadInjectedFaults> for Faulty {
+    type Result = MessageResult<ReadInjectedFaults>;
+
+    fn handle(&mut self, _: ReadInjectedFaults, _: &mut Context<Self>) -> Self::Result {
+        let (outgoing, incoming) = (self.outgoing.injected(), self.incoming.injected());
+        MessageResult(InjectedFaults { outgoing, incoming })
+    }
+}

@@ -1,0 +1,351 @@
+//! Datagrams over IP: one frame is one datagram, to one peer or to all who hear a group.
+
+#[cfg(feature = "udp")]
+mod multicast;
+
+use crate::bound_address::{Binding, confine, explain};
+use crate::frame_medium::QueueLimits;
+use crate::frame_split::part_frame;
+use crate::medium::{Budget, Medium, transport};
+use crate::reopen_backoff::Reopening;
+use crate::transmit_queues::Lanes;
+use crate::upstream::Outlet;
+use actix::Context;
+use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
+use blastema_core::Parcel;
+use bytes::{BufMut, BytesMut};
+use socket2::{Domain, Protocol, SockRef, Socket, Type};
+use std::io::{self, IoSlice};
+use std::net::{Ipv4Addr, SocketAddr};
+use std::task::{self, Poll};
+use tokio::io::Interest;
+use tokio::net::UdpSocket;
+
+/// What a datagram carries at most over IPv4: 65,535 less the headers of IP (20) and UDP (8).
+const LARGEST: usize = 65_507;
+/// So many failed reads in a row, and the socket is opened anew: single ones are news of other hosts.
+const ERRORS_IN_A_ROW: u32 = 100;
+/// Memory is taken in pieces of at least this size, and shared by the frames in it.
+const CHUNK: usize = 64 * 1024;
+
+/// Where a [`Udp`] listens, and how much it holds.
+///
+/// ```
+/// use blastema_transports::UdpConfig;
+/// let mut config = UdpConfig::default();
+/// config.bind = "127.0.0.1:7400".parse()?;
+/// # Ok::<(), std::net::AddrParseError>(())
+/// ```
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct UdpConfig {
+    /// Our own address; port 0 takes a free one. The default is loopback: nobody outside this
+    /// machine can send to a node that does not say otherwise.
+    pub bind: SocketAddr,
+    /// Only over this interface of the system, such as `eth0`, or `firewire0` for IP over IEEE 1394
+    /// (RFC 2734). `None` leaves the choice to the system's routes.
+    pub interface: Option<String>,
+    /// A multicast group to hear as well; what is sent to its address reaches all who hear it. Several
+    /// transports of one machine may hear the same.
+    pub group: Option<SocketAddr>,
+    /// Over how many routers frames to the group may go, less one: 1 is this network only.
+    pub hops: u32,
+    /// The largest frame, in bytes. By default what fits: 65,507 on loopback, elsewhere what an
+    /// Ethernet frame carries (1,472 over IPv4, 1,452 over IPv6): a larger one is cut up by IP, and
+    /// lost with any of its parts.
+    pub mtu: Option<usize>,
+    /// The kernel's receive buffer, in bytes (Linux halves it for its own use and caps it at
+    /// `net.core.rmem_max`). Larger bridges a longer stall of the arbiter, before frames are lost.
+    pub receive_buffer: usize,
+    /// The kernel's send buffer, in bytes.
+    pub send_buffer: usize,
+    /// How many frames wait when the kernel's send buffer is full; beyond, they are dropped.
+    pub queue_frames: usize,
+}
+
+impl Default for UdpConfig {
+    fn default() -> Self {
+        UdpConfig {
+            bind: (Ipv4Addr::LOCALHOST, 0).into(),
+            interface: None,
+            group: None,
+            hops: 1,
+            mtu: None,
+            receive_buffer: 1 << 20,
+            send_buffer: 1 << 18,
+            queue_frames: 256,
+        }
+    }
+}
+
+impl UdpConfig {
+    fn mtu(&self) -> usize {
+        let fitting = match self.bind {
+            bind if bind.ip().is_loopback() => LARGEST,
+            SocketAddr::V4(_) => 1_472,
+            SocketAddr::V6(_) => 1_452,
+        };
+        self.mtu.unwrap_or(fitting).min(LARGEST)
+    }
+}
+
+/// A UDP socket as a transport, with no fixed peer.
+///
+/// It lives until it is sent [`Close`](blastema_contract::transport::Close).
+pub struct Udp {
+    config: UdpConfig,
+    outlet: Outlet,
+    binding: Binding,
+    reopening: Reopening,
+    socket: Option<UdpSocket>,
+    /// Hears the group, if there is one, beside our own socket.
+    ear: Option<UdpSocket>,
+    queue: Lanes<(SocketAddr, Parcel)>,
+    /// The one that the kernel had no room for.
+    going: Option<(SocketAddr, Parcel)>,
+    buffer: BytesMut,
+    errors_in_a_row: u32,
+}
+
+impl Udp {
+    /// A transport that opens when it is started.
+    pub fn new(config: UdpConfig) -> Self {
+        Udp {
+            binding: Binding::new(config.bind),
+            config,
+            outlet: Outlet::default(),
+            reopening: Reopening::default(),
+            socket: None,
+            ear: None,
+            queue: Lanes::default(),
+            going: None,
+            buffer: BytesMut::new(),
+            errors_in_a_row: 0,
+        }
+    }
+
+    fn try_open(&mut self) {
+        let address = self.binding.next_attempt();
+        match open(address, &self.config) {
+            Ok((local, socket, ear)) => {
+                self.binding.taken(local);
+                self.reopening.reset();
+                (self.socket, self.ear) = (Some(socket), ear);
+                let (local, mtu) = (MediumAddress::Ip(local), self.config.mtu());
+                self.outlet.announce(TransportReport::Opened { local, mtu });
+            }
+            Err(error) => {
+                self.lose(explain("udp", address, self.config.interface.as_deref(), &error))
+            }
+        }
+    }
+
+    fn lose(&mut self, reason: String) {
+        self.shut();
+        self.reopening.failed();
+        self.outlet.announce_closed(reason);
+    }
+
+    /// Sends one datagram, or gives it back when the kernel has no room for it.
+    fn send(&mut self, to: SocketAddr, frame: Parcel) -> Option<Parcel> {
+        let Some(socket) = &self.socket else {
+            self.outlet.counters.dropped += 1;
+            return None;
+        };
+        match try_send(socket, &frame, to) {
+            Ok(_) => self.outlet.counters.sent += 1,
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Some(frame),
+            Err(error) => {
+                tracing::trace!(%error, %to, "a datagram was not sent");
+                self.outlet.counters.dropped += 1;
+                self.outlet.counters.errors += 1;
+            }
+        }
+        None
+    }
+
+    /// Sends what waits, until the kernel has no more room.
+    fn write(&mut self, task: &mut task::Context<'_>) {
+        while let Some((to, frame)) = self.going.take().or_else(|| Some(self.queue.pop()?.1)) {
+            let Some(frame) = self.send(to, frame) else { continue };
+            self.going = Some((to, frame));
+            let ready = self.socket.as_ref().map(|socket| socket.poll_send_ready(task));
+            let Some(Poll::Ready(Ok(()))) = ready else { return };
+        }
+    }
+
+    /// Takes what has arrived, up to the budget.
+    fn read(&mut self, task: &mut task::Context<'_>) {
+        // Both sockets share the budget, and neither keeps the other from its turn.
+        let own = self.socket.take().map_or(Turn::Empty, |socket| {
+            let turn = self.read_from(&socket, task);
+            self.socket = Some(socket);
+            turn
+        });
+        let ear = self.ear.take().map_or(Turn::Empty, |ear| {
+            let turn = self.read_from(&ear, task);
+            self.ear = Some(ear);
+            turn
+        });
+        for turn in [own, ear] {
+            match turn {
+                Turn::Empty => {}
+                Turn::More => task.waker().wake_by_ref(),
+                Turn::Broken(reason) => {
+                    self.lose(reason);
+                    task.waker().wake_by_ref();
+                }
+            }
+        }
+    }
+
+    fn read_from(&mut self, socket: &UdpSocket, task: &mut task::Context<'_>) -> Turn {
+        let mtu = self.config.mtu();
+        // One byte more than the largest frame: a datagram that fills it is too large.
+        let room = mtu + 1;
+        let chunk = room.max(CHUNK);
+        let mut budget = Budget::default();
+        while budget.next() {
+            if self.outlet.poll_room(task).is_pending() {
+                return Turn::Empty;
+            }
+            if self.buffer.capacity() < room {
+                self.buffer.reserve(chunk);
+            }
+            match socket.try_recv_buf_from(&mut (&mut self.buffer).limit(room)) {
+                // What we have said to the group ourselves comes back from it.
+                Ok((_, from)) if self.group_brings_back(from) => self.buffer.clear(),
+                Ok((length, _)) if length > mtu => {
+                    self.buffer.clear();
+                    self.outlet.counters.refused += 1;
+                }
+                Ok((length, from)) => {
+                    self.errors_in_a_row = 0;
+                    budget.spend(length);
+                    let frame = part_frame(&mut self.buffer, length, chunk);
+                    self.outlet.deliver(MediumAddress::Ip(from), frame);
+                }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    if socket.poll_recv_ready(task).is_pending() {
+                        return Turn::Empty;
+                    }
+                }
+                // An ICMP message about an earlier datagram comes back as an error of the socket. It
+                // is news of one peer, and no reason to give up the others.
+                Err(error) => {
+                    self.outlet.counters.errors += 1;
+                    self.errors_in_a_row += 1;
+                    if self.errors_in_a_row >= ERRORS_IN_A_ROW {
+                        let local = socket.local_addr().unwrap_or(self.config.bind);
+                        let interface = self.config.interface.as_deref();
+                        return Turn::Broken(explain("udp", local, interface, &error));
+                    }
+                }
+            }
+        }
+        Turn::More
+    }
+
+    fn group_brings_back(&self, from: SocketAddr) -> bool {
+        self.config.group.is_some() && self.binding.is_at(from)
+    }
+}
+
+/// Gives the kernel one datagram, as it lies.
+fn try_send(socket: &UdpSocket, frame: &Parcel, to: SocketAddr) -> io::Result<usize> {
+    let pieces = frame.pieces().map(IoSlice::new);
+    let send = || SockRef::from(socket).send_to_vectored(&pieces, &to.into());
+    socket.try_io(Interest::WRITABLE, send)
+}
+
+/// What a turn of reading leaves.
+enum Turn {
+    /// Nothing to read, or nobody to take it; the task is woken when that changes.
+    Empty,
+    /// There may be more.
+    More,
+    /// The socket does not read any more, and why.
+    Broken(String),
+}
+
+impl Medium for Udp {
+    fn outlet(&mut self) -> &mut Outlet {
+        &mut self.outlet
+    }
+
+    fn open(&mut self, _: &mut Context<Self>) {
+        self.reopening.reset();
+        self.try_open();
+    }
+
+    fn transmit(&mut self, message: Transmit) {
+        let Transmit { to, frame, lane } = message;
+        let MediumAddress::Ip(to) = to else {
+            self.outlet.counters.refused += 1;
+            return;
+        };
+        if frame.len() > self.config.mtu() {
+            self.outlet.counters.refused += 1;
+            return;
+        }
+        // Nothing overtakes what waits already, but for the urgent.
+        let waits = self.going.is_some() || !self.queue.is_empty();
+        let Some(frame) = (if waits { Some(frame) } else { self.send(to, frame) }) else { return };
+        let limits = QueueLimits { frames: self.config.queue_frames, bytes: usize::MAX };
+        let bytes = frame.len();
+        if !self.queue.push(lane, (to, frame), bytes, limits) {
+            self.outlet.counters.dropped += 1;
+        }
+    }
+
+    fn pump(&mut self, task: &mut task::Context<'_>) {
+        while self.socket.is_none() {
+            if self.reopening.poll_due(task).is_pending() {
+                return;
+            }
+            self.try_open();
+        }
+        self.write(task);
+        self.read(task);
+    }
+
+    fn shut(&mut self) {
+        (self.socket, self.ear) = (None, None);
+        self.outlet.counters.dropped += self.queue.clear();
+        self.outlet.counters.dropped += u64::from(self.going.take().is_some());
+        self.buffer = BytesMut::new();
+        self.errors_in_a_row = 0;
+    }
+}
+
+transport!(Udp);
+
+/// Our own socket with its address, and the one that hears the group.
+fn open(
+    address: SocketAddr,
+    config: &UdpConfig,
+) -> io::Result<(SocketAddr, UdpSocket, Option<UdpSocket>)> {
+    let Some(group) = config.group else {
+        let socket = bind(address, config)?;
+        return Ok((socket.local_addr()?, socket, None));
+    };
+    let own = multicast::own_address(address, group, config.interface.as_deref())?;
+    let socket = bind(own, config)?;
+    multicast::speak(&socket, config)?;
+    let ear = multicast::hear(group, own.ip(), config)?;
+    Ok((socket.local_addr()?, socket, Some(ear)))
+}
+
+fn bind(address: SocketAddr, config: &UdpConfig) -> io::Result<UdpSocket> {
+    let socket = Socket::new(Domain::for_address(address), Type::DGRAM, Some(Protocol::UDP))?;
+    socket.set_nonblocking(true)?;
+    if address.is_ipv6() {
+        // One address, one spelling: IPv4 peers would show as `::ffff:…` otherwise.
+        socket.set_only_v6(true)?;
+    }
+    socket.set_recv_buffer_size(config.receive_buffer)?;
+    socket.set_send_buffer_size(config.send_buffer)?;
+    confine(&socket, config.interface.as_deref())?;
+    socket.bind(&address.into())?;
+    UdpSocket::from_std(socket.into())
+}
